@@ -1,0 +1,324 @@
+"""Frozen settings, one class a room. Unknown keys, wrong types and values out of range are refused.
+
+Lengths are metres, angles radians, times seconds; the unit is in the name. The presets ``report`` hold the settings of
+the 2024 report as its authors published them; ``starling2`` holds ours for a Starling 2's Time-of-Flight sensor.
+"""
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from steelnb.errors import SettingsError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+TrajectoryName = Literal["vertical", "orbit"]
+SensorName = Literal["report", "starling2"]
+CorrectionName = Literal["none", "average", "least_squares"]
+
+
+class Settings(BaseModel):
+    """Base of all settings: frozen, strict, no unknown key; every fault is a one-line `SettingsError`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as fault:
+            raise SettingsError(describe_fault(type(self).__name__, fault)) from None
+
+    def but(self, **changes: Any) -> Self:
+        """A copy with some values changed, checked like the original."""
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+
+
+def describe_fault(where: str, fault: ValidationError) -> str:
+    """The first fault of a pydantic error as one line: where, what was given, what was expected."""
+    first = fault.errors()[0]
+    message = first["msg"].removeprefix("Value error, ")
+    message = f"{message[:1].lower()}{message[1:]}"
+    if not first["loc"]:
+        return f"{where}: {message}"
+    return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"
+
+
+class TowerSettings(Settings):
+    """A lattice tower of steel angle sections. The defaults are the preset ``report``: 16 m high, arms to x = ±3.8 m.
+
+    The report gives no base width. Its own crop lets the Hough transform see 1.5 m ahead, and its orbit is 3 to 4 m
+    from the axis, so the body must have been about 2 m from the axis to be seen at all: hence a base of 4 m.
+    """
+
+    height_m: Positive = 16.0
+    base_width_m: Positive = 4.0
+    waist_height_m: Positive = 9.0
+    waist_width_m: Positive = 1.7
+    top_width_m: Positive = 1.0
+    arm_height_m: tuple[Positive, ...] = (10.2, 12.4, 14.6)
+    arm_reach_m: tuple[Positive, ...] = (3.2, 3.8, 2.8)
+    arm_depth_m: Positive = 0.7
+    leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
+    ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
+    bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
+    arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.arm_height_m) != len(self.arm_reach_m):
+            raise ValueError("arm_height_m and arm_reach_m must have the same length")
+        if not self.waist_height_m < self.height_m:
+            raise ValueError("waist_height_m must lie below height_m")
+        levels = (self.waist_height_m, *self.arm_height_m)
+        if any(low + self.arm_depth_m > high for low, high in zip(levels[1:], levels[2:], strict=False)):
+            raise ValueError("arms must be at least arm_depth_m apart")
+        if self.arm_height_m and (
+            min(self.arm_height_m) <= self.waist_height_m
+            or max(self.arm_height_m) + self.arm_depth_m > self.height_m + 1e-9
+        ):
+            raise ValueError("arms must lie between waist_height_m and height_m")
+        return self
+
+
+class FlightSettings(Settings):
+    """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height."""
+
+    trajectory: TrajectoryName = "vertical"
+    duration_s: Positive = 200.0
+    standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
+    height_min_m: Positive = 0.7
+    height_max_m: Positive = 15.0
+    levels: Annotated[int, Field(ge=2, le=100)] = 12
+    speed_m_s: Positive = 0.25
+    gust_sigma_m_s: NotNegative = 0.3
+    gust_time_s: Positive = 2.0
+    imu_rate_hz: Literal[125] = 125
+
+    @classmethod
+    def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
+        """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long."""
+        if trajectory == "orbit":
+            return cls(
+                trajectory="orbit",
+                duration_s=duration_s,
+                standoff_m=1.4,
+                height_max_m=7.0,
+                levels=6,
+                speed_m_s=0.8,
+            )
+        return cls(trajectory=trajectory, duration_s=duration_s)
+
+
+class TofSettings(Settings):
+    """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
+
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. A pixel beside a depth edge
+    turns into a flying pixel, somewhere between the two depths, with ``flying_pixel_probability``; any pixel is lost
+    with ``dropout_probability``.
+    """
+
+    columns: Annotated[int, Field(ge=1, le=4096)] = 64
+    rows: Annotated[int, Field(ge=1, le=4096)] = 64
+    fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
+    fov_vertical_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
+    range_min_m: NotNegative = 0.1
+    range_max_m: Positive = 4.0
+    sigma_floor_m: NotNegative = 0.04
+    sigma_relative: NotNegative = 0.0
+    flying_pixel_probability: Probability = 0.0
+    dropout_probability: Probability = 0.0
+    rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
+
+    @classmethod
+    def preset(cls, sensor: SensorName) -> "TofSettings":
+        """``report``: the simulated sensor of the report. ``starling2``: an upright Starling 2 sensor."""
+        if sensor == "report":
+            return cls()
+        return cls(
+            columns=180,
+            rows=240,
+            fov_horizontal_rad=math.radians(86),
+            fov_vertical_rad=math.radians(106),
+            range_max_m=6.0,
+            sigma_floor_m=0.01,
+            sigma_relative=0.01,
+        )
+
+
+class NoiseSettings(Settings):
+    """Drift of the pose prior, added at every simulator step (125 Hz).
+
+    ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
+    of the constant step vector, or the step per axis where ``constant_drift_per_axis`` (√3 more in all);
+    ``yaw_random_walk_rad``: standard deviation of the heading step.
+    """
+
+    random_walk_m: NotNegative = 0.0
+    constant_drift_m: NotNegative = 0.0
+    constant_drift_per_axis: bool = False
+    yaw_random_walk_rad: NotNegative = 0.0
+
+    @classmethod
+    def parse(cls, text: str) -> "NoiseSettings":
+        """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
+
+        A name without a level takes the report's. ``none`` is no noise. Raises `SettingsError`.
+        """
+        if not isinstance(text, str):
+            raise SettingsError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
+        values: dict[str, Any] = {}
+        for part in [] if text == "none" else text.split("+"):
+            name, _, level = part.strip().partition(":")
+            if name not in REPORT_NOISE:
+                raise SettingsError(f"noise = {text!r}: unknown noise {name!r}; expected one of {_names(REPORT_NOISE)}")
+            key, default = REPORT_NOISE[name]
+            if key in values:
+                raise SettingsError(f"noise = {text!r}: {key} is given twice")
+            try:
+                values[key] = float(level) if level else default
+            except ValueError:
+                raise SettingsError(f"noise = {text!r}: the level {level!r} is not a number") from None
+            if name == "constant-drift-per-axis":
+                values["constant_drift_per_axis"] = True
+        return cls(**values)
+
+
+REPORT_NOISE = {
+    "random-walk": ("random_walk_m", 0.002),
+    "constant-drift": ("constant_drift_m", 0.0001),
+    "constant-drift-per-axis": ("constant_drift_m", 0.0001),
+    "yaw-random-walk": ("yaw_random_walk_rad", 0.0005),
+}
+
+
+class PreprocessSettings(Settings):
+    """Pass-through box in the drone frame, floor in the world frame, voxel grid."""
+
+    x_max_m: Positive = 1.5
+    y_max_m: Positive = 1.5
+    z_max_m: Positive = 1.5
+    floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.3
+    voxel_leaf_m: Positive = 0.033
+
+
+class HoughSettings(Settings):
+    """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments."""
+
+    dx_m: Positive = 0.033 * math.sqrt(3)
+    min_votes: Annotated[int, Field(ge=2)] = 12
+    max_lines: Annotated[int, Field(ge=1)] = 10
+    granularity: Annotated[int, Field(ge=0, le=6)] = 6
+    gap_max_m: Positive = 2 * 0.033 * math.sqrt(3)
+    pca_ratio_min: Probability = 0.995
+    radius_max_m: Positive = 0.033 * math.sqrt(3)
+    density_min_per_m: NotNegative = 0.0
+    length_min_m: NotNegative = 0.0
+    skip_weak: bool = False
+
+
+class FusionSettings(Settings):
+    """Which two segments are the same bar: angle, distance across (on top of both radii) and gap along the axis."""
+
+    angle_max_rad: Positive = math.radians(10)
+    distance_max_m: Positive = 4 * 0.033 * math.sqrt(3)
+    gap_max_m: NotNegative = 0.2
+    add_radii: bool = True
+
+
+class OdometrySettings(Settings):
+    """Segment odometry. ``gain`` belongs to ``average``, the rest to ``least_squares``."""
+
+    correction: CorrectionName = "least_squares"
+    gain: Annotated[float, Field(gt=0, le=1)] = 0.5
+    robust_scale_m: Positive = 0.05
+    innovation_sigma_m: Positive = 0.05
+    iterations_max: Annotated[int, Field(ge=1)] = 10
+    tolerance_m: Positive = 1e-4
+    sightings_min: Annotated[int, Field(ge=1)] = 1
+
+
+class ExperimentSettings(Settings):
+    """Everything one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower."""
+
+    sensor: SensorName
+    noise_name: str
+    seed: Annotated[int, Field(ge=0)]
+    tower: TowerSettings = TowerSettings()
+    flight: FlightSettings
+    tof: TofSettings
+    noise: NoiseSettings
+    preprocess: PreprocessSettings
+    hough: HoughSettings
+    fusion: FusionSettings
+    odometry: OdometrySettings
+
+    @classmethod
+    def preset(
+        cls,
+        trajectory: TrajectoryName = "vertical",
+        noise: str = "random-walk",
+        correction: CorrectionName = "least_squares",
+        sensor: SensorName = "starling2",
+        seed: int = 1,
+        duration_s: float = 200.0,
+        overrides: dict[str, Any] | None = None,
+    ) -> "ExperimentSettings":
+        """The settings that belong to a sensor, flight, noise and correction, named as in the notebooks.
+
+        ``overrides`` changes single settings by room and name: ``{"tof.rate_hz": 10.0, "flight.standoff_m": 1.5}``.
+        Raises `SettingsError`.
+        """
+        choices = {"trajectory": TRAJECTORIES, "sensor": SENSORS, "correction": CORRECTIONS}
+        for name, value in {"trajectory": trajectory, "sensor": sensor, "correction": correction}.items():
+            if value not in choices[name]:
+                raise SettingsError(f"{name} = {value!r}: expected one of {_names(choices[name])}")
+        full_range = {
+            "preprocess": PreprocessSettings(x_max_m=6.0, y_max_m=6.0, z_max_m=6.0, voxel_leaf_m=0.05),
+            "hough": HoughSettings(
+                dx_m=0.07,
+                min_votes=20,
+                max_lines=40,
+                granularity=4,
+                gap_max_m=0.25,
+                pca_ratio_min=0.98,
+                radius_max_m=0.07,
+                density_min_per_m=10.0,
+                length_min_m=0.4,
+                skip_weak=True,
+            ),
+            "fusion": FusionSettings(angle_max_rad=math.radians(8), distance_max_m=0.15, add_radii=False),
+        }
+        report = {"preprocess": PreprocessSettings(), "hough": HoughSettings(), "fusion": FusionSettings()}
+        settings = cls(
+            sensor=sensor,
+            noise_name=noise,
+            seed=seed,
+            flight=FlightSettings.preset(trajectory, duration_s),
+            tof=TofSettings.preset(sensor),
+            noise=NoiseSettings.parse(noise),
+            odometry=OdometrySettings(correction=correction),
+            **(report if sensor == "report" else full_range),
+        )
+        return settings.override(overrides or {})
+
+    def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
+        """A copy with single settings changed, each named ``room.setting``. Raises `SettingsError`."""
+        changed = self
+        for path, value in overrides.items():
+            room, _, name = path.partition(".")
+            old = getattr(changed, room, None)
+            if not isinstance(old, Settings) or name not in type(old).model_fields:
+                raise SettingsError(f"overrides: unknown setting {path!r}; expected room.setting, such as tof.rate_hz")
+            changed = changed.but(**{room: old.but(**{name: tuple(value) if isinstance(value, list) else value})})
+        return changed
+
+
+TRAJECTORIES: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+SENSORS: tuple[SensorName, ...] = ("report", "starling2")
+CORRECTIONS: tuple[CorrectionName, ...] = ("none", "average", "least_squares")
+
+
+def _names(names: Any) -> str:
+    return ", ".join(repr(name) for name in names)

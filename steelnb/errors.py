@@ -1,0 +1,45 @@
+"""One exception type per cause; the command line prints each as one line and exits 2."""
+
+
+class SteelnbError(Exception):
+    """Base of every error that a user can cause and mend. The message names the value and what was expected."""
+
+
+class SettingsError(SteelnbError):
+    """An unknown setting, a value of the wrong type, or one out of range."""
+
+
+class UnknownExperimentError(SteelnbError):
+    """An experiment identifier that `experiments.toml` does not hold."""
+
+
+class CollisionError(SteelnbError):
+    """The simulated drone touched the structure or the ground."""
+
+
+class EmptyCloudError(SteelnbError):
+    """A cloud with no finite point."""
+
+
+class DegenerateCloudError(SteelnbError):
+    """A cloud that cannot hold a line: fewer than two distinct points."""
+
+
+class FileMissingError(SteelnbError):
+    """An input path that does not exist or cannot be opened."""
+
+
+class UnsupportedFormatError(SteelnbError):
+    """An input file whose ending is not one that can be read."""
+
+
+class FileContentError(SteelnbError):
+    """An input file that is truncated or does not hold what its ending promises."""
+
+
+class OutputError(SteelnbError):
+    """An output folder that cannot be written."""
+
+
+class NotebookError(SteelnbError):
+    """A notebook that raised while it was run."""

@@ -1,0 +1,63 @@
+"""Directions of lines: a subdivided icosahedron, upper half (Jeltsch, Dalitz, Pohle-Froehlich, VISAPP 2016)."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from steelnb.datatypes import Array
+
+# Single precision on purpose: the published program computes the first twelve corners so, and ties between directions
+# are broken by their order and last bits.
+_TAU = np.float32(1.61803399)
+_NORM = np.sqrt(np.float32(1) + _TAU * _TAU)
+_V = float(np.float32(1) / _NORM)
+_T = float(_TAU / _NORM)
+
+_CORNERS = (
+    (-_V, _T, 0.0), (_V, _T, 0.0), (0.0, _V, -_T), (0.0, _V, _T), (-_T, 0.0, -_V), (_T, 0.0, -_V),
+    (-_T, 0.0, _V), (_T, 0.0, _V), (0.0, -_V, -_T), (0.0, -_V, _T), (-_V, -_T, 0.0), (_V, -_T, 0.0),
+)  # fmt: skip
+_TRIANGLES = (
+    (0, 1, 2), (0, 1, 3), (0, 2, 4), (0, 4, 6), (0, 3, 6), (1, 2, 5), (1, 3, 7), (1, 5, 7), (2, 4, 8), (2, 5, 8),
+    (3, 6, 9), (3, 7, 9), (4, 8, 10), (8, 10, 11), (5, 8, 11), (5, 7, 11), (7, 9, 11), (9, 10, 11), (6, 9, 10),
+    (4, 6, 10),
+)  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def directions(granularity: int) -> Array:
+    """Unit vectors ``(5 * 4**granularity + 1, 3)`` that cover the half sphere evenly, one of each opposite pair.
+
+    ``granularity`` 4 gives 1281 directions about 4° apart, 6 gives 20481 about 1° apart. The order is that of the
+    reference program, which breaks ties by it. Raises ValueError outside 0–6.
+    """
+    if granularity not in range(7):
+        raise ValueError(f"granularity = {granularity}: expected an integer from 0 to 6")
+    vertices = [np.array(corner) for corner in _CORNERS]
+    triangles = list(_TRIANGLES)
+    for _ in range(granularity):
+        middle_of: dict[tuple[int, int], int] = {}
+
+        def middle(i: int, j: int, known: dict[tuple[int, int], int] = middle_of) -> int:
+            edge = (min(i, j), max(i, j))
+            if edge not in known:
+                known[edge] = len(vertices)
+                vertices.append(_unit(vertices[i] + vertices[j]))
+            return known[edge]
+
+        finer = []
+        for a, b, c in triangles:
+            d, e, f = middle(a, b), middle(b, c), middle(c, a)
+            finer += [(a, d, f), (d, b, e), (f, e, c), (f, d, e)]
+        triangles = finer
+    sphere = np.array(vertices)
+    x, y, z = sphere.T
+    upper = (z > 0) | ((z == 0) & ((x > 0) | ((x == 0) & (y != -1))))
+    result = sphere[upper]
+    result.setflags(write=False)
+    return result
+
+
+def _unit(vector: Array) -> Array:
+    x, y, z = vector
+    return np.asarray(vector / np.sqrt(x * x + y * y + z * z))
