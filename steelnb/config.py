@@ -91,7 +91,7 @@ class FlightSettings(Settings):
     height_min_m: Positive = 0.7
     height_max_m: Positive = 15.0
     levels: Annotated[int, Field(ge=2, le=100)] = 12
-    speed_m_s: Positive = 0.25
+    speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
     gust_time_s: Positive = 2.0
     imu_rate_hz: Literal[125] = 125
@@ -106,7 +106,7 @@ class FlightSettings(Settings):
                 standoff_m=1.4,
                 height_max_m=7.0,
                 levels=6,
-                speed_m_s=0.8,
+                speed_m_s=0.73,
             )
         return cls(trajectory=trajectory, duration_s=duration_s)
 

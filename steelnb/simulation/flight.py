@@ -1,0 +1,166 @@
+"""A quadrotor-sized rigid body flown along a path in PyBullet, with true poses and IMU readings at every step."""
+
+import math
+
+import numpy as np
+
+from steelnb import rng
+from steelnb.config import FlightSettings
+from steelnb.datatypes import Array, Imu, Trajectory
+from steelnb.errors import CollisionError
+from steelnb.simulation.paths import heading, reference
+from steelnb.simulation.tower import Tower
+
+STEP_S = 0.008
+GRAVITY = 9.81
+MASS_KG = 0.275
+INERTIA = (6e-4, 6e-4, 10e-4)
+HALF_BOX_M = (0.12, 0.12, 0.04)
+DRAG_N_PER_M_S = 0.1
+# Gains per unit of mass or inertia: position → velocity, velocity → acceleration, attitude → angular acceleration.
+POSITION_P, VELOCITY_P, VELOCITY_I, ATTITUDE_P, ATTITUDE_D = 1.2, 2.5, 0.8, 80.0, 16.0
+TILT_ACCELERATION_MAX = 5.0
+
+
+def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, Imu]:
+    """True trajectory and noise-free IMU of a flight, both at 125 Hz from t = 0.
+
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `reference`; gusts (an Ornstein–Uhlenbeck wind from the stream ``gust``) push it about.
+    IMU readings are those of the interval that ends at their stamp. Raises `CollisionError` with time and place when
+    the body touches the structure or the ground.
+    """
+    import pybullet
+
+    steps = round(settings.duration_s / STEP_S)
+    target, target_velocity = reference(settings, tower.settings, steps, STEP_S)
+    wind = _gusts(settings, seed, steps)
+    state = np.empty((steps + 1, 7))
+    imu = np.empty((steps + 1, 6))
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = _make_world(pybullet, client, tower, target[0].tolist(), heading(settings, *target[0, :2]))
+        _loop(pybullet, client, body, target.tolist(), target_velocity.tolist(), settings, wind, state, imu)
+    finally:
+        pybullet.disconnect(client)
+    stamp = np.arange(steps + 1) * STEP_S
+    T_world_drone = np.tile(np.eye(4), (steps + 1, 1, 1))
+    T_world_drone[:, :3, :3] = _rotations(state[:, 3:])
+    T_world_drone[:, :3, 3] = state[:, :3]
+    return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
+
+
+def _gusts(settings: FlightSettings, seed: int, steps: int) -> list[list[float]]:
+    from scipy.signal import lfilter
+
+    keep = math.exp(-STEP_S / settings.gust_time_s)
+    shocks = rng.stream(seed, "gust").standard_normal((steps, 3)) * settings.gust_sigma_m_s * math.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], shocks, axis=0).tolist()  # type: ignore[no-any-return]
+
+
+def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: float) -> int:  # type: ignore[no-untyped-def]
+    pybullet.setTimeStep(STEP_S, physicsClientId=client)
+    pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
+    structure = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH,
+        vertices=tower.vertices.tolist(),
+        indices=tower.triangles.ravel().tolist(),
+        # Without this flag the obstacle would be the convex hull of the whole tower.
+        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(0, structure, physicsClientId=client)
+    ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    pybullet.createMultiBody(0, ground, physicsClientId=client)
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M, physicsClientId=client)
+    body = pybullet.createMultiBody(
+        MASS_KG, box, -1, start, pybullet.getQuaternionFromEuler((0, 0, yaw)), physicsClientId=client
+    )
+    pybullet.changeDynamics(
+        body, -1, localInertiaDiagonal=INERTIA, linearDamping=0, angularDamping=0, physicsClientId=client
+    )
+    return int(body)
+
+
+def _loop(pybullet, client, body, target, target_velocity, settings, wind, state, imu) -> None:  # type: ignore[no-untyped-def]
+    """Control, step, record. Scalars throughout: a 3-vector in NumPy costs ten times its arithmetic."""
+    position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    velocity, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    ix = iy = iz = 0.0  # integral of the velocity error
+    state[0] = (*position, *quaternion)
+    imu[0] = (0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0)
+    for step in range(len(wind)):
+        (rx, ry, rz), (tx, ty, tz) = target[step], target_velocity[step]
+        ex = tx + POSITION_P * (rx - position[0]) - velocity[0]
+        ey = ty + POSITION_P * (ry - position[1]) - velocity[1]
+        ez = tz + POSITION_P * (rz - position[2]) - velocity[2]
+        ix, iy, iz = ix + ex * STEP_S, iy + ey * STEP_S, iz + ez * STEP_S
+        ax, ay, az = VELOCITY_P * ex + VELOCITY_I * ix, VELOCITY_P * ey + VELOCITY_I * iy, VELOCITY_P * ez
+        az += VELOCITY_I * iz + GRAVITY
+        level = math.hypot(ax, ay)
+        if level > TILT_ACCELERATION_MAX:
+            ax, ay = ax * TILT_ACCELERATION_MAX / level, ay * TILT_ACCELERATION_MAX / level
+        az = max(az, 0.3 * GRAVITY)
+
+        m = pybullet.getMatrixFromQuaternion(quaternion)
+        thrust = MASS_KG * (ax * m[2] + ay * m[5] + az * m[8])
+        torque = _attitude(m, rate, ax, ay, az, heading(settings, position[0], position[1]))
+        w = wind[step]
+        force = [DRAG_N_PER_M_S * (w[axis] - velocity[axis]) for axis in range(3)]
+        pybullet.applyExternalForce(
+            body, -1, (0, 0, thrust), (0, 0, 0), pybullet.LINK_FRAME, physicsClientId=client
+        )
+        pybullet.applyExternalForce(body, -1, force, position, pybullet.WORLD_FRAME, physicsClientId=client)
+        pybullet.applyExternalTorque(body, -1, torque, pybullet.LINK_FRAME, physicsClientId=client)
+        pybullet.stepSimulation(physicsClientId=client)
+        if pybullet.getContactPoints(body, physicsClientId=client):
+            x, y, z = position
+            raise CollisionError(
+                f"{settings.trajectory} flight with standoff_m = {settings.standoff_m}: the drone touches the structure"
+                f" or the ground at t = {(step + 1) * STEP_S:.2f} s, at x = {x:.2f}, y = {y:.2f}, z = {z:.2f} m;"
+                " expected a path clear of both"
+            )
+
+        position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+        after, rate = pybullet.getBaseVelocity(body, physicsClientId=client)
+        m = pybullet.getMatrixFromQuaternion(quaternion)
+        fx, fy = (after[0] - velocity[0]) / STEP_S, (after[1] - velocity[1]) / STEP_S
+        fz = (after[2] - velocity[2]) / STEP_S + GRAVITY
+        velocity = after
+        state[step + 1] = (*position, *quaternion)
+        imu[step + 1] = (
+            m[0] * fx + m[3] * fy + m[6] * fz, m[1] * fx + m[4] * fy + m[7] * fz, m[2] * fx + m[5] * fy + m[8] * fz,
+            m[0] * rate[0] + m[3] * rate[1] + m[6] * rate[2], m[1] * rate[0] + m[4] * rate[1] + m[7] * rate[2],
+            m[2] * rate[0] + m[5] * rate[1] + m[8] * rate[2],
+        )  # fmt: skip
+
+
+def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]
+    """Torque (body frame) that turns the body's z axis along (ax, ay, az) and its x axis to the heading.
+
+    The error is ``½ (Rᵀ R_d − R_dᵀ R)^∨`` (Lee, Leok, McClamroch, CDC 2010); ``m`` is R by rows, ``rate`` in the world.
+    """
+    norm = math.sqrt(ax * ax + ay * ay + az * az)
+    zx, zy, zz = ax / norm, ay / norm, az / norm
+    cx, cy = math.cos(yaw), math.sin(yaw)
+    yx, yy, yz = -zz * cy, zz * cx, zx * cy - zy * cx  # z × heading
+    norm = math.sqrt(yx * yx + yy * yy + yz * yz)
+    yx, yy, yz = yx / norm, yy / norm, yz / norm
+    xx, xy, xz = yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx  # y × z
+    # ½ Σ (column of R × column of R_d), turned into the body frame
+    wx = m[3] * xz - m[6] * xy + m[4] * yz - m[7] * yy + m[5] * zz - m[8] * zy
+    wy = m[6] * xx - m[0] * xz + m[7] * yx - m[1] * yz + m[8] * zx - m[2] * zz
+    wz = m[0] * xy - m[3] * xx + m[1] * yy - m[4] * yx + m[2] * zy - m[5] * zx
+    px = ATTITUDE_P * 0.5 * wx - ATTITUDE_D * rate[0]
+    py = ATTITUDE_P * 0.5 * wy - ATTITUDE_D * rate[1]
+    pz = ATTITUDE_P * 0.5 * wz - ATTITUDE_D * rate[2]
+    return (
+        INERTIA[0] * (m[0] * px + m[3] * py + m[6] * pz),
+        INERTIA[1] * (m[1] * px + m[4] * py + m[7] * pz),
+        INERTIA[2] * (m[2] * px + m[5] * py + m[8] * pz),
+    )
+
+
+def _rotations(quaternion: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix())

@@ -1,0 +1,205 @@
+"""A parametric lattice tower of steel angle sections: true members, their joints, and the mesh that sensors see."""
+
+from dataclasses import dataclass, field
+
+import networkx as nx
+import numpy as np
+
+from steelnb.config import TowerSettings
+from steelnb.datatypes import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Member:
+    """A straight bar. Its axis is the heel of the angle section; ``joints`` are those it passes, from end to end."""
+
+    name: str
+    kind: str  # leg, ring, bracing or arm
+    section_m: tuple[float, float]  # flange width, thickness
+    joints: tuple[int, ...]
+    flange_a: tuple[float, float, float]  # the directions of the two flanges, about across the axis
+    flange_b: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Tower:
+    """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)``,
+    ``triangles (T, 3)``, ``triangle_member (T,)``."""
+
+    joints: Array
+    members: tuple[Member, ...]
+    vertices: Array
+    triangles: IntArray
+    triangle_member: IntArray
+    settings: TowerSettings
+
+    @property
+    def axes(self) -> Array:
+        """End points of the member axes, ``(M, 2, 3)`` metres."""
+        return np.array([self.joints[[member.joints[0], member.joints[-1]]] for member in self.members])
+
+    def graph(self) -> nx.Graph:
+        """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``member``, ``kind``)."""
+        graph = nx.Graph()
+        graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joints))
+        for m, member in enumerate(self.members):
+            for a, b in zip(member.joints, member.joints[1:], strict=False):
+                graph.add_edge(a, b, member=m, kind=member.kind)
+        return graph
+
+
+def half_width(settings: TowerSettings, z: float) -> float:
+    """Distance of the body's faces to the axis at height ``z``, metres: two tapers that meet at the waist."""
+    heights = (0.0, settings.waist_height_m, settings.height_m)
+    widths = (settings.base_width_m, settings.waist_width_m, settings.top_width_m)
+    return float(np.interp(z, heights, widths)) / 2
+
+
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+"""Signs of x and y of the four legs; face k lies between corners k and k + 1."""
+
+
+@dataclass
+class _Builder:
+    settings: TowerSettings
+    joints: list[Array] = field(default_factory=list)
+    known: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    members: list[Member] = field(default_factory=list)
+
+    def joint(self, position: Array) -> int:
+        key = tuple(np.round(np.asarray(position) * 1e5).astype(int))
+        if key not in self.known:
+            self.known[key] = len(self.joints)
+            self.joints.append(np.asarray(position, dtype=np.float64))
+        return self.known[key]
+
+    def corner(self, k: int, z: float) -> Array:
+        half = half_width(self.settings, z)
+        return np.array([CORNERS[k % 4][0] * half, CORNERS[k % 4][1] * half, z])
+
+    def add(self, kind: str, points: list[Array], flange_a: Array, flange_b: Array) -> None:
+        """Add a bar through ``points``; the flanges are turned across the axis, ``flange_b`` first."""
+        joints = tuple(self.joint(point) for point in points)
+        axis = self.joints[joints[-1]] - self.joints[joints[0]]
+        axis /= np.linalg.norm(axis)
+        flange_b = _unit(flange_b - (flange_b @ axis) * axis)
+        flange_a = flange_a - (flange_a @ axis) * axis
+        flange_a = _unit(flange_a - (flange_a @ flange_b) * flange_b)
+        section = getattr(self.settings, f"{kind}_section_m")
+        count = sum(member.kind == kind for member in self.members)
+        self.members.append(
+            Member(f"{kind}-{count}", kind, section, joints, tuple(flange_a.tolist()), tuple(flange_b.tolist()))
+        )
+
+    def in_face(self, kind: str, k: int, points: list[Array]) -> None:
+        """Add a bar that lies in face ``k``: one flange in the face, the other pointing inwards."""
+        inward = -np.array([*np.add(CORNERS[k], CORNERS[(k + 1) % 4]) / 2.0, 0.0])
+        axis = _unit(points[-1] - points[0])
+        self.add(kind, points, np.cross(axis, inward), inward)
+
+
+def build_tower(settings: TowerSettings | None = None) -> Tower:
+    """The tower of the settings: X-bracing up to the waist, K-bracing between the arms, single bracing in their depth.
+
+    The base stands on z = 0, centred on the world's z axis; arms reach along ±x.
+    """
+    settings = settings or TowerSettings()
+    build = _Builder(settings)
+    lower = _panel_levels(settings)
+    upper = [settings.waist_height_m]
+    for z in settings.arm_height_m:
+        upper += [z, z + settings.arm_depth_m]
+    if settings.height_m - upper[-1] > 1e-6:
+        upper.append(settings.height_m)
+
+    for k in range(4):
+        _braced_face(build, k, lower, upper)
+    middles = {z: None for z in upper[1::2]}  # K-bracing meets the rings of these levels in their middle
+    for z in (*lower[1:], *upper[1:]):
+        for k in range(4):
+            a, b = build.corner(k, z), build.corner(k + 1, z)
+            build.in_face("ring", k, [a, (a + b) / 2, b] if z in middles else [a, b])
+    for k in range(4):
+        inwards = -np.array([*CORNERS[k], 0.0])
+        flanges = inwards * [1, 0, 0], inwards * [0, 1, 0]
+        build.add("leg", [build.corner(k, z) for z in lower], *flanges)
+        build.add("leg", [build.corner(k, z) for z in upper], *flanges)
+    for z, reach in zip(settings.arm_height_m, settings.arm_reach_m, strict=True):
+        for side in (-1, 1):
+            _arm(build, z, reach, side)
+
+    joints = np.array(build.joints)
+    vertices, triangles, owner = _mesh(joints, build.members)
+    return Tower(joints, tuple(build.members), vertices, triangles, owner, settings)
+
+
+def _panel_levels(settings: TowerSettings) -> list[float]:
+    """Heights of the rings below the waist: panels about 0.8 times as high as wide."""
+    levels = [0.0]
+    while levels[-1] < settings.waist_height_m:
+        levels.append(levels[-1] + 0.8 * 2 * half_width(settings, levels[-1]))
+    return [z * settings.waist_height_m / levels[-1] for z in levels[:-1]] + [settings.waist_height_m]
+
+
+def _braced_face(build: _Builder, k: int, lower: list[float], upper: list[float]) -> None:
+    for low, high in zip(lower, lower[1:], strict=False):
+        a, b, c, d = build.corner(k, low), build.corner(k + 1, low), build.corner(k, high), build.corner(k + 1, high)
+        share = np.linalg.norm(b - a) / (np.linalg.norm(b - a) + np.linalg.norm(d - c))
+        crossing = a + share * (d - a)
+        build.in_face("bracing", k, [a, crossing, d])
+        build.in_face("bracing", k, [b, crossing, c])
+    for panel, (low, high) in enumerate(zip(upper, upper[1:], strict=False)):
+        a, b, c, d = build.corner(k, low), build.corner(k + 1, low), build.corner(k, high), build.corner(k + 1, high)
+        if panel % 2 == 0 and high in upper[1::2]:
+            build.in_face("bracing", k, [a, (c + d) / 2])
+            build.in_face("bracing", k, [b, (c + d) / 2])
+        else:
+            build.in_face("bracing", k, [a, d] if (panel + k) % 2 else [b, c])
+
+
+def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
+    """A pyramid arm: two level lower chords, two sloping upper chords, three bays of webs."""
+    tip = np.array([side * reach, 0.0, z])
+    up, out = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    shares = (1 / 3, 2 / 3)
+    points: dict[tuple[int, int], list[Array]] = {}
+    for y in (-1, 1):
+        for level, height in enumerate((z, z + build.settings.arm_depth_m)):
+            half = half_width(build.settings, height)
+            root = np.array([side * half, y * half, height])
+            points[y, level] = [root + share * (tip - root) for share in (0.0, *shares)] + [tip]
+            build.add("arm", points[y, level], -y * out, up if level == 0 else -up)
+        for bay in (1, 2):
+            build.add("arm", [points[y, 0][bay], points[y, 1][bay]], side * np.array([-1.0, 0, 0]), -y * out)
+        for bay in (0, 1):
+            build.add("arm", [points[y, 1][bay], points[y, 0][bay + 1]], side * np.array([1.0, 0, 0]), -y * out)
+    for bay in (1, 2):
+        build.add("arm", [points[-1, 0][bay], points[1, 0][bay]], side * np.array([-1.0, 0, 0]), up)
+        build.add("arm", [points[-1, 0][bay - 1], points[1, 0][bay]], side * np.array([1.0, 0, 0]), up)
+
+
+_OUTLINE_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)])
+
+
+def _mesh(joints: Array, members: list[Member]) -> tuple[Array, IntArray, IntArray]:
+    """Closed prisms over the L-shaped outlines of the sections, heel on the axis."""
+    vertices, triangles, owner = [], [], []
+    for m, member in enumerate(members):
+        width, thickness = member.section_m
+        outline = np.array(
+            [(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)]
+        )
+        across = outline @ np.array([member.flange_a, member.flange_b])
+        base = 12 * m
+        vertices += [joints[member.joints[0]] + across, joints[member.joints[-1]] + across]
+        for i in range(6):
+            j = (i + 1) % 6
+            triangles += [(base + i, base + j, base + 6 + j), (base + i, base + 6 + j, base + 6 + i)]
+        triangles += [tuple(base + t) for t in _OUTLINE_TRIANGLES[:, ::-1]]
+        triangles += [tuple(base + 6 + t) for t in _OUTLINE_TRIANGLES]
+        owner += [m] * 20
+    return np.concatenate(vertices), np.array(triangles, dtype=np.int64), np.array(owner, dtype=np.int64)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
