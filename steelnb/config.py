@@ -4,6 +4,7 @@ Lengths are metres, angles radians, times seconds; the unit is in the name. The 
 the 2024 report as its authors published them; ``starling2`` holds ours for a Starling 2's Time-of-Flight sensor.
 """
 
+import itertools
 import math
 from typing import Annotated, Any, Literal, Self
 
@@ -72,7 +73,7 @@ class TowerSettings(Settings):
         if not self.waist_height_m < self.height_m:
             raise ValueError("waist_height_m must lie below height_m")
         levels = (self.waist_height_m, *self.arm_height_m)
-        if any(low + self.arm_depth_m > high for low, high in zip(levels[1:], levels[2:], strict=False)):
+        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(levels[1:])):
             raise ValueError("arms must be at least arm_depth_m apart")
         if self.arm_height_m and (
             min(self.arm_height_m) <= self.waist_height_m
@@ -106,7 +107,7 @@ class FlightSettings(Settings):
                 standoff_m=1.4,
                 height_max_m=7.0,
                 levels=6,
-                speed_m_s=0.73,
+                speed_m_s=0.75,
             )
         return cls(trajectory=trajectory, duration_s=duration_s)
 
@@ -202,6 +203,13 @@ class PreprocessSettings(Settings):
     floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.3
     voxel_leaf_m: Positive = 0.033
 
+    @classmethod
+    def preset(cls, sensor: SensorName) -> "PreprocessSettings":
+        """The report's crop, or the full range of a Starling 2's sensor."""
+        if sensor == "report":
+            return cls()
+        return cls(x_max_m=6.0, y_max_m=6.0, z_max_m=6.0, voxel_leaf_m=0.05)
+
 
 class HoughSettings(Settings):
     """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments."""
@@ -217,6 +225,24 @@ class HoughSettings(Settings):
     length_min_m: NotNegative = 0.0
     skip_weak: bool = False
 
+    @classmethod
+    def preset(cls, sensor: SensorName) -> "HoughSettings":
+        """The report's settings, or ours: coarser directions, and shorter bars in the longer range."""
+        if sensor == "report":
+            return cls()
+        return cls(
+            dx_m=0.07,
+            min_votes=20,
+            max_lines=40,
+            granularity=4,
+            gap_max_m=0.25,
+            pca_ratio_min=0.98,
+            radius_max_m=0.07,
+            density_min_per_m=10.0,
+            length_min_m=0.4,
+            skip_weak=True,
+        )
+
 
 class FusionSettings(Settings):
     """Which two segments are the same bar: angle, distance across (on top of both radii) and gap along the axis."""
@@ -226,17 +252,32 @@ class FusionSettings(Settings):
     gap_max_m: NotNegative = 0.2
     add_radii: bool = True
 
+    @classmethod
+    def preset(cls, sensor: SensorName) -> "FusionSettings":
+        """The report's distance of r1 + r2 + 4·leaf·√3, or a narrower one that the better sensor allows."""
+        if sensor == "report":
+            return cls()
+        return cls(angle_max_rad=math.radians(8), distance_max_m=0.15, add_radii=False)
+
 
 class OdometrySettings(Settings):
-    """Segment odometry. ``gain`` belongs to ``average``, the rest to ``least_squares``."""
+    """Segment odometry. ``gain`` belongs to ``average``, the rest to ``least_squares``.
+
+    The defaults of ``least_squares`` were chosen on the development seeds 11 and 12, with both flights and noises.
+    """
 
     correction: CorrectionName = "least_squares"
     gain: Annotated[float, Field(gt=0, le=1)] = 0.5
     robust_scale_m: Positive = 0.05
-    innovation_sigma_m: Positive = 0.05
+    damping_pairs: NotNegative = 1.0
     iterations_max: Annotated[int, Field(ge=1)] = 10
     tolerance_m: Positive = 1e-4
     sightings_min: Annotated[int, Field(ge=1)] = 1
+
+    @classmethod
+    def preset(cls, sensor: SensorName, correction: CorrectionName) -> "OdometrySettings":
+        """The correction with the robust scale that suits the sensor."""
+        return cls(correction=correction, robust_scale_m=0.115 if sensor == "report" else 0.05)
 
 
 class ExperimentSettings(Settings):
@@ -274,23 +315,6 @@ class ExperimentSettings(Settings):
         for name, value in {"trajectory": trajectory, "sensor": sensor, "correction": correction}.items():
             if value not in choices[name]:
                 raise SettingsError(f"{name} = {value!r}: expected one of {_names(choices[name])}")
-        full_range = {
-            "preprocess": PreprocessSettings(x_max_m=6.0, y_max_m=6.0, z_max_m=6.0, voxel_leaf_m=0.05),
-            "hough": HoughSettings(
-                dx_m=0.07,
-                min_votes=20,
-                max_lines=40,
-                granularity=4,
-                gap_max_m=0.25,
-                pca_ratio_min=0.98,
-                radius_max_m=0.07,
-                density_min_per_m=10.0,
-                length_min_m=0.4,
-                skip_weak=True,
-            ),
-            "fusion": FusionSettings(angle_max_rad=math.radians(8), distance_max_m=0.15, add_radii=False),
-        }
-        report = {"preprocess": PreprocessSettings(), "hough": HoughSettings(), "fusion": FusionSettings()}
         settings = cls(
             sensor=sensor,
             noise_name=noise,
@@ -298,8 +322,10 @@ class ExperimentSettings(Settings):
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             noise=NoiseSettings.parse(noise),
-            odometry=OdometrySettings(correction=correction),
-            **(report if sensor == "report" else full_range),
+            preprocess=PreprocessSettings.preset(sensor),
+            hough=HoughSettings.preset(sensor),
+            fusion=FusionSettings.preset(sensor),
+            odometry=OdometrySettings.preset(sensor, correction),
         )
         return settings.override(overrides or {})
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from steelnb.config import ExperimentSettings
 from steelnb.datatypes import Array, Flight, Segments, Trajectory
-from steelnb.metrics import position_error_m, score_segments, score_trajectory
+from steelnb.metrics import score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import SegmentOdometry
 from steelnb.simulation import Truth, build_tower, fly, scan_flight
@@ -53,9 +53,7 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
     return Flight(flight.scans, prior, flight.imu, flight.T_drone_sensor)
 
 
-def estimate(
-    settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None
-) -> Result:
+def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     odometry = SegmentOdometry(
         settings.preprocess, settings.hough, settings.fusion, settings.odometry, flight.T_drone_sensor
@@ -93,6 +91,3 @@ def measure(prior: Trajectory, corrected: Trajectory, segments: Segments, truth:
         "segment_angle_median_deg": float(np.degrees(score.angle_median_rad)),
         "segment_offset_median_m": score.offset_median_m,
     }
-
-
-__all__ = ["Result", "estimate", "measure", "position_error_m", "redrift", "run", "simulate"]

@@ -14,9 +14,8 @@ import re
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +68,8 @@ class Part:
 
 
 def find_root(start: Path | None = None) -> Path:
-    """The nearest folder upwards of ``start`` (default: the current one) that holds ``notebooks/experiments.toml``, else
-    the parent of the package. Raises `FileMissingError`."""
+    """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/experiments.toml``,
+    else the parent of the package. Raises `FileMissingError`."""
     start = (start or Path.cwd()).resolve()
     for folder in (start, *start.parents, Path(steelnb.__file__).resolve().parent.parent):
         if (folder / EXPERIMENTS_FILE).is_file():
@@ -139,8 +138,7 @@ class Project:
         if budget not in RESULT_FOLDERS:
             raise SettingsError(f"budget = {budget!r}: expected one of {', '.join(RESULT_FOLDERS)}")
         notebook = self.root / "notebooks" / experiment.notebook
-        cells = read_cells(notebook)
-        defaults = read_parameters(notebook, cells)
+        defaults = read_parameters(notebook)
         user = {name: value for name, value in (given or {}).items() if "." not in name}
         dotted = {name: value for name, value in (given or {}).items() if "." in name}
         chosen = {**getattr(experiment, budget), **user}
@@ -154,10 +152,12 @@ class Project:
             values = fit_parameters(experiment.id, {**chosen, **dict(zip(axes, combination, strict=True))}, defaults)
             check_settings(experiment.id, {**defaults, **values})
             name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
-            parts.append(Part(experiment.id, name, notebook, values, self._key(cells, values)))
+            parts.append(Part(experiment.id, name, notebook, values, self.key(notebook, values)))
         names = [part.name for part in parts]
         if len(set(names)) != len(names) or not parts:
-            raise SettingsError(f"{EXPERIMENTS_FILE}: [{experiment.id}]: matrix: expected distinct values on every axis")
+            raise SettingsError(
+                f"{EXPERIMENTS_FILE}: [{experiment.id}]: matrix: expected distinct values on every axis"
+            )
         return parts
 
     def output_folder(self, budget: str, given: Mapping[str, Any], output: Path | None) -> Path:
@@ -173,21 +173,23 @@ class Project:
             _probe(place)
         return folder
 
-    def _key(self, cells: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]) -> str:
+    def key(self, notebook: Path, parameters: Mapping[str, Any]) -> str:
         """Hash of what a part depends on: the source of its cells (no outputs), parameters, code, lock and Python."""
+        cells = read_cells(notebook)
         source = [[cell["cell_type"], _source(cell), cell.get("metadata", {}).get("tags", [])] for cell in cells]
         python = platform.python_version_tuple()[:2]
-        text = json.dumps([source, parameters, self._code, lock_digest(self.root), python], sort_keys=True)
+        text = json.dumps([source, parameters, code_digest(), lock_digest(self.root), python], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    @cached_property
-    def _code(self) -> str:
-        package = Path(steelnb.__file__).parent
-        digest = hashlib.sha256()
-        for path in sorted(package.rglob("*.py")):
-            content = path.read_bytes()
-            digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode() + content)
-        return digest.hexdigest()
+
+def code_digest() -> str:
+    """SHA-256 of the names and contents of all modules of the package."""
+    package = Path(steelnb.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode() + content)
+    return digest.hexdigest()
 
 
 def read_cells(notebook: Path) -> list[dict[str, Any]]:
@@ -201,12 +203,12 @@ def read_cells(notebook: Path) -> list[dict[str, Any]]:
     return list(cells)
 
 
-def read_parameters(notebook: Path, cells: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def read_parameters(notebook: Path) -> dict[str, Any]:
     """Names and defaults of the cell tagged ``parameters``, which must hold plain literals. Raises `NotebookError`.
 
     `papermill.inspect_notebook` gives the defaults as text only, and takes a second to import.
     """
-    tagged = [cell for cell in cells if "parameters" in cell.get("metadata", {}).get("tags", [])]
+    tagged = [cell for cell in read_cells(notebook) if "parameters" in cell.get("metadata", {}).get("tags", [])]
     if len(tagged) != 1:
         raise NotebookError(f"{notebook}: {len(tagged)} cells are tagged 'parameters'; expected one")
     defaults: dict[str, Any] = {}
@@ -277,7 +279,7 @@ def check_settings(experiment: str, values: Mapping[str, Any]) -> None:
 
 
 def parse_parameter(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``: the value as a Python literal, else as a TOML value, else as text. Raises `SettingsError`."""
+    """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `SettingsError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))
     if not name or not equals:
         raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=orbit or tof.rate_hz=10")

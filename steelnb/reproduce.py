@@ -6,6 +6,7 @@ read a failure in; and ``written.json``, the digests of what was put into the re
 """
 
 import contextlib
+import fcntl
 import importlib.util
 import json
 import math
@@ -22,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import steelnb.errors
-from steelnb.errors import NotebookError, OutputError, SettingsError
+from steelnb.errors import NotebookError, OutputError, SettingsError, SteelnbError
 from steelnb.project import RESULT_FOLDERS, Experiment, Part, Project
 from steelnb.results import (
     PROGRESS_VARIABLE,
@@ -31,6 +32,7 @@ from steelnb.results import (
     committed_text,
     compare,
     digests,
+    estimate,
     merge,
     write_results,
 )
@@ -40,6 +42,9 @@ __all__ = ["Progress", "Report", "State", "Status", "check", "run", "states", "w
 TICK_S = 0.1
 RUN_VARIABLE = "STEELNB_RUN"
 COMPARED = ("metrics.json", "table.csv")
+KILL_TIMEOUT_S = 10.0
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+REQUIRED = (*COMPARED, "provenance.json")
 
 
 class NotebooksFailedError(NotebookError):
@@ -108,10 +113,11 @@ def run(
 ) -> Report:
     """Run the notebooks of the experiments named (default: all) and leave ``<output>/<id>/`` for each.
 
-    ``output`` is by default ``results`` or, for the budget smoke, ``results-smoke`` in the project; ``parameters`` (name
-    → value, dotted names for single settings) want an output of their own. Everything is checked before a notebook
-    starts. Parts and folders that are up to date are left alone unless ``force``. Raises `SteelnbError`; notebooks that
-    raise end in `NotebooksFailedError` after the others are done; KeyboardInterrupt on SIGINT, SIGTERM and SIGHUP.
+    ``output`` is by default ``results`` or, for the budget smoke, ``results-smoke`` in the project; ``parameters``
+    (name → value, dotted names for single settings) want an output of their own. Everything is checked before a
+    notebook starts. Parts and folders that are up to date are left alone unless ``force``. Raises `SteelnbError`;
+    notebooks that raise end in `NotebooksFailedError` after the others are done; KeyboardInterrupt on SIGINT, SIGTERM
+    and SIGHUP.
     """
     project, given = Project(root), dict(parameters or {})
     parts = [(experiment, project.parts(experiment, budget, given)) for experiment in project.select(ids)]
@@ -158,14 +164,12 @@ def check(
 def states(root: Path | None = None) -> list[State]:
     """The state of the full results of every experiment. Raises `SteelnbError`."""
     project = Project(root)
-    runner, found = _Runner(project, "full", 1, None), []
-    for experiment in project.select():
-        folder = project.root / RESULT_FOLDERS["full"] / experiment.id
-        plan = _Plan(experiment, "full", project.parts(experiment, "full"), folder)
-        never = runner.name(folder) not in runner.written
-        state = "never run" if never else "up to date" if runner.is_current(plan) else "out of date"
-        found.append(State(experiment, len(plan.parts), state))
-    return found
+    runner, folder = _Runner(project, "full"), project.root / RESULT_FOLDERS["full"]
+    plans = [
+        _Plan(experiment, "full", project.parts(experiment, "full"), folder / experiment.id)
+        for experiment in project.select()
+    ]
+    return [State(plan.experiment, len(plan.parts), runner.state(plan)) for plan in plans]
 
 
 @dataclass(frozen=True)
@@ -180,182 +184,309 @@ class _Plan:
 
 @dataclass
 class _Job:
-    """A part that a worker process is running, in a scratch folder of its own."""
+    """A part that a worker process is to run, is running or has run, in a scratch folder of its own."""
 
     part: Part
     folder: Path
-    process: subprocess.Popen[bytes]
-    started_s: float
+    expected_s: float | None
+    process: subprocess.Popen[bytes] | None = None
+    started_s: float = 0.0
+    elapsed_s: float = 0.0
     fraction: float = 0.0
+
+    @property
+    def mark(self) -> str:
+        """What the environment of the worker, of its kernel and of all their children holds."""
+        return f"{self.folder.parent.name}:{self.folder.name}:"
 
 
 class _Runner:
     """Runs the parts of some plans, a few at once. ``slot`` is the kind of run, which has a cache of its own."""
 
-    def __init__(self, project: Project, slot: str, jobs: int, on_progress: OnProgress | None) -> None:
-        if jobs < 1:
-            raise SettingsError(f"jobs = {jobs}: expected at least 1")
-        self.project, self.slot, self.jobs = project, slot, jobs
+    def __init__(self, project: Project, slot: str, workers: int = 1, on_progress: OnProgress | None = None) -> None:
+        if workers < 1:
+            raise SettingsError(f"jobs = {workers}: expected at least 1")
+        self.project, self.cache, self.slot, self.workers = project, project.cache, slot, workers
         self.on_progress = on_progress or (lambda status: None)
-        self.written = _read_json(project.cache / "written.json")
-        self.mark = f"{os.getpid()}-{time.time_ns()}"
-        self.scratch = project.cache / "scratch" / self.mark
-        self.running: list[_Job] = []
+        self.written = _read_json(self.cache / "written.json")
+        self.scratch = self.cache / "scratch" / f"{os.getpid()}-{time.time_ns()}"
         self.failures: dict[str, tuple[str, bool]] = {}
-        self.seconds: dict[str, float] = {}  # of each part: measured, else as far as known from earlier
-
-    def name(self, folder: Path) -> str:
-        """A result folder relative to the project, so that a clone can be moved."""
-        return os.path.relpath(folder, self.project.root)
 
     def store(self, part: Part) -> Path:
         """Where the results of a part lie, with a record of their key and of the seconds they took."""
-        return self.project.cache / "parts" / self.slot / part.experiment / (part.name or "all")
+        return self.cache / "parts" / self.slot / part.experiment / (part.name or "all")
 
-    def is_done(self, part: Part) -> bool:
-        return bool(_read_json(self.store(part) / "record.json").get("key") == part.key)
+    def record(self, part: Part) -> dict[str, Any]:
+        return _read_json(self.store(part) / "record.json")
 
-    def is_current(self, plan: _Plan) -> bool:
-        return bool(self.written.get(self.name(plan.folder)) == self._describe(plan))
-
-    def _describe(self, plan: _Plan) -> dict[str, Any]:
-        return {"keys": [part.key for part in plan.parts], "files": digests(plan.folder)}
+    def state(self, plan: _Plan) -> str:
+        """Whether the result folder holds what the parts, as they are now, gave."""
+        written = self.written.get(os.path.relpath(plan.folder, self.project.root))
+        current = {"keys": [part.key for part in plan.parts], "files": digests(plan.folder)}
+        return "never run" if not written else "up to date" if written == current else "out of date"
 
     def run(self, plans: list[_Plan], force: bool) -> Report:
         """Run what is not up to date, longest first, and merge each experiment as soon as its last part is done."""
-        if not force and all(self.is_current(plan) and all(map(self.is_done, plan.parts)) for plan in plans):
-            return Report([], [part.label for plan in plans for part in plan.parts], [])
-        try:
-            with _lock(self.project.cache), _signals() as interrupted:
-                return self._run(plans, force, interrupted)
-        except OSError as fault:
-            raise OutputError(f"{fault.filename or self.project.cache}: {fault.strerror or fault}") from None
-
-    def _run(self, plans: list[_Plan], force: bool, interrupted: threading.Event) -> Report:
-        shutil.rmtree(self.scratch.parent, ignore_errors=True)  # of a run that was killed
-        self.written = _read_json(self.project.cache / "written.json")
-        parts = [part for plan in plans for part in plan.parts]
-        waiting = [part for part in parts if force or not self.is_done(part)]
-        ran, written = [part.label for part in waiting], []
-        for plan in plans:
-            for part in plan.parts:
-                known = _read_json(self.store(part) / "record.json").get("seconds", plan.experiment.expected_s)
-                self.seconds.update({part.label: known} if known else {})
-        waiting.sort(key=lambda part: -self.seconds.get(part.label, math.inf))
-        unmerged = list(plans)
-        try:
-            while True:
-                while waiting and len(self.running) < self.jobs:
-                    self._start(waiting.pop(0))
-                    self._tell(waiting, ran, f"{self.running[-1].part.label}: started")
-                for job in [job for job in self.running if job.process.poll() is not None]:
-                    self.running.remove(job)
-                    self._tell(waiting, ran, self._finish(job))
-                busy = {part.experiment for part in (*waiting, *(job.part for job in self.running))}
-                for plan in [plan for plan in unmerged if plan.experiment.id not in busy]:
-                    unmerged.remove(plan)
-                    failed = any(part.label in self.failures for part in plan.parts)
-                    if not failed and (force or not self.is_current(plan)):
-                        self._merge(plan)
-                        written.append(plan.folder)
-                if not unmerged:
-                    break
-                if interrupted.is_set():
-                    raise KeyboardInterrupt
-                time.sleep(TICK_S)
-                self._tell(waiting, ran, "")
-        finally:
-            self._stop()
+        parts = [(plan, part) for plan in plans for part in plan.parts]
+        stale = [plan for plan in plans if force or self.state(plan) != "up to date"]
+        kept = [
+            part.label
+            for plan, part in parts
+            if plan not in stale or (not force and self.record(part).get("key") == part.key)
+        ]
+        jobs = [
+            _Job(part, self.scratch / str(index), self.record(part).get("seconds", plan.experiment.expected_s))
+            for index, (plan, part) in enumerate(parts)
+            if part.label not in kept
+        ]
+        written: list[Path] = []
+        if stale:
+            try:
+                with _lock(self.cache), _signals() as interrupted:
+                    written = self._run(stale, jobs, interrupted)
+            except OSError as fault:
+                raise OutputError(f"{fault.filename or self.cache}: {fault.strerror or fault}") from None
         if self.failures:
             lines, bad_inputs = zip(*self.failures.values(), strict=True)
             raise NotebooksFailedError(lines, 2 if all(bad_inputs) else 1)
-        return Report(ran, [part.label for part in parts if part.label not in ran], written)
+        return Report(
+            [job.part.label for job in jobs], kept, sorted(written, key=[plan.folder for plan in plans].index)
+        )
 
-    def _start(self, part: Part) -> None:
-        folder = self.scratch / f"{time.monotonic_ns()}"
-        (folder / "part").mkdir(parents=True)
-        job = {
+    def _run(self, stale: list[_Plan], jobs: list[_Job], interrupted: threading.Event) -> list[Path]:
+        """Run the jobs; gives the folders written. However it ends, no process and no scratch folder stays."""
+        shutil.rmtree(self.scratch.parent, ignore_errors=True)  # of a run that was killed
+        waiting = sorted(jobs, key=lambda job: -(job.expected_s or math.inf))
+        running: list[_Job] = []
+        written: list[Path] = []
+        try:
+            while True:
+                for plan in [plan for plan in stale if not _holds(waiting, plan) and not _holds(running, plan)]:
+                    stale.remove(plan)
+                    if not any(part.label in self.failures for part in plan.parts):
+                        self._merge(plan)
+                        written.append(plan.folder)
+                if not waiting and not running:
+                    return written
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
+                while waiting and len(running) < self.workers:
+                    running.append(waiting.pop(0))
+                    self._start(running[-1])
+                    self._tell(jobs, running, f"{running[-1].part.label}: started")
+                time.sleep(TICK_S)
+                self._tell(jobs, running)
+                for job in [job for job in running if job.process and job.process.poll() is not None]:
+                    event = self._finish(job)
+                    running.remove(job)
+                    self._tell(jobs, running, event)
+        finally:
+            kill_marked(f"{self.scratch.name}:")
+            for job in running:
+                if job.process:
+                    job.process.wait()
+            shutil.rmtree(self.scratch, ignore_errors=True)
+
+    def _start(self, job: _Job) -> None:
+        output = job.folder / "part" / "output"
+        output.parent.mkdir(parents=True)
+        order = {
             "parent": os.getpid(),
-            "mark": f"{self.mark}:{folder.name}:",
-            "notebook": str(part.notebook),
-            "parameters": {**part.parameters, "results_dir": str(folder / "part" / "output")},
+            "mark": job.mark,
+            "notebook": str(job.part.notebook),
+            "parameters": {**job.part.parameters, "results_dir": str(output)},
         }
-        (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        with (folder / "log.txt").open("wb") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "steelnb.reproduce", str(folder)],
-                env=_environment(folder, job["mark"]),
+        _write_json(job.folder / "order.json", order)
+        with (job.folder / "log.txt").open("wb") as log:
+            job.process = subprocess.Popen(
+                [sys.executable, "-m", "steelnb.reproduce", str(job.folder)],
+                env=_environment(job),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=True,  # a Ctrl-C reaches this process alone, which then ends the others
+                start_new_session=True,  # Ctrl-C shall reach this process alone, which then ends the others
             )
-        self.running.append(_Job(part, folder, process, time.monotonic()))
+        job.started_s = time.monotonic()
 
     def _finish(self, job: _Job) -> str:
         """Keep what a worker that has ended leaves; gives the line that says so."""
-        part, seconds = job.part, time.monotonic() - job.started_s
-        kill_marked(f"{self.mark}:{job.folder.name}:")  # a worker that died has left its kernel behind
-        executed = self.project.cache / "notebooks" / self.slot / part.experiment / f"{part.name or 'all'}.ipynb"
+        part, output = job.part, job.folder / "part" / "output"
+        kill_marked(job.mark)  # a worker that died leaves its kernel behind
+        job.fraction = 1.0
+        executed = self.cache / "notebooks" / self.slot / part.experiment / f"{part.name or 'all'}.ipynb"
         with contextlib.suppress(FileNotFoundError):
             executed.parent.mkdir(parents=True, exist_ok=True)
             os.replace(job.folder / "executed.ipynb", executed)
         outcome = _read_json(job.folder / "outcome.json")
-        missing = [name for name in REQUIRED if not (job.folder / "part" / "output" / name).is_file()]
+        missing = [name for name in REQUIRED if not (output / name).is_file()]
         if not outcome:
             log = (job.folder / "log.txt").read_text(encoding="utf-8", errors="replace").split("\n")
-            last = next((line for line in reversed(log) if line.strip()), "")
-            outcome = {"error": "WorkerDied", "message": f"exit code {job.process.returncode} {last}"}
+            last = next((line for line in reversed(log) if line.strip()), "no word in its log")
+            code = job.process.returncode if job.process else None
+            outcome = {"error": "WorkerDied", "message": f"exit code {code}, {last}"}
         elif not outcome["error"] and missing:
-            outcome = {"error": "NoResults", "message": f"{', '.join(missing)} not written; expected write_results"}
+            outcome = {"error": "NoResults", "message": f"{', '.join(missing)} missing; expected write_results(...)"}
         if outcome["error"]:
             message = " ".join(f"{outcome['error']}: {outcome['message']}".split())[:300]
-            bad_input = issubclass(getattr(steelnb.errors, outcome["error"], Exception), steelnb.errors.SteelnbError)
+            bad_input = hasattr(steelnb.errors, outcome["error"])
             self.failures[part.label] = (f"{part.label}: {message} (see {executed})", bad_input)
-            return f"{part.label}: failed"
-        self.seconds[part.label] = seconds
-        _write_json(job.folder / "part" / "record.json", {"key": part.key, "seconds": round(seconds, 3)})
+            return f"{part.label}: failed: {message}"
+        key, note = "", ""
+        with contextlib.suppress(SteelnbError):
+            key = self.project.key(part.notebook, part.parameters)
+        if key != part.key:  # edited meanwhile: nobody can tell what ran, so it belongs to no key
+            key, note = "", "; notebook or code was edited meanwhile, so the next call runs it again"
+        _write_json(job.folder / "part" / "record.json", {"key": key, "seconds": round(job.elapsed_s, 3)})
         shutil.rmtree(self.store(part), ignore_errors=True)
         self.store(part).parent.mkdir(parents=True, exist_ok=True)
         os.replace(job.folder / "part", self.store(part))
-        return f"{part.label}: done in {seconds:.0f} s"
+        return f"{part.label}: done in {job.elapsed_s:.0f} s{note}"
 
     def _merge(self, plan: _Plan) -> None:
         experiment = plan.experiment
         about = {"experiment": experiment.id, "notebook": experiment.notebook, "budget": plan.budget}
         merge({part.name: self.store(part) / "output" for part in plan.parts}, plan.folder, about)
-        self.written[self.name(plan.folder)] = self._describe(plan)
-        _write_json(self.project.cache / "written.json", self.written)
+        # What a run of another process has noted meanwhile stays.
+        self.written = _read_json(self.cache / "written.json")
+        keys = [self.record(part).get("key") for part in plan.parts]
+        name = os.path.relpath(plan.folder, self.project.root)
+        self.written[name] = {"keys": keys, "files": digests(plan.folder)}
+        _write_json(self.cache / "written.json", self.written)
 
-    def _tell(self, waiting: list[Part], ran: list[str], event: str) -> None:
-        """Report fraction and time left, from each part's own fraction and from what it took earlier."""
-        now_s = time.monotonic()
-        total_s = dict.fromkeys(ran, math.nan) | {label: self.seconds[label] for label in ran if label in self.seconds}
-        left_s = {part.label: total_s[part.label] for part in waiting}
-        for job in self.running:
-            label, elapsed_s = job.part.label, now_s - job.started_s
+    def _tell(self, jobs: list[_Job], running: list[_Job], event: str = "") -> None:
+        for job in running:
+            job.elapsed_s = time.monotonic() - job.started_s
+            # A file that is just being written reads as empty.
             with contextlib.suppress(OSError, ValueError):
-                job.fraction = max(job.fraction, float((job.folder / "progress").read_text()))
-            if job.fraction > 0.05:
-                total_s[label] = elapsed_s / job.fraction
-            left_s[label] = max(total_s[label] - elapsed_s, 0.0) if total_s[label] == total_s[label] else math.nan
-        known = [seconds for seconds in total_s.values() if not math.isnan(seconds)]
-        mean_s = sum(known) / len(known) if known else math.nan
-        left = {label: mean_s if math.isnan(seconds) else seconds for label, seconds in left_s.items()}
-        remaining_s = max(sum(left.values()) / self.jobs, max(left.values(), default=0.0))
-        whole = sum(mean_s if math.isnan(seconds) else seconds for seconds in total_s.values())
-        done = len(ran) - len(left_s)
-        by_count = (done + sum(job.fraction for job in self.running)) / max(len(ran), 1)
-        fraction = 1 - sum(left.values()) / whole if whole > 0 else by_count
-        labels = tuple(job.part.label for job in self.running)
-        self.on_progress(
-            Status(done, len(ran), labels, fraction, None if math.isnan(remaining_s) else remaining_s, event)
-        )
+                job.fraction = max(job.fraction, min(float((job.folder / "progress").read_text()), 1.0))
+        fraction, left_s = estimate([(job.expected_s, job.elapsed_s, job.fraction) for job in jobs], self.workers)
+        done = sum(job.process is not None for job in jobs) - len(running)
+        self.on_progress(Status(done, len(jobs), tuple(job.part.label for job in running), fraction, left_s, event))
 
-    def _stop(self) -> None:
-        """End every process this run has started, and remove their scratch folders."""
-        for job in self.running:
-            job.process.kill()
-            job.process.wait()
-        kill_marked(f"{self.mark}:")
-        shutil.rmtree(self.scratch, ignore_errors=True)
+
+def _holds(jobs: list[_Job], plan: _Plan) -> bool:
+    return any(job.part in plan.parts for job in jobs)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """A table from a file; an empty one where it is missing or broken, as after a power cut."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _write_json(path: Path, values: Mapping[str, Any]) -> None:
+    fresh = path.with_suffix(".new")
+    fresh.write_text(json.dumps(values), encoding="utf-8")
+    os.replace(fresh, path)
+
+
+@contextlib.contextmanager
+def _lock(cache: Path) -> Iterator[None]:
+    """Keep other runs out of the cache; the lock goes with the process. Raises `OutputError` if another one has it."""
+    cache.mkdir(parents=True, exist_ok=True)
+    with (cache / "lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(f"{cache}: in use by another run of steelnb; wait for its end or stop it") from None
+        yield
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[threading.Event]:
+    """Turn SIGINT, SIGTERM and SIGHUP into an event, so that none of them can cut a rename in two.
+
+    SIGINT is taken even where it was ignored, as it is in a script's background jobs; SIGHUP is not (nohup).
+    """
+    event, kept = threading.Event(), {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                kept[number] = signal.signal(number, lambda *_: event.set())
+    try:
+        yield event
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+
+
+def kill_marked(mark: str) -> None:
+    """Kill every process that was started under ``mark``, whatever session it is in, and wait until none is left.
+
+    Workers, kernels and their children inherit the environment, whereas a kernel leaves its parent's process group, and
+    one inside a long call of compiled code hears no gentler signal.
+    """
+    import psutil
+
+    def marked(process: psutil.Process) -> bool:
+        try:
+            return bool(process.pid != os.getpid() and process.environ().get(RUN_VARIABLE, "").startswith(mark))
+        except (psutil.Error, OSError):  # ended meanwhile, or another user's
+            return False
+
+    deadline_s = time.monotonic() + KILL_TIMEOUT_S
+    while (
+        found := [process for process in psutil.process_iter() if marked(process)]
+    ) and time.monotonic() < deadline_s:
+        for process in found:
+            with contextlib.suppress(psutil.Error):
+                process.kill()
+        psutil.wait_procs(found, timeout=1)
+
+
+def _environment(job: _Job) -> dict[str, str]:
+    """What a worker and its kernel see: one thread each, this interpreter, and nothing of the user's own set-up."""
+    changed = {name: "1" for name in THREAD_VARIABLES}
+    changed |= {"PYTHONHASHSEED": "0", RUN_VARIABLE: job.mark, PROGRESS_VARIABLE: str(job.folder / "progress")}
+    changed["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    changed["JUPYTER_PATH"] = str(Path(sys.prefix, "share", "jupyter"))
+    changed |= {
+        name: str(job.folder / name.lower()) for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR")
+    }
+    matplotlib = importlib.util.find_spec("matplotlib")
+    if matplotlib and matplotlib.origin:
+        changed["MATPLOTLIBRC"] = str(Path(matplotlib.origin).parent / "mpl-data" / "matplotlibrc")
+    return {name: value for name, value in os.environ.items() if name not in ("MPLBACKEND", "PYTHONSTARTUP")} | changed
+
+
+def _work(folder: Path) -> None:
+    """What a worker process does: execute the notebook that ``folder``/order.json names, and leave outcome.json."""
+    order = _read_json(folder / "order.json")
+
+    def watch() -> None:
+        """End kernel and worker soon after the parent has been killed, which then could not do so itself."""
+        while os.getppid() == order["parent"]:
+            time.sleep(TICK_S)
+        kill_marked(order["mark"])
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    import papermill
+
+    notebook, executed = (
+        str(path).replace("{", "{{").replace("}", "}}") for path in (order["notebook"], folder / "executed.ipynb")
+    )
+    error, message = "", ""
+    try:
+        papermill.execute_notebook(
+            notebook,
+            executed,
+            order["parameters"],
+            kernel_name="python3",
+            language="python",
+            cwd=Path(order["notebook"]).parent,
+            progress_bar=False,
+        )
+    except papermill.PapermillExecutionError as fault:
+        error, message = fault.ename, fault.evalue
+    except Exception as fault:
+        error, message = type(fault).__name__, str(fault)
+    _write_json(folder / "outcome.json", {"error": error, "message": message})
+
+
+if __name__ == "__main__":
+    _work(Path(sys.argv[1]))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 ABSOLUTE_FLOOR = 1e-12
-PACKAGES = "steelnb numpy scipy pandas matplotlib numba open3d open3d-cpu pybullet evo pydantic".split()
+PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 Item = TypeVar("Item")
 
 
@@ -150,8 +150,8 @@ def digests(folder: Path) -> dict[str, str]:
 def merge(parts: Mapping[str, Path], target: Path, about: Mapping[str, Any]) -> None:
     """Make one result of the results of the parts (name → folder, in order). Raises `OutputError`.
 
-    Tables are joined, metrics are prefixed ``<part>.`` and figures suffixed ``_<part>``, and ``about`` is written at the
-    head of provenance.json. The single part of an experiment has an empty name and leaves no prefix.
+    Tables are joined, metrics are prefixed ``<part>.`` and figures suffixed ``_<part>``, and ``about`` is added to
+    provenance.json. The single part of an experiment has an empty name and leaves no prefix.
     """
     metrics: dict[str, Any] = {}
     provenance: dict[str, Any] = {}
@@ -203,8 +203,8 @@ def compare(
 ) -> list[Difference]:
     """Every difference between two results, given as the texts of metrics.json and table.csv.
 
-    Numbers agree within the settings' tolerance, relative (1e-12 absolute), texts if they are equal; a key, row or column
-    that only one side has is a difference.
+    Numbers agree within the settings' tolerance, relative (1e-12 absolute), texts if they are equal; a key, row or
+    column that only one side has is a difference.
     """
     before, after = json.loads(committed["metrics.json"]), json.loads(now["metrics.json"])
     pairs = [(name, "", before.get(name), after.get(name)) for name in sorted({*before, *after})]
@@ -218,9 +218,9 @@ def compare(
     for name, where, old, new in pairs:
         if not _agree(old, new, settings.relative_tolerance):
             full = f"{experiment}.{name}"
-            texts = ("missing" if value is None else str(value) for value in (old, new))
+            before_text, after_text = ("missing" if value is None else str(value) for value in (old, new))
             reasons = (reason for pattern, reason in settings.exceptions.items() if fnmatch.fnmatchcase(full, pattern))
-            found.append(Difference(full, where, *texts, reason=next(reasons, "")))
+            found.append(Difference(full, where, before_text, after_text, next(reasons, "")))
     return found
 
 
@@ -244,11 +244,29 @@ def committed_text(root: Path, path: str) -> str:
         raise FileMissingError(f"{root / path}: nothing to compare with; run `steelnb reproduce` first") from None
 
 
+def estimate(parts: Sequence[tuple[float | None, float, float]], workers: int) -> tuple[float, float | None]:
+    """Fraction done and seconds left (None if unknown) of parts given as (expected seconds, elapsed seconds, fraction).
+
+    A part that has come some way is extrapolated; one of which nothing is known counts as the mean of the others.
+    """
+    totals = [
+        elapsed / fraction if fraction > 0.05 else max(expected, elapsed) if expected else None
+        for expected, elapsed, fraction in parts
+    ]
+    known = [total for total in totals if total]
+    if not known:
+        return sum(fraction for _, _, fraction in parts) / max(len(parts), 1), None
+    mean = sum(known) / len(known)
+    spent = [elapsed for _, elapsed, _ in parts]
+    left = [max((total or mean) - elapsed, 0.0) for total, elapsed in zip(totals, spent, strict=True)]
+    return sum(spent) / max(sum(spent) + sum(left), 1e-9), max(sum(left) / workers, max(left))
+
+
 class Progress:
     """How far a notebook has come, over ``total`` runs of equal length; one object a notebook.
 
-    `update` takes the fraction of the current run, and is also what calling the object does, so that it can be handed to
-    a function as its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; below
+    `update` takes the fraction of the current run, and is also what calling the object does, so that it can be handed
+    to a function as its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; below
     `steelnb reproduce`, which names a file in ``STEELNB_PROGRESS_FILE``, the fraction of the whole is written there.
     """
 

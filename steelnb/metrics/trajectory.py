@@ -1,8 +1,5 @@
 """Errors of a trajectory, unaligned: the drift is zero at t = 0, so estimate and truth share a frame."""
 
-import os
-import tempfile
-
 import numpy as np
 
 from steelnb.datatypes import Array, Trajectory
@@ -18,14 +15,12 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float
 
     ATE and RPE (translation, over ``rpe_delta_s``) are evo's; truth is taken at the stamps of the estimate.
     """
-    metrics = _evo_metrics()
+    from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
     from evo.core.units import Unit
 
     at = truth.at(estimate.stamp_s)
-    reference, ours = (
-        PoseTrajectory3D(poses_se3=list(t.T_world_drone), timestamps=t.stamp_s) for t in (at, estimate)
-    )
+    reference, ours = (PoseTrajectory3D(poses_se3=list(t.T_world_drone), timestamps=t.stamp_s) for t in (at, estimate))
     ape = metrics.APE(metrics.PoseRelation.translation_part)
     ape.process_data((reference, ours))
     frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
@@ -40,10 +35,3 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float
         rpe.process_data((reference, ours))
         result["rpe_rmse_m"] = rpe.get_statistic(metrics.StatisticsType.rmse)
     return {name: float(value) for name, value in result.items()}
-
-
-def _evo_metrics():  # type: ignore[no-untyped-def]
-    """evo's metrics, imported without its habit of writing settings into the user's home folder."""
-    from evo.core import metrics
-
-    return metrics

@@ -39,11 +39,10 @@ def least_squares(seen: Segments, known: SegmentMap, settings: OdometrySettings)
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
     Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
-    w the segment's share of the points times the Geman-McClure weight; pairs are chosen anew in each iteration. λ is
-    what keeps a direction that no bar constrains where the prior has it: one pair's worth at equal scales.
+    w the segment's share of the points times the Geman-McClure weight; pairs are chosen anew in each iteration. λ
+    (``damping_pairs``, in pairs of mean weight) keeps a direction that no bar constrains where it was.
     """
     offset = np.zeros(3)
-    damping = (settings.robust_scale_m / settings.innovation_sigma_m) ** 2
     matches = 0
     for _ in range(settings.iterations_max):
         across, direction, count = _pairs(_moved(seen, offset), known, settings)
@@ -53,8 +52,8 @@ def least_squares(seen: Segments, known: SegmentMap, settings: OdometrySettings)
         robust = 1.0 / (1.0 + (across**2).sum(axis=1) / settings.robust_scale_m**2) ** 2
         weight = robust * count / count.mean()
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        H = (weight[:, None, None] * projector).sum(axis=0) + damping * np.eye(3)
-        b = (weight[:, None] * across).sum(axis=0) + damping * offset
+        H = (weight[:, None, None] * projector).sum(axis=0) + settings.damping_pairs * np.eye(3)
+        b = (weight[:, None] * across).sum(axis=0) + settings.damping_pairs * offset
         step = -np.linalg.solve(H, b)
         offset = offset + step
         if np.linalg.norm(step) < settings.tolerance_m:

@@ -66,9 +66,7 @@ class SegmentOdometry:
             self.map.insert(Segments(seen.start + shift, seen.end + shift, seen.count, seen.radius))
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "hough", "match", "map"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(
-            scan.stamp_s, T_world_drone, correction.matches > 0, reason, correction.matches, seconds
-        )
+        return OdometryStep(scan.stamp_s, T_world_drone, correction.matches > 0, reason, correction.matches, seconds)
 
     def _segments(self, points: Array) -> Segments:
         """Segments of the points; none where there are too few points for one to pass."""

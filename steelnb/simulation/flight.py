@@ -25,9 +25,9 @@ TILT_ACCELERATION_MAX = 5.0
 def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `reference`; gusts (an Ornstein–Uhlenbeck wind from the stream ``gust``) push it about.
-    IMU readings are those of the interval that ends at their stamp. Raises `CollisionError` with time and place when
-    the body touches the structure or the ground.
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `reference`; gusts (an
+    Ornstein–Uhlenbeck wind from the stream ``gust``) push it about. IMU readings are those of the interval that ends at
+    their stamp. Raises `CollisionError` with time and place when the body touches the structure or the ground.
     """
     import pybullet
 
@@ -42,7 +42,7 @@ def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, 
         _loop(pybullet, client, body, target.tolist(), target_velocity.tolist(), settings, wind, state, imu)
     finally:
         pybullet.disconnect(client)
-    stamp = np.arange(steps + 1) * STEP_S
+    stamp = np.arange(steps + 1, dtype=np.float64) * STEP_S
     T_world_drone = np.tile(np.eye(4), (steps + 1, 1, 1))
     T_world_drone[:, :3, :3] = _rotations(state[:, 3:])
     T_world_drone[:, :3, 3] = state[:, :3]
@@ -106,9 +106,7 @@ def _loop(pybullet, client, body, target, target_velocity, settings, wind, state
         torque = _attitude(m, rate, ax, ay, az, heading(settings, position[0], position[1]))
         w = wind[step]
         force = [DRAG_N_PER_M_S * (w[axis] - velocity[axis]) for axis in range(3)]
-        pybullet.applyExternalForce(
-            body, -1, (0, 0, thrust), (0, 0, 0), pybullet.LINK_FRAME, physicsClientId=client
-        )
+        pybullet.applyExternalForce(body, -1, (0, 0, thrust), (0, 0, 0), pybullet.LINK_FRAME, physicsClientId=client)
         pybullet.applyExternalForce(body, -1, force, position, pybullet.WORLD_FRAME, physicsClientId=client)
         pybullet.applyExternalTorque(body, -1, torque, pybullet.LINK_FRAME, physicsClientId=client)
         pybullet.stepSimulation(physicsClientId=client)

@@ -84,7 +84,8 @@ def _flying_pixels(exact: np.ndarray, probability: float, noise: np.random.Gener
     with np.errstate(invalid="ignore"):
         flying = (np.abs(other - exact) > EDGE_M) & np.isfinite(exact) & (noise.random(exact.shape) < probability)
     share = noise.random(exact.shape, dtype=np.float32)
-    return np.where(flying, exact + share * np.where(flying, other - exact, 0), exact)
+    other[flying] = exact[flying] + share[flying] * (other[flying] - exact[flying])
+    return np.where(flying, other, exact)
 
 
 def _step(trajectory: Trajectory) -> float:
@@ -100,7 +101,7 @@ def _scene(tower: Tower):  # type: ignore[no-untyped-def]
     n = len(tower.vertices)
     triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]]).astype(np.uint32)
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(triangles))
+    scene.add_triangles(open3d.core.Tensor.from_numpy(vertices), open3d.core.Tensor.from_numpy(triangles))
     return scene
 
 

@@ -1,5 +1,6 @@
 """A parametric lattice tower of steel angle sections: true members, their joints, and the mesh that sensors see."""
 
+import itertools
 from dataclasses import dataclass, field
 
 import networkx as nx
@@ -39,11 +40,11 @@ class Tower:
         return np.array([self.joints[[member.joints[0], member.joints[-1]]] for member in self.members])
 
     def graph(self) -> nx.Graph:
-        """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``member``, ``kind``)."""
+        """Joints as nodes (``position``); pieces of bars between them as edges (``member``, ``kind``)."""
         graph = nx.Graph()
         graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joints))
         for m, member in enumerate(self.members):
-            for a, b in zip(member.joints, member.joints[1:], strict=False):
+            for a, b in itertools.pairwise(member.joints):
                 graph.add_edge(a, b, member=m, kind=member.kind)
         return graph
 
@@ -142,13 +143,13 @@ def _panel_levels(settings: TowerSettings) -> list[float]:
 
 
 def _braced_face(build: _Builder, k: int, lower: list[float], upper: list[float]) -> None:
-    for low, high in zip(lower, lower[1:], strict=False):
+    for low, high in itertools.pairwise(lower):
         a, b, c, d = build.corner(k, low), build.corner(k + 1, low), build.corner(k, high), build.corner(k + 1, high)
         share = np.linalg.norm(b - a) / (np.linalg.norm(b - a) + np.linalg.norm(d - c))
         crossing = a + share * (d - a)
         build.in_face("bracing", k, [a, crossing, d])
         build.in_face("bracing", k, [b, crossing, c])
-    for panel, (low, high) in enumerate(zip(upper, upper[1:], strict=False)):
+    for panel, (low, high) in enumerate(itertools.pairwise(upper)):
         a, b, c, d = build.corner(k, low), build.corner(k + 1, low), build.corner(k, high), build.corner(k + 1, high)
         if panel % 2 == 0 and high in upper[1::2]:
             build.in_face("bracing", k, [a, (c + d) / 2])

@@ -1,0 +1,174 @@
+"""Segments of a whole structure: the Hough transform in small blocks, then a choice among what they found.
+
+One transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of a
+long line by many dx. And the longest lines get the most votes, so that a line across twenty bars of a face beats the
+bars. Both vanish in blocks of a few bars' width; but blocks cut bars and find each of them several times. So the
+blocks only propose; a proposal counts for the points inside its tube less those in the ring around it, the best is
+grown through the whole cloud and its points are taken away, which lowers all others that share them; and so on.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Array, Segments
+from steelnb.hough import detect_segments
+from steelnb.hough.kernels import fit_line
+
+BLOCK = 12.0
+"""Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by dx/2."""
+GRANULARITY = 3
+GAP, LENGTH, PCA_RATIO = 4.0, 5.0, 0.9
+"""Of a segment: largest gap and least length in dx, least share of the variance along it. A point for each dx."""
+RING_WEIGHT = 0.75
+"""Weight of a point between dx and 2 dx. A sheet of points holds as many there as within dx: it must not look like
+bars (1 would do). But bars whose points scatter by dx also leave some there. Between 0.5, which lets one seventh of
+the points of a jittered tower pass for bars, and 1, which loses true bars: see tests/test_blocks.py."""
+SHADOW = 1.25
+"""Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
+
+
+def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
+    """Find the bars in the cloud of a whole structure.
+
+    Parameters
+    ----------
+    points: ``(N, 3)`` metres, finite, voxel-filtered with a leaf of about dx/√3.
+    dx: radius of the tube that holds a bar's points, metres.
+    min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
+
+    Returns `Segments`, strongest first. Raises as `steelnb.hough.detect_segments`.
+    """
+    points = points[np.argsort(points[:, 2], kind="stable")]  # so that the points near a proposal are one slice
+    px, py, pz = np.ascontiguousarray(points.T)
+    proposed = _propose(points, dx, min_votes)
+    start, direction, length = proposed.start, proposed.direction, proposed.length
+    pairs = _pairs(px, py, pz, start, direction, length, dx, np.zeros((0, 3), dtype=np.int32))
+    pair = np.empty((pairs, 3), dtype=np.int32)
+    _pairs(px, py, pz, start, direction, length, dx, pair)
+    pair = pair[np.argsort(pair[:, 1], kind="stable")]
+    first_pair = np.searchsorted(pair[:, 1], np.arange(len(points) + 1))
+    ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
+    radius = np.zeros(len(proposed))
+    found = _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pair, ends, count, radius)
+    return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
+
+
+def _propose(points: Array, dx: float, min_votes: int) -> Segments:
+    """Segments of each block, of eight grids of blocks that are shifted by half a block against each other."""
+    edge = BLOCK * dx
+    low = points.min(axis=0)
+    found = [Segments.empty()]
+    for shift in np.ndindex(2, 2, 2):
+        cell = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
+        _, block = np.unique(cell, axis=0, return_inverse=True)
+        order = np.argsort(block.ravel(), kind="stable")
+        bounds = np.flatnonzero(np.diff(block.ravel()[order], prepend=-1, append=-1))
+        for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+            some = points[order[first:last]]
+            # Bounds looser than the final ones: a block may hold only part of a bar.
+            if len(some) >= 0.75 * min_votes and np.linalg.norm(np.ptp(some, axis=0)) > (LENGTH - 1) * dx:
+                found.append(
+                    detect_segments(
+                        some, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
+                        gap_max=GAP * dx, pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx,
+                        length_min=(LENGTH - 1) * dx,
+                    )
+                )  # fmt: skip
+    names = ("start", "end", "count", "radius")
+    return Segments(*(np.concatenate([getattr(some, name) for some in found]) for name in names))
+
+
+@njit(cache=True)
+def _pairs(px, py, pz, start, direction, length, dx, pair):  # type: ignore[no-untyped-def]
+    """Write (proposal, point, 1 inside or 0 in the ring) for each point within 2 dx of a proposal; return how many."""
+    n = 0
+    for k in range(len(length)):
+        (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
+        end_z = sz + length[k] * uz
+        first = np.searchsorted(pz, min(sz, end_z) - 2 * dx)
+        for i in range(first, np.searchsorted(pz, max(sz, end_z) + 2 * dx)):
+            x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
+            t = x * ux + y * uy + z * uz
+            distance2 = x * x + y * y + z * z - t * t
+            if 0.0 <= t <= length[k] and distance2 <= 4.0 * dx * dx:
+                if n < len(pair):
+                    pair[n, 0], pair[n, 1], pair[n, 2] = k, i, distance2 <= dx * dx
+                n += 1
+    return n
+
+
+@njit(cache=True)
+def _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pair, ends, count, radius):  # type: ignore[no-untyped-def]
+    """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
+    weight = np.array([-RING_WEIGHT, 1.0])
+    score = np.zeros(len(length))
+    for k in range(len(pair)):
+        score[pair[k, 0]] += weight[pair[k, 2]]
+    free = np.ones(len(px), dtype=np.bool_)
+    near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
+    found = 0
+    while len(score) > 0:
+        best = np.argmax(score)
+        if score[best] < min_votes:
+            break
+        score[best] = -np.inf
+        (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
+        low, high = 0.0, length[best]
+        m = 0
+        spread_along = spread_across = 0.0
+        for _ in range(8):
+            before = m
+            m = _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run)
+            if m < min_votes or m == before:
+                break
+            spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
+            low, high = np.inf, -np.inf
+            for k in range(m):
+                t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
+                low, high = min(low, t), max(high, t)
+        if (
+            m < min_votes
+            or high - low < LENGTH * dx
+            or m * dx < high - low
+            or spread_along < PCA_RATIO * (spread_along + spread_across)
+        ):
+            continue
+        ends[found, 0], ends[found, 1], ends[found, 2] = ax + low * ux, ay + low * uy, az + low * uz
+        ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
+        count[found], radius[found] = m, math.sqrt(spread_across / m)
+        found += 1
+        for i in range(len(px)):
+            x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
+            t = x * ux + y * uy + z * uz
+            if free[i] and low <= t <= high and x * x + y * y + z * z - t * t <= (SHADOW * dx) ** 2:
+                free[i] = False
+                for k in range(first_pair[i], first_pair[i + 1]):
+                    score[pair[k, 0]] -= weight[pair[k, 2]]
+    return found
+
+
+@njit(cache=True)
+def _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run):  # type: ignore[no-untyped-def]
+    """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number."""
+    n = 0
+    for i in range(len(px)):
+        x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
+        t = x * ux + y * uy + z * uz
+        if free[i] and x * x + y * y + z * z - t * t <= dx * dx:
+            near[n], along[n] = i, t
+            n += 1
+    order = np.argsort(along[:n])
+    m = first = 0
+    overlap = 0.0
+    for k in range(1, n + 1):
+        if k < n and along[order[k]] - along[order[k - 1]] <= GAP * dx:
+            continue
+        shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
+        if shared > overlap:  # of several runs, the one that shares most with the proposal
+            overlap, m = shared, k - first
+            for j in range(m):
+                run[j] = near[order[first + j]]
+        first = k
+    return m

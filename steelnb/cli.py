@@ -1,0 +1,193 @@
+"""The command line: thin commands, one line for each error, exit codes that a script can use.
+
+0: done; 1: a notebook failed or `check` found a difference; 2: bad input; 130: interrupted.
+"""
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import steelnb
+from steelnb import reproduce as notebooks
+from steelnb.errors import SteelnbError
+from steelnb.project import Project, parse_parameter
+
+LINE_PERIOD_S = 30.0
+INTERRUPTED = 130
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=steelnb.__doc__)
+Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Experiments; default: all. See `list`.")]
+Budget = Annotated[str, typer.Option(help="full, or smoke: a short run of every method.")]
+Jobs = Annotated[int, typer.Option(help="Notebooks run at once.")]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and give the exit code; errors of the user's go to stderr as one line each."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        code = app(arguments or ["--help"], prog_name="steelnb", standalone_mode=False)
+    except notebooks.NotebooksFailedError as fault:
+        return _complain(*fault.failures, code=fault.exit_code)
+    except (SteelnbError, typer.TyperException) as fault:
+        return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
+    if code == INTERRUPTED:  # Typer catches KeyboardInterrupt itself
+        return _complain("interrupted; what is finished is kept, the next call resumes", code=INTERRUPTED)
+    return int(code or 0)
+
+
+def _complain(*messages: str, code: int = 2) -> int:
+    for message in messages:
+        print("steelnb: error:", " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"steelnb {steelnb.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Drone mapping of steel structures: experiments, and segments of point clouds."""
+
+
+@app.command("list")
+def list_experiments() -> None:
+    """List the experiments, and whether their results are up to date in this clone."""
+    rows = [("id", "title", "figures", "notebook", "parts", "state")]
+    for found in notebooks.states():
+        experiment = found.experiment
+        parts, state = str(found.parts), found.state
+        rows.append((experiment.id, experiment.title, experiment.figures, experiment.notebook, parts, state))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+@app.command()
+def reproduce(
+    ids: Ids = None,
+    budget: Budget = "full",
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "-p", "--parameter", metavar="NAME=VALUE", help="E.g. trajectory=orbit or tof.rate_hz=10; needs -o."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for <id>/; default: results or results-smoke.")
+    ] = None,
+    jobs: Jobs = 2,
+    force: Annotated[bool, typer.Option("--force", help="Run again what is up to date.")] = False,
+) -> None:
+    """Run the notebooks, and leave metrics, tables and figures in results/<id>/. Skips what is up to date."""
+    given = dict(map(parse_parameter, parameter or []))
+    with _shown() as on_progress:
+        report = notebooks.run(ids or [], budget, given, output, jobs, force=force, on_progress=on_progress)
+    for folder in report.written:
+        print(f"{_short(folder)}/ written")
+    if not report.written:
+        print("everything is up to date")
+
+
+@app.command()
+def check(ids: Ids = None, budget: Budget = "full", jobs: Jobs = 2) -> None:
+    """Run the notebooks again and compare, metric by metric, with the committed results. Exit 1 on a difference."""
+    with _shown() as on_progress:
+        report = notebooks.check(ids or [], budget, jobs, on_progress=on_progress)
+    settings = Project().check
+    for pattern, reason in settings.exceptions.items():
+        print(f"exception: {pattern}: {reason}")
+    for difference in report.differences:
+        kind = f"excused ({difference.reason})" if difference.reason else "DIFFERS"
+        where = f" {difference.where}" if difference.where else ""
+        print(f"{kind}: {difference.name}{where}: committed {difference.committed}, now {difference.now}")
+    count = sum(not difference.reason for difference in report.differences)
+    if count:
+        print(f"{count} differences; the new results are in {_short(report.folder)}/")
+        raise typer.Exit(1)
+    agreed = f"{report.metrics} metrics of {report.experiments} experiments agree"
+    print(f"{agreed}, and their tables, to {settings.relative_tolerance:g} relative")
+
+
+@app.command()
+def segment(
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, XYZ, TXT or CSV file.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the segments.")] = None,
+    voxel: Annotated[float | None, typer.Option(help="Voxel size in metres; default: from the point spacing.")] = None,
+    dx: Annotated[float | None, typer.Option(help="Width of a line in metres; default: from the voxel size.")] = None,
+    min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
+) -> None:
+    """Find the straight bars in a point cloud."""
+    from steelnb.segment import segment_file
+
+    result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
+    print("\n".join(result.summary))
+
+
+def _short(folder: Path) -> Path:
+    return folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+
+
+def _left(status: notebooks.Status) -> str:
+    if status.remaining_s is None:
+        return "time left unknown"
+    minutes, seconds = divmod(math.ceil(status.remaining_s), 60)
+    return f"{minutes}:{seconds:02d} left"
+
+
+@contextlib.contextmanager
+def _shown() -> Iterator[Callable[[notebooks.Status], None]]:
+    """Show the progress on stderr: a bar on a terminal, otherwise a line at every event and every half minute."""
+    if not sys.stderr.isatty():
+        yield _Lines().show
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[left]}"), TextColumn("{task.description}"))
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task("", total=1.0, left="")
+
+    def show(status: notebooks.Status) -> None:
+        if not bar.live.is_started:
+            bar.start()
+        running = f"{status.done} of {status.total} done; running {', '.join(status.running) or 'none'}"
+        bar.update(task, completed=status.fraction, description=running, left=_left(status))
+        if status.event and not status.event.endswith("started"):
+            bar.console.print(status.event, markup=False, highlight=False)
+
+    try:
+        yield show
+    finally:
+        bar.stop()
+
+
+class _Lines:
+    """Progress as plain lines."""
+
+    def __init__(self) -> None:
+        self.shown_s = -math.inf
+
+    def show(self, status: notebooks.Status) -> None:
+        now_s = time.monotonic()
+        if status.event or now_s - self.shown_s > LINE_PERIOD_S:
+            event = status.event or f"running {', '.join(status.running)}"
+            line = f"[{status.done}/{status.total} {status.fraction:4.0%}, {_left(status)}] {event}"
+            print(line, file=sys.stderr, flush=True)
+            self.shown_s = now_s
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.hough import detect_lines, directions
+from steelnb.hough.kernels import principal_axis
+from tests import naive
+
+
+def lattice(seed, lines, points, noise_m, clutter=0):
+    """Points on random lines in a box of 2 m, and clutter between them."""
+    rng = np.random.default_rng(seed)
+    pieces = [
+        rng.uniform(-1, 1, 3) + np.outer(rng.uniform(-1, 1, points), d / np.linalg.norm(d))
+        for d in rng.normal(size=(lines, 3))
+    ]
+    cloud = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(lines * points, 3))
+    return np.concatenate([cloud, rng.uniform(-1, 1, (clutter, 3))])
+
+
+@pytest.mark.parametrize("granularity", range(7))
+def test_directions_cover_the_half_sphere_once(granularity):
+    d = directions(granularity)
+    assert len(d) == 5 * 4**granularity + 1
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-7)
+    assert (d[:, 2] >= 0).all()
+    if granularity <= 4:
+        apart = np.abs(d @ d.T) - 2 * np.eye(len(d))
+        assert apart.max() < 1 - 1e-6  # no two the same, and none the opposite of another
+        # Twice the spacing of so many directions on a half sphere, for any direction there is.
+        probe = np.random.default_rng(0).normal(size=(500, 3))
+        probe /= np.linalg.norm(probe, axis=1)[:, None]
+        assert np.arccos(np.clip(np.abs(probe @ d.T).max(axis=1), 0, 1)).max() < 2 * np.sqrt(2 * np.pi / len(d)) / 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("dx", [0.05, 0.15])
+def test_lines_are_those_of_the_full_vote_volume(seed, dx):
+    points = lattice(seed, lines=4, points=20, noise_m=0.01, clutter=15)
+    expected = naive.hough_lines(points, dx, min_votes=3, granularity=2)
+    found = detect_lines(points, dx, min_votes=3, granularity=2)
+    assert len(found) == len(expected) > 3
+    for k, (anchor, direction, members) in enumerate(expected):
+        np.testing.assert_array_equal(np.flatnonzero(found.label == k), members)
+        np.testing.assert_allclose(found.anchor[k], anchor, atol=1e-9)
+        assert abs(found.direction[k] @ direction) > 1 - 1e-12
+
+
+def test_lines_are_those_of_the_published_program():
+    # Answers of hough3dlines 1.2 (IPOL 2017), printed to six digits, on clouds made by the same call as here.
+    for case in json.loads((Path(__file__).parent / "reference_lines.json").read_text()):
+        points = np.round(lattice(**case["cloud"]), 6)
+        found = detect_lines(points, case["dx"], case["min_votes"])
+        expected = np.array(case["lines"])
+        np.testing.assert_array_equal(found.count, expected[:, 6])
+        np.testing.assert_allclose(found.anchor, expected[:, :3], atol=1e-6)
+        cosine = np.abs((found.direction * expected[:, 3:6]).sum(axis=1)) / np.linalg.norm(expected[:, 3:6], axis=1)
+        assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 1e-4
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-50, 50)] * 3))
+def test_a_clear_line_is_found_wherever_it_lies(seed, turn, shift):
+    rng = np.random.default_rng(seed)
+    line = np.outer(rng.uniform(-2, 2, 200), [1, 0, 0]) + rng.normal(scale=0.005, size=(200, 3))
+    clutter = rng.uniform(-2, 2, (40, 3))
+    R = Rotation.from_rotvec(turn).as_matrix()
+    points = np.concatenate([line, clutter]) @ R.T + shift
+    found = detect_lines(points, 0.1, min_votes=50)
+    assert len(found) == 1
+    assert abs(found.direction[0] @ R[:, 0]) > np.cos(np.radians(0.5))
+    across = found.anchor[0] - shift - ((found.anchor[0] - shift) @ R[:, 0]) * R[:, 0]
+    assert np.linalg.norm(across) < 0.01
+    assert found.count[0] >= 200 - 1
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), skip_weak=st.booleans())
+def test_lines_partition_the_points(seed, skip_weak):
+    points = lattice(seed, lines=5, points=30, noise_m=0.01, clutter=30)
+    found = detect_lines(points, 0.1, min_votes=10, skip_weak=skip_weak)
+    np.testing.assert_array_equal(np.bincount(found.label + 1, minlength=len(found) + 1)[1:], found.count)
+    assert (found.count >= 10).all()
+    for k in range(len(found)):
+        np.testing.assert_allclose(found.anchor[k], points[found.label == k].mean(axis=0), atol=1e-9)
+
+
+def test_skipping_weak_lines_finds_what_stopping_misses():
+    # A ball of 44 points has all its votes in one cell, more than the noisy bar of 60, and is too weak a line itself.
+    rng = np.random.default_rng(1)
+    bar = np.outer(rng.uniform(-0.5, 0.5, 60), [0, 0, 1]) + rng.normal(scale=0.015, size=(60, 3)) + [1.5, 0, 0]
+    ball = rng.normal(scale=0.001, size=(44, 3)) - [1.5, 0, 0]
+    points = np.concatenate([bar, ball])
+    assert len(detect_lines(points, 0.05, min_votes=52)) == 0
+    skipped = detect_lines(points, 0.05, min_votes=52, skip_weak=True)
+    assert len(skipped) == 1
+    assert abs(skipped.direction[0, 2]) > 0.999
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_principal_axis_is_that_of_lapack(seed):
+    A = np.random.default_rng(seed).normal(size=(3, 3))
+    A = A @ np.diag([1, 10.0 ** -(seed % 8), 1]) @ A.T
+    first, rest, *axis = principal_axis(A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
+    value, vector = np.linalg.eigh(A)
+    np.testing.assert_allclose([first, rest], [value[2], value[:2].sum()], rtol=1e-10, atol=1e-12)
+    assert abs(np.dot(axis, vector[:, 2])) > 1 - 1e-10
+
+
+@pytest.mark.parametrize(
+    ("points", "arguments", "error", "says"),
+    [
+        (np.zeros((0, 3)), {}, EmptyCloudError, "0 points"),
+        (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, EmptyCloudError, "1 of 2"),
+        (np.array([[0, 0, 0], [1, np.inf, 0]]), {}, EmptyCloudError, "not finite"),
+        (np.zeros((1, 3)), {}, DegenerateCloudError, "1 point"),
+        (np.ones((5, 3)), {}, DegenerateCloudError, "identical"),
+        (np.zeros((5, 2)), {}, SettingsError, "shape"),
+        (np.eye(3), {"dx": 0.0}, SettingsError, "dx = 0"),
+        (np.eye(3), {"dx": -1.0}, SettingsError, "dx = -1"),
+        (np.eye(3), {"dx": 5.0}, SettingsError, "diagonal"),
+        (np.eye(3), {"dx": 1e-5}, SettingsError, "would fit"),
+        (np.eye(3), {"granularity": 7}, SettingsError, "granularity = 7"),
+        (np.eye(3), {"min_votes": 1}, SettingsError, "min_votes = 1"),
+        (np.eye(3), {"max_lines": 0}, SettingsError, "max_lines = 0"),
+    ],
+)
+def test_bad_input_says_what_was_wrong(points, arguments, error, says):
+    with pytest.raises(error, match=says):
+        detect_lines(points, **arguments)

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from steelnb.config import NoiseSettings
+from steelnb.datatypes import Trajectory
+from steelnb.noise import drifting, random_walk_rms_m
+
+
+def still(seconds):
+    stamp = np.arange(round(seconds * 125) + 1) / 125
+    T = np.tile(np.eye(4), (len(stamp), 1, 1))
+    T[:, :3, 3] = [1.0, 2.0, 3.0]
+    return Trajectory(stamp, T)
+
+
+def errors(noise, seconds, seeds):
+    truth = still(seconds)
+    return np.array([drifting(truth, NoiseSettings.parse(noise), s).position[-1] - [1, 2, 3] for s in range(seeds)])
+
+
+def test_random_walk_has_the_root_mean_square_of_its_model():
+    error = errors("random-walk", 20, 400)
+    expected = random_walk_rms_m(NoiseSettings(random_walk_m=0.002), np.array([20.0]))[0]
+    assert expected == pytest.approx(0.002 * np.sqrt(3 * 125 * 20))
+    assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.08)
+    assert np.abs(error.mean(axis=0)).max() < 4 * expected / np.sqrt(3 * 400)
+
+
+def test_algorithm_1_is_a_cumulated_normal_vector():
+    settings = NoiseSettings(random_walk_m=0.002)
+    steps = np.diff(drifting(still(40), settings, 5).position, axis=0)
+    assert steps.std() == pytest.approx(0.002, rel=0.02)
+    lag = np.corrcoef(steps[1:, 0], steps[:-1, 0])[0, 1]
+    assert abs(lag) < 0.05
+
+
+def test_constant_drift_has_the_length_asked_for_in_a_direction_of_its_seed():
+    length = np.linalg.norm(errors("constant-drift", 8, 3), axis=1)
+    np.testing.assert_allclose(length, 0.0001 * 1000)
+    per_axis = np.linalg.norm(errors("constant-drift-per-axis", 8, 3), axis=1)
+    np.testing.assert_allclose(per_axis, np.sqrt(3) * length)
+    directions = errors("constant-drift", 8, 500) / length[0]
+    assert np.abs(directions.mean(axis=0)).max() < 0.15
+    np.testing.assert_allclose(np.cov(directions.T), np.eye(3) / 3, atol=0.06)
+
+
+def test_yaw_walk_turns_the_heading_and_leaves_the_position():
+    truth = still(10)
+    drifted = drifting(truth, NoiseSettings(yaw_random_walk_rad=0.0005), 2)
+    np.testing.assert_array_equal(drifted.position, truth.position)
+    R = drifted.T_world_drone[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(R[:, 2, 2], 1)
+    final = [drifting(truth, NoiseSettings(yaw_random_walk_rad=0.0005), s).T_world_drone[-1] for s in range(300)]
+    assert np.std([np.arctan2(T[1, 0], T[0, 0]) for T in final]) == pytest.approx(0.0005 * np.sqrt(1250), rel=0.12)
+
+
+def test_drift_begins_at_zero_and_a_sum_contains_its_parts():
+    truth = still(4)
+    parts = [drifting(truth, NoiseSettings.parse(name), 7) for name in ("random-walk", "constant-drift")]
+    whole = drifting(truth, NoiseSettings.parse("random-walk+constant-drift"), 7)
+    np.testing.assert_array_equal(whole.T_world_drone[0], truth.T_world_drone[0])
+    moved = [part.position - truth.position for part in parts]
+    np.testing.assert_allclose(whole.position - truth.position, moved[0] + moved[1], atol=1e-12)

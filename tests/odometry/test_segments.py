@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+
+from steelnb.config import ExperimentSettings, FusionSettings, OdometrySettings
+from steelnb.datatypes import Scan, Segments
+from steelnb.errors import SettingsError
+from steelnb.fusion import SegmentMap
+from steelnb.odometry import SegmentOdometry
+from steelnb.odometry.corrections import average, least_squares
+
+BARS = np.array(
+    [
+        ([0, 0, 0], [0, 0, 4]), ([3, 0, 0], [3, 0, 4]), ([0, 0, 1], [3, 0, 1]), ([0, 0, 3], [3, 0, 3.2]),
+        ([0, 0, 1], [3, 0, 4]), ([0, 2, 2], [0, -2, 2.5]),
+    ],
+    dtype=float,
+)  # fmt: skip
+
+
+def seen(offset, bars=BARS, noise_m=0.0, seed=0):
+    jitter = np.random.default_rng(seed).normal(scale=noise_m, size=bars.shape)
+    moved = bars + offset + jitter
+    return Segments(moved[:, 0], moved[:, 1], np.full(len(bars), 60), np.full(len(bars), 0.01))
+
+
+@pytest.fixture
+def known():
+    bars = SegmentMap(FusionSettings())
+    bars.insert(seen(0))
+    return bars
+
+
+@pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
+def test_least_squares_finds_the_translation(known, offset):
+    correction = least_squares(seen(offset), known, OdometrySettings(damping_pairs=0.0))
+    np.testing.assert_allclose(correction.offset, -np.array(offset), atol=1e-3)
+    assert correction.matches == len(BARS)
+
+
+def test_least_squares_ignores_a_bar_that_moved(known):
+    moved = seen([0.05, 0, 0])
+    moved.start[4] += [0, 0.15, 0]
+    moved.end[4] += [0, 0.15, 0]
+    correction = least_squares(moved, known, OdometrySettings(damping_pairs=0.0))
+    np.testing.assert_allclose(correction.offset, [-0.05, 0, 0], atol=0.01)
+
+
+def test_least_squares_leaves_a_direction_that_no_bar_constrains(known):
+    upright = seen([0.05, 0.04, 0.07], BARS[:2])
+    correction = least_squares(upright, known, OdometrySettings())
+    assert abs(correction.offset[2]) < 1e-9
+    assert -0.05 < correction.offset[0] < -0.02  # damping holds back
+    free = least_squares(upright, known, OdometrySettings(damping_pairs=1e-6))
+    np.testing.assert_allclose(free.offset, [-0.05, -0.04, 0], atol=2e-3)
+
+
+def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
+    # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
+    correction = average(seen([0, 0, 0.06]), known, OdometrySettings(correction="average", gain=0.5))
+    d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
+    across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)
+    np.testing.assert_allclose(correction.offset, -0.5 * across.mean(axis=0), atol=1e-9)
+    assert abs(correction.offset[2]) < 0.5 * 0.06 * 0.75
+
+
+@pytest.mark.parametrize("rule", [average, least_squares])
+def test_no_match_gives_no_correction(known, rule):
+    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, OdometrySettings())
+    assert correction.matches == 0
+    np.testing.assert_array_equal(correction.offset, 0)
+
+
+def frame(seed=0):
+    """A scan of the bars from 2.5 m, sensor at the origin looking along x."""
+    rng = np.random.default_rng(seed)
+    pieces = [b[0] + rng.uniform(0, 1, (250, 1)) * (b[1] - b[0]) for b in BARS[:5]]
+    points = np.concatenate(pieces)[:, [1, 0, 2]] + [2.5, -1.5, -1.0]
+    return points + rng.normal(scale=0.005, size=points.shape)
+
+
+def odometry(correction="least_squares"):
+    s = ExperimentSettings.preset(sensor="starling2", correction=correction)
+    return SegmentOdometry(s.preprocess, s.hough, s.fusion, s.odometry)
+
+
+def pose(x=0.0, y=0.0, z=2.0):
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+@pytest.mark.parametrize(("correction", "bound_m"), [("average", 0.12), ("least_squares", 0.03)])
+def test_the_odometry_pulls_a_drifting_pose_back(correction, bound_m):
+    # The drone hovers; its prior drifts 1.1 cm a scan, 21 cm in all. Scans come as bare arrays and as images.
+    run = odometry(correction)
+    for k in range(20):
+        step = run.update(frame(k).reshape(50, 25, 3) if k % 2 else frame(k), pose(y=0.01 * k, z=2 + 0.005 * k))
+        assert step.used == (k > 0)
+    error = np.linalg.norm(step.T_world_drone[:3, 3] - [0, 0, 2])
+    assert error < bound_m
+    assert step.matches >= 4
+    assert set(step.seconds) == {"preprocess", "hough", "match", "map"}
+    np.testing.assert_array_equal(step.T_world_drone[:3, :3], np.eye(3))
+
+
+def test_without_correction_the_prior_comes_back():
+    run = odometry("none")
+    for k in range(3):
+        step = run.update(Scan(0.2 * k, frame(k)), pose(y=0.02 * k))
+        np.testing.assert_array_equal(step.T_world_drone, pose(y=0.02 * k))
+        assert (step.used, step.stamp_s) == (False, 0.2 * k)
+
+
+def test_losing_sight_keeps_the_correction_and_says_so():
+    run = odometry()
+    run.update(frame(0), pose())
+    held = run.update(frame(1), pose(y=0.05)).T_world_drone[:3, 3] - pose(y=0.05)[:3, 3]
+    for blind in (np.full((4, 4, 3), np.nan), np.zeros((0, 3)), np.ones((30, 3)), frame(2)[:10]):
+        step = run.update(blind, pose(y=0.06))
+        assert not step.used
+        assert step.reason == "no segment seen"
+        np.testing.assert_allclose(step.T_world_drone[:3, 3] - pose(y=0.06)[:3, 3], held)
+    again = run.update(frame(3), pose(y=0.1))
+    assert again.used
+    assert np.linalg.norm(again.T_world_drone[:3, 3] - [0, 0, 2]) < 0.035
+
+
+def test_the_first_scan_and_a_new_place_are_told_apart():
+    run = odometry()
+    assert run.update(frame(0), pose()).reason == "first scan"
+    assert run.update(frame(1), pose(x=30)).reason == "no segment of the map seen"
+
+
+def test_map_points_lie_on_the_bars():
+    run = odometry()
+    assert run.map_points().shape == (0, 3)
+    run.update(frame(0), pose())
+    points = run.map_points(0.1)
+    bars = run.map.segments
+    assert len(points) >= bars.length.sum() / 0.1
+    apart = points[:, None] - bars.start
+    along = (apart * bars.direction).sum(axis=2, keepdims=True) * bars.direction
+    assert np.linalg.norm(apart - along, axis=2).min(axis=1).max() < 1e-9
+
+
+@pytest.mark.parametrize("prior", [np.eye(3), np.full((4, 4), np.nan)])
+def test_a_prior_that_is_no_pose_is_refused(prior):
+    with pytest.raises(SettingsError, match="T_world_drone_prior"):
+        odometry().update(frame(0), prior)

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from steelnb.config import FlightSettings, TowerSettings
+from steelnb.errors import CollisionError
+from steelnb.simulation import build_tower, fly
+from steelnb.simulation.paths import reference, waypoints
+from steelnb.simulation.tower import half_width
+
+TOWER = build_tower()
+
+
+@pytest.mark.parametrize("name", ["vertical", "orbit"])
+def test_the_flight_covers_the_report_s_heights_in_about_200_s(name):
+    settings = FlightSettings.preset(name)
+    trajectory, _ = fly(TOWER, settings, 1)
+    position = trajectory.position
+    assert trajectory.stamp_s[-1] == pytest.approx(200.0)
+    assert position[0, 2] == pytest.approx(0.7, abs=0.1)
+    assert position[-1, 2] == pytest.approx(settings.height_max_m, abs=0.2)
+    arrived = np.argmax(position[:, 2] > settings.height_max_m - 0.3) / 125
+    assert 150 < arrived < 200
+    half = np.array([half_width(TOWER.settings, z) for z in position[:, 2]])
+    clear = np.abs(position[:, :2]).max(axis=1) - half
+    assert clear.min() > 0.7
+    tilt = np.degrees(np.arccos(np.clip(trajectory.T_world_drone[:, 2, 2], -1, 1)))
+    assert np.sqrt((tilt**2).mean()) < 4
+
+
+def test_the_sensor_looks_at_the_face_or_at_the_axis():
+    vertical, _ = fly(TOWER, FlightSettings.preset("vertical", 30.0), 1)
+    assert vertical.T_world_drone[:, 1, 0].min() > 0.98
+    orbit, _ = fly(TOWER, FlightSettings.preset("orbit", 30.0), 1)
+    to_axis = -orbit.position[:, :2] / np.linalg.norm(orbit.position[:, :2], axis=1)[:, None]
+    assert (orbit.T_world_drone[:, :2, 0] * to_axis).sum(axis=1).min() > 0.95
+
+
+@pytest.mark.parametrize("name", ["vertical", "orbit"])
+def test_the_imu_integrates_back_to_the_flight(name):
+    trajectory, imu = fly(TOWER, FlightSettings.preset(name, 20.0), 3)
+    R, dt = trajectory.T_world_drone[:, :3, :3], 0.008
+    acceleration = np.einsum("nij,nj->ni", R[1:], imu.specific_force[1:]) - [0, 0, 9.81]
+    velocity = np.cumsum(acceleration * dt, axis=0)
+    position = trajectory.position[0] + np.cumsum(velocity * dt, axis=0)
+    np.testing.assert_allclose(position, trajectory.position[1:], atol=1e-9)
+    # Each orientation follows from the one before by the angular rate in the body frame.
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_matrix(R[:-1]) * Rotation.from_rotvec(imu.angular_rate[1:] * dt)
+    assert (turned.inv() * Rotation.from_matrix(R[1:])).magnitude().max() < 1e-4
+
+
+def test_a_seed_changes_the_gusts_and_nothing_changes_without_them():
+    calm = FlightSettings.preset("vertical", 5.0).but(gust_sigma_m_s=0.0)
+    a, b = (fly(TOWER, calm, seed)[0].position for seed in (1, 2))
+    np.testing.assert_array_equal(a, b)
+    a, b, c = (fly(TOWER, FlightSettings.preset("vertical", 5.0), seed)[0].position for seed in (1, 2, 1))
+    np.testing.assert_array_equal(a, c)
+    assert 0.001 < np.abs(a - b).max() < 0.3
+
+
+@pytest.mark.parametrize("name", ["vertical", "orbit"])
+def test_touching_the_structure_is_an_error_with_time_and_place(name):
+    settings = FlightSettings.preset(name).but(standoff_m=-0.05)
+    with pytest.raises(CollisionError, match=r"standoff_m = -0.05.* t = \d+\.\d\d s, at x = .* m"):
+        fly(TOWER, settings, 1)
+
+
+def test_the_path_goes_through_its_waypoints_slowly():
+    settings, tower = FlightSettings.preset("orbit"), TowerSettings()
+    position, velocity = reference(settings, tower, 25_000, 0.008)
+    corner = waypoints(settings, tower)
+    nearest = [np.linalg.norm(position - point, axis=1).min() for point in corner]
+    assert max(nearest) < 0.3  # rounded corners
+    assert np.linalg.norm(velocity, axis=1).max() < 1.02 * settings.speed_m_s
+    np.testing.assert_allclose(position[-1], corner[-1], atol=1e-6)
