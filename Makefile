@@ -23,8 +23,9 @@ $(READY): environment.lock pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@mkdir -p $(VENV)/etc/jupyter/labconfig
-	@cp scripts/page_config.json $(VENV)/etc/jupyter/labconfig/page_config.json
+	@mkdir -p $(VENV)/etc/jupyter/labconfig $(VENV)/share/jupyter/lab/settings
+	@cp scripts/jupyterlab/page_config.json $(VENV)/etc/jupyter/labconfig/
+	@cp scripts/jupyterlab/overrides.json $(VENV)/share/jupyter/lab/settings/
 	@touch $@
 
 reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/

@@ -7,10 +7,12 @@ blocks only propose; a proposal counts for the points inside its tube less those
 grown through the whole cloud and its points are taken away, which lowers all others that share them; and so on.
 """
 
+import itertools
 import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from steelnb.datatypes import Array, Segments
 from steelnb.hough import detect_segments
@@ -55,6 +57,17 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
 
+def within(points: Array, segments: Segments, distance: float) -> NDArray[np.bool_]:
+    """Which of the points ``(N, 3)`` lie within ``distance`` metres of a segment, its ends included."""
+    near = np.zeros(len(points), dtype=np.bool_)
+    order = np.argsort(points[:, 2], kind="stable")
+    px, py, pz = np.ascontiguousarray(points[order].T)
+    hit = np.zeros(len(points), dtype=np.bool_)
+    _mark(px, py, pz, segments.start, segments.direction, segments.length, distance, hit)
+    near[order] = hit
+    return near
+
+
 def _propose(points: Array, dx: float, min_votes: int) -> Segments:
     """Segments of each block, of eight grids of blocks that are shifted by half a block against each other."""
     edge = BLOCK * dx
@@ -65,7 +78,7 @@ def _propose(points: Array, dx: float, min_votes: int) -> Segments:
         _, block = np.unique(cell, axis=0, return_inverse=True)
         order = np.argsort(block.ravel(), kind="stable")
         bounds = np.flatnonzero(np.diff(block.ravel()[order], prepend=-1, append=-1))
-        for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        for first, last in itertools.pairwise(bounds):
             some = points[order[first:last]]
             # Bounds looser than the final ones: a block may hold only part of a bar.
             if len(some) >= 0.75 * min_votes and np.linalg.norm(np.ptp(some, axis=0)) > (LENGTH - 1) * dx:
@@ -78,6 +91,20 @@ def _propose(points: Array, dx: float, min_votes: int) -> Segments:
                 )  # fmt: skip
     names = ("start", "end", "count", "radius")
     return Segments(*(np.concatenate([getattr(some, name) for some in found]) for name in names))
+
+
+@njit(cache=True)
+def _mark(px, py, pz, start, direction, length, distance, hit):  # type: ignore[no-untyped-def]
+    for k in range(len(length)):
+        (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
+        end_z = sz + length[k] * uz
+        first = np.searchsorted(pz, min(sz, end_z) - distance)
+        for i in range(first, np.searchsorted(pz, max(sz, end_z) + distance)):
+            x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
+            t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
+            x, y, z = x - t * ux, y - t * uy, z - t * uz
+            if x * x + y * y + z * z <= distance * distance:
+                hit[i] = True
 
 
 @njit(cache=True)
@@ -115,29 +142,34 @@ def _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pai
             break
         score[best] = -np.inf
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
-        low, high = 0.0, length[best]
-        m = 0
-        spread_along = spread_across = 0.0
+        low, high, m = 0.0, length[best], 0
         for _ in range(8):
             before = m
             m = _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run)
             if m < min_votes or m == before:
                 break
-            spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
-            low, high = np.inf, -np.inf
-            for k in range(m):
-                t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
-                low, high = min(low, t), max(high, t)
-        if (
-            m < min_votes
-            or high - low < LENGTH * dx
-            or m * dx < high - low
-            or spread_along < PCA_RATIO * (spread_along + spread_across)
-        ):
+            _, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
+            low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m)
+        if m < min_votes:
+            continue
+        low, high, excess = _stretch(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx)
+        m = _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run)
+        kept = 0
+        for k in range(m):
+            t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
+            if low <= t <= high:
+                run[kept] = run[k]
+                kept += 1
+        if excess < min_votes or kept < min_votes:
+            continue
+        spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, kept)
+        low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, kept)
+        long_enough = high - low >= LENGTH * dx and kept * dx >= high - low
+        if not long_enough or spread_along < PCA_RATIO * (spread_along + spread_across):
             continue
         ends[found, 0], ends[found, 1], ends[found, 2] = ax + low * ux, ay + low * uy, az + low * uz
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
-        count[found], radius[found] = m, math.sqrt(spread_across / m)
+        count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
         for i in range(len(px)):
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
@@ -147,6 +179,16 @@ def _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pai
                 for k in range(first_pair[i], first_pair[i + 1]):
                     score[pair[k, 0]] -= weight[pair[k, 2]]
     return found
+
+
+@njit(cache=True)
+def _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m):  # type: ignore[no-untyped-def]
+    """First and last position along a line of ``m`` points."""
+    low, high = np.inf, -np.inf
+    for k in range(m):
+        t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
+        low, high = min(low, t), max(high, t)
+    return low, high
 
 
 @njit(cache=True)
@@ -172,3 +214,27 @@ def _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, r
                 run[j] = near[order[first + j]]
         first = k
     return m
+
+
+@njit(cache=True)
+def _stretch(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx):  # type: ignore[no-untyped-def]
+    """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
+
+    Kadane's maximum-sum stretch over slices one dx long.
+    """
+    slices = np.zeros(int((high - low) / dx) + 1)
+    for i in range(len(px)):
+        x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
+        t = x * ux + y * uy + z * uz
+        distance2 = x * x + y * y + z * z - t * t
+        if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:
+            slices[int((t - low) / dx)] += 1.0 if distance2 <= dx * dx else -RING_WEIGHT
+    total = excess = 0.0
+    begin = first = last = 0
+    for k in range(len(slices)):
+        if total <= 0.0:
+            total, begin = 0.0, k
+        total += slices[k]
+        if total > excess:
+            excess, first, last = total, begin, k + 1
+    return low + first * dx, min(high, low + last * dx), excess

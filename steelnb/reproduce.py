@@ -7,7 +7,6 @@ read a failure in; and ``written.json``, the digests of what was put into the re
 
 import contextlib
 import fcntl
-import importlib.util
 import json
 import math
 import os
@@ -26,7 +25,6 @@ import steelnb.errors
 from steelnb.errors import NotebookError, OutputError, SettingsError, SteelnbError
 from steelnb.project import RESULT_FOLDERS, Experiment, Part, Project
 from steelnb.results import (
-    PROGRESS_VARIABLE,
     Difference,
     Progress,
     committed_text,
@@ -36,14 +34,11 @@ from steelnb.results import (
     merge,
     write_results,
 )
+from steelnb.worker import TICK_S, environment, kill_marked, read_json, write_json
 
 __all__ = ["Progress", "Report", "State", "Status", "check", "run", "states", "write_results"]
 
-TICK_S = 0.1
-RUN_VARIABLE = "STEELNB_RUN"
 COMPARED = ("metrics.json", "table.csv")
-KILL_TIMEOUT_S = 10.0
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 REQUIRED = (*COMPARED, "provenance.json")
 
 
@@ -208,7 +203,7 @@ class _Runner:
             raise SettingsError(f"jobs = {workers}: expected at least 1")
         self.project, self.cache, self.slot, self.workers = project, project.cache, slot, workers
         self.on_progress = on_progress or (lambda status: None)
-        self.written = _read_json(self.cache / "written.json")
+        self.written = read_json(self.cache / "written.json")
         self.scratch = self.cache / "scratch" / f"{os.getpid()}-{time.time_ns()}"
         self.failures: dict[str, tuple[str, bool]] = {}
 
@@ -217,7 +212,7 @@ class _Runner:
         return self.cache / "parts" / self.slot / part.experiment / (part.name or "all")
 
     def record(self, part: Part) -> dict[str, Any]:
-        return _read_json(self.store(part) / "record.json")
+        return read_json(self.store(part) / "record.json")
 
     def state(self, plan: _Plan) -> str:
         """Whether the result folder holds what the parts, as they are now, gave."""
@@ -296,11 +291,11 @@ class _Runner:
             "notebook": str(job.part.notebook),
             "parameters": {**job.part.parameters, "results_dir": str(output)},
         }
-        _write_json(job.folder / "order.json", order)
+        write_json(job.folder / "order.json", order)
         with (job.folder / "log.txt").open("wb") as log:
             job.process = subprocess.Popen(
-                [sys.executable, "-m", "steelnb.reproduce", str(job.folder)],
-                env=_environment(job),
+                [sys.executable, "-m", "steelnb.worker", str(job.folder)],
+                env=environment(job.folder, job.mark),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -317,7 +312,7 @@ class _Runner:
         with contextlib.suppress(FileNotFoundError):
             executed.parent.mkdir(parents=True, exist_ok=True)
             os.replace(job.folder / "executed.ipynb", executed)
-        outcome = _read_json(job.folder / "outcome.json")
+        outcome = read_json(job.folder / "outcome.json")
         missing = [name for name in REQUIRED if not (output / name).is_file()]
         if not outcome:
             log = (job.folder / "log.txt").read_text(encoding="utf-8", errors="replace").split("\n")
@@ -336,7 +331,7 @@ class _Runner:
             key = self.project.key(part.notebook, part.parameters)
         if key != part.key:  # edited meanwhile: nobody can tell what ran, so it belongs to no key
             key, note = "", "; notebook or code was edited meanwhile, so the next call runs it again"
-        _write_json(job.folder / "part" / "record.json", {"key": key, "seconds": round(job.elapsed_s, 3)})
+        write_json(job.folder / "part" / "record.json", {"key": key, "seconds": round(job.elapsed_s, 3)})
         shutil.rmtree(self.store(part), ignore_errors=True)
         self.store(part).parent.mkdir(parents=True, exist_ok=True)
         os.replace(job.folder / "part", self.store(part))
@@ -347,11 +342,11 @@ class _Runner:
         about = {"experiment": experiment.id, "notebook": experiment.notebook, "budget": plan.budget}
         merge({part.name: self.store(part) / "output" for part in plan.parts}, plan.folder, about)
         # What a run of another process has noted meanwhile stays.
-        self.written = _read_json(self.cache / "written.json")
+        self.written = read_json(self.cache / "written.json")
         keys = [self.record(part).get("key") for part in plan.parts]
         name = os.path.relpath(plan.folder, self.project.root)
         self.written[name] = {"keys": keys, "files": digests(plan.folder)}
-        _write_json(self.cache / "written.json", self.written)
+        write_json(self.cache / "written.json", self.written)
 
     def _tell(self, jobs: list[_Job], running: list[_Job], event: str = "") -> None:
         for job in running:
@@ -366,21 +361,6 @@ class _Runner:
 
 def _holds(jobs: list[_Job], plan: _Plan) -> bool:
     return any(job.part in plan.parts for job in jobs)
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    """A table from a file; an empty one where it is missing or broken, as after a power cut."""
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}
-
-
-def _write_json(path: Path, values: Mapping[str, Any]) -> None:
-    fresh = path.with_suffix(".new")
-    fresh.write_text(json.dumps(values), encoding="utf-8")
-    os.replace(fresh, path)
 
 
 @contextlib.contextmanager
@@ -411,82 +391,3 @@ def _signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in kept.items():
             signal.signal(number, handler)
-
-
-def kill_marked(mark: str) -> None:
-    """Kill every process that was started under ``mark``, whatever session it is in, and wait until none is left.
-
-    Workers, kernels and their children inherit the environment, whereas a kernel leaves its parent's process group, and
-    one inside a long call of compiled code hears no gentler signal.
-    """
-    import psutil
-
-    def marked(process: psutil.Process) -> bool:
-        try:
-            return bool(process.pid != os.getpid() and process.environ().get(RUN_VARIABLE, "").startswith(mark))
-        except (psutil.Error, OSError):  # ended meanwhile, or another user's
-            return False
-
-    deadline_s = time.monotonic() + KILL_TIMEOUT_S
-    while (
-        found := [process for process in psutil.process_iter() if marked(process)]
-    ) and time.monotonic() < deadline_s:
-        for process in found:
-            with contextlib.suppress(psutil.Error):
-                process.kill()
-        psutil.wait_procs(found, timeout=1)
-
-
-def _environment(job: _Job) -> dict[str, str]:
-    """What a worker and its kernel see: one thread each, this interpreter, and nothing of the user's own set-up."""
-    changed = {name: "1" for name in THREAD_VARIABLES}
-    changed |= {"PYTHONHASHSEED": "0", RUN_VARIABLE: job.mark, PROGRESS_VARIABLE: str(job.folder / "progress")}
-    changed["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
-    changed["JUPYTER_PATH"] = str(Path(sys.prefix, "share", "jupyter"))
-    changed |= {
-        name: str(job.folder / name.lower()) for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR")
-    }
-    matplotlib = importlib.util.find_spec("matplotlib")
-    if matplotlib and matplotlib.origin:
-        changed["MATPLOTLIBRC"] = str(Path(matplotlib.origin).parent / "mpl-data" / "matplotlibrc")
-    return {name: value for name, value in os.environ.items() if name not in ("MPLBACKEND", "PYTHONSTARTUP")} | changed
-
-
-def _work(folder: Path) -> None:
-    """What a worker process does: execute the notebook that ``folder``/order.json names, and leave outcome.json."""
-    order = _read_json(folder / "order.json")
-
-    def watch() -> None:
-        """End kernel and worker soon after the parent has been killed, which then could not do so itself."""
-        while os.getppid() == order["parent"]:
-            time.sleep(TICK_S)
-        kill_marked(order["mark"])
-        shutil.rmtree(folder, ignore_errors=True)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-    import papermill
-
-    notebook, executed = (
-        str(path).replace("{", "{{").replace("}", "}}") for path in (order["notebook"], folder / "executed.ipynb")
-    )
-    error, message = "", ""
-    try:
-        papermill.execute_notebook(
-            notebook,
-            executed,
-            order["parameters"],
-            kernel_name="python3",
-            language="python",
-            cwd=Path(order["notebook"]).parent,
-            progress_bar=False,
-        )
-    except papermill.PapermillExecutionError as fault:
-        error, message = fault.ename, fault.evalue
-    except Exception as fault:
-        error, message = type(fault).__name__, str(fault)
-    _write_json(folder / "outcome.json", {"error": error, "message": message})
-
-
-if __name__ == "__main__":
-    _work(Path(sys.argv[1]))

@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from steelnb.experiment import Result
-from steelnb.figures.style import COLOURS, LABELS, draw_bars, frame_3d, style
+from steelnb.figures.style import COLOURS, LABELS, Figure, draw_bars, frame_3d, style
 from steelnb.metrics import score_segments
 
 
@@ -19,11 +18,11 @@ def figure_maps(results: Sequence[Result]) -> Figure:
     width, side = 4.2 * len(results), 5.9
     with style():
         # Placed by hand: a 3D axis is square, and squares side by side would leave the towers small.
-        figure = Figure(figsize=(width, 6.6))
+        figure = Figure(figsize=(width, 7.1))
         figure.set_layout_engine("none")
         for k, result in enumerate(results):
             centre = (k + 0.5) / len(results)
-            place = (centre - 0.5 * side / width, 0.05, side / width, side / 6.6)
+            place = (centre - 0.5 * side / width, 0.075, side / width, side / 7.1)
             scene = figure.add_axes(place, projection="3d", facecolor="none")
             truth, segments = result.truth, result.segments
             right = score_segments(segments, truth.tower.axes).right
@@ -31,7 +30,7 @@ def figure_maps(results: Sequence[Result]) -> Figure:
             bars = np.stack([segments.start, segments.end], axis=1)
             draw_bars(scene, bars[right], colors=colour, linewidths=1.6)
             draw_bars(scene, bars[~right], colors="#c0392b", linewidths=1.0)
-            frame_3d(scene, truth.tower.vertices, -65, zoom=1.15)
+            frame_3d(scene, truth.tower.vertices, -65, zoom=1.0)
             title = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
             figure.text(centre, 0.99, f"{LABELS[result.settings.odometry.correction]}\n{title}", ha="center", va="top",
                         fontsize=12)  # fmt: skip

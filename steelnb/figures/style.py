@@ -1,9 +1,11 @@
 """One look for all figures: colours that the colour-blind can tell apart, and text legible at half size."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import matplotlib as mpl
+import matplotlib.figure
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -24,6 +26,15 @@ COLOURS = {
     "orbit": "#56B4E9",
 }
 LABELS = {"none": "no correction", "average": "average (report's)", "least_squares": "least squares"}
+
+
+class Figure(matplotlib.figure.Figure):
+    """A figure that notebooks show by itself: pyplot, whose state is global, is never needed."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png", dpi=90)
+        return file.getvalue()
 
 
 @contextmanager
@@ -61,7 +72,8 @@ def frame_3d(axis, points: Array, azimuth_deg: float = -60, zoom: float = 1.25) 
     axis.set_box_aspect(high - low, zoom=zoom)
     axis.view_init(12, azimuth_deg)
     for name, sides in zip("xyz", zip(low, high, strict=True), strict=True):
-        getattr(axis, f"set_{name}ticks")(np.arange(4 * np.ceil(sides[0] / 4), sides[1] + 0.1, 4))
+        first = sides[0] if name != "y" else sides[0] + 1  # the first of y would lie on the last of x
+        getattr(axis, f"set_{name}ticks")(np.arange(4 * np.ceil(first / 4), sides[1] + 0.1, 4))
         getattr(axis, f"set_{name}label")(f"{name} (m)", labelpad=-2 if name != "z" else -4)
         getattr(axis, f"{name}axis").set_pane_color((1, 1, 1, 0))
         axis.tick_params(axis=name, pad=-2)

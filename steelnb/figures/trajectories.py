@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from steelnb.experiment import Result
 from steelnb.figures.report import REPORT_SEGMENT_ODOMETRY
-from steelnb.figures.style import COLOURS, LABELS, draw_bars, frame_3d, style
+from steelnb.figures.style import COLOURS, LABELS, Figure, draw_bars, frame_3d, style
 from steelnb.metrics import position_error_m
 
 

@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from steelnb.datatypes import Array, Trajectory
-from steelnb.figures.style import COLOURS, frame_3d, style
+from steelnb.figures.style import COLOURS, Figure, frame_3d, style
 from steelnb.simulation import Tower
 
 
@@ -17,7 +16,7 @@ def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
     with style():
         figure = Figure(figsize=(11, 7))
         grid = figure.add_gridspec(1, 3, width_ratios=(1.25, 1, 0.55))
-        scene = figure.add_subplot(grid[0], projection="3d")
+        scene = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
         colour = np.array([COLOURS[tower.members[m].kind] for m in tower.triangle_member])
         mesh = Poly3DCollection(tower.vertices[tower.triangles], facecolors=colour, edgecolors=colour, linewidths=0.15)
         scene.add_collection3d(mesh, autolim=False)

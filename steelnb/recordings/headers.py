@@ -87,7 +87,7 @@ def _decompressed(path: Path, layout: PointLayout, bytes_left: int) -> Array:
     import open3d
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.t.io.read_point_cloud(str(path))
+        cloud = open3d.t.io.read_point_cloud(path)
     points = cloud.point.positions.numpy() if "positions" in cloud.point else np.zeros((0, 3))
     if len(points) != layout.count:
         raise FileContentError(f"{path}: {len(points)} points, expected the {layout.count} that its header promises")

@@ -1,6 +1,10 @@
 """A quadrotor-sized rigid body flown along a path in PyBullet, with true poses and IMU readings at every step."""
 
 import math
+import os
+import sys
+from types import ModuleType
+from typing import cast
 
 import numpy as np
 
@@ -29,8 +33,7 @@ def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, 
     Ornstein–Uhlenbeck wind from the stream ``gust``) push it about. IMU readings are those of the interval that ends at
     their stamp. Raises `CollisionError` with time and place when the body touches the structure or the ground.
     """
-    import pybullet
-
+    pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
     target, target_velocity = reference(settings, tower.settings, steps, STEP_S)
     wind = _gusts(settings, seed, steps)
@@ -47,6 +50,20 @@ def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, 
     T_world_drone[:, :3, :3] = _rotations(state[:, 3:])
     T_world_drone[:, :3, 3] = state[:, :3]
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
+
+
+def _import_pybullet() -> ModuleType:
+    """PyBullet, without the line that its C code prints on the first import."""
+    sys.stderr.flush()
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        import pybullet
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+    return cast(ModuleType, pybullet)
 
 
 def _gusts(settings: FlightSettings, seed: int, steps: int) -> list[list[float]]:

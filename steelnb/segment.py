@@ -1,0 +1,173 @@
+"""`steelnb segment CLOUD`: a point cloud of a structure → its bars, as files, a picture and a summary."""
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from steelnb.blocks import segment_structure, within
+from steelnb.datatypes import Array, Segments
+from steelnb.errors import SettingsError
+from steelnb.preprocess import voxel_grid
+from steelnb.recordings import Cloud, new_folder, read_cloud, write_segments
+
+MIN_VOTES = 8
+STRAIGHT = 0.7
+VERTICAL_DEG, HORIZONTAL_DEG = 20.0, 10.0
+"""Near vertical is up to 20° from the vertical, since legs lean; near horizontal up to 10° from the horizontal."""
+GROUPS = ("near_vertical", "inclined", "near_horizontal")
+
+
+@dataclass(frozen=True)
+class SegmentReport:
+    """What `segment_file` found.
+
+    ``segments`` in the coordinates of the file; ``explained`` is the share of the file's distinct points that lie
+    within ``dx_m`` of a segment, ``explained_filtered`` that of the voxel-filtered points; ``summary`` is a text.
+    """
+
+    folder: Path
+    segments: Segments
+    voxel_m: float
+    dx_m: float
+    explained: float
+    explained_filtered: float
+    seconds: float
+    summary: tuple[str, ...]
+
+
+def segment_file(
+    path: Path | str,
+    output: Path | str | None = None,
+    *,
+    voxel_m: float | None = None,
+    dx_m: float | None = None,
+    min_votes: int | None = None,
+) -> SegmentReport:
+    """Find the bars in the cloud of a file and write them to the folder ``output``, default ``<stem>_segments`` here.
+
+    ``dx_m`` is the radius of the tube that holds a bar's points (default: `tube_radius`), ``voxel_m`` the edge of the
+    voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
+    filtered points of a bar, and the least number by which those in its tube outweigh those around it.
+
+    Raises the errors of `steelnb.recordings.read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
+    """
+    path = Path(path)
+    began = time.perf_counter()
+    votes = MIN_VOTES if min_votes is None else min_votes
+    if votes < 2:
+        raise SettingsError(f"min_votes = {votes}: expected at least 2")
+    with new_folder(Path(output) if output else Path(f"{path.stem}_segments")) as folder:
+        cloud = read_cloud(path)
+        _check_length("voxel_m", voxel_m, cloud)
+        _check_length("dx_m", dx_m, cloud)
+        dx = dx_m or max(tube_radius(cloud.points), math.sqrt(3) * (voxel_m or 0.0))
+        voxel = voxel_m or dx / math.sqrt(3)
+        points = voxel_grid(cloud.points, voxel)
+        found = segment_structure(points, dx, votes)
+        found = found.take(np.argsort(-found.length, kind="stable"))
+        groups = orientation(found)
+        explained, filtered = (float(within(some, found, dx).mean()) for some in (cloud.points, points))
+        about = {
+            "source": path.name, "points": len(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
+            "explained": explained, "explained_filtered": filtered,
+        }  # fmt: skip
+        write_segments(folder, found, cloud.origin, groups, about)
+        from steelnb.segment_figure import figure_segments
+
+        title = f"{path.name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
+    target = Path(output) if output else Path(f"{path.stem}_segments")
+    seconds = time.perf_counter() - began
+    segments = Segments(found.start + cloud.origin, found.end + cloud.origin, found.count, found.radius)
+    summary = (
+        *_summary_of_cloud(path.name, cloud, len(points), voxel, dx),
+        f"found     {len(found)} segments, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
+        f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
+        f"({100 * filtered:.0f} % of the filtered ones)",
+        *_summary_of_segments(segments, groups),
+        f"written   {target}/: segments.csv, .json, .obj, .ply, .png",
+    )
+    return SegmentReport(target, segments, voxel, dx, explained, filtered, seconds, summary)
+
+
+def point_spacing(points: Array) -> float:
+    """Median distance of a point of ``(N, 3)`` to its fourth neighbour, metres.
+
+    The fourth: along a bar a point has two neighbours on either side, so this is two steps. Unlike the distance to
+    the nearest, it hardly depends on whether points are spread evenly or at random, nor on near-duplicates.
+    """
+    asked = points[np.linspace(0, len(points) - 1, min(len(points), 5000)).astype(int)]
+    distance = cKDTree(points).query(asked, k=min(5, len(points)))[0][:, -1]
+    return float(np.median(distance))
+
+
+def tube_radius(points: Array) -> float:
+    """The dx of a cloud ``(N, 3)``, metres: the larger of its point spacing and the width of its bars.
+
+    Not less than the spacing (`point_spacing`), for then a tube would hold too few points to show a line. Not less
+    than the width, for then each bar would come out as several. The width is twice the root mean square distance of
+    points to the axis of their own surroundings, in spheres of the smallest radius at which surroundings look
+    straight: 30 % of the spheres have a standard deviation across that is less than 30 % of that along. Where no
+    radius up to a tenth of the cloud's diagonal does that, bars are too close together to be told apart before they
+    are found, and the spacing decides.
+    """
+    spacing = point_spacing(points)
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    radius = 2 * spacing
+    while radius <= diagonal / 10:
+        thin = voxel_grid(points, radius / 8)  # enough points for a sphere, few enough to be quick
+        centres = thin[np.linspace(0, len(thin) - 1, min(len(thin), 500)).astype(int)]
+        spheres = [thin[index] for index in cKDTree(thin).query_ball_point(centres, radius) if len(index) >= 8]
+        if len(spheres) >= len(centres) / 2:
+            variance = np.linalg.eigvalsh([np.cov(sphere.T) for sphere in spheres]).clip(0)
+            straightness = 1 - np.sqrt(variance[:, 1] / variance[:, 2])
+            bound = np.quantile(straightness, 0.7)
+            if bound >= STRAIGHT:
+                width = 2 * np.sqrt(variance[:, 0] + variance[:, 1])[straightness >= bound]
+                return max(spacing, float(np.median(width)))
+        radius *= math.sqrt(2)
+    return min(spacing, diagonal / 4)
+
+
+def orientation(segments: Segments) -> list[str]:
+    """The class of each segment out of `GROUPS`."""
+    lean = np.degrees(np.arccos(np.clip(np.abs(segments.direction[:, 2]), 0, 1)))
+    return [GROUPS[0] if angle <= VERTICAL_DEG else GROUPS[1 + (angle >= 90 - HORIZONTAL_DEG)] for angle in lean]
+
+
+def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
+    if value is None:
+        return
+    diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    # Finer than this, voxels could not be numbered.
+    if not 1e-9 * diagonal <= value <= diagonal:
+        raise SettingsError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
+
+
+def _summary_of_cloud(name: str, cloud: Cloud, filtered: int, voxel: float, dx: float) -> list[str]:
+    dropped = f"{cloud.dropped_duplicates} duplicates and {cloud.dropped_invalid} invalid ones dropped"
+    lines = [
+        f"read      {name}: {len(cloud)} points ({dropped}), {point_spacing(cloud.points):.3g} m apart",
+        f"settings  voxel {voxel:.3g} m ({filtered} points after it), dx {dx:.3g} m",
+    ]
+    if cloud.resolution_m > dx / 20:
+        lines.insert(1, f"warning   coordinates of {cloud.resolution_m:.3g} m resolution: stored in single precision")
+    return lines
+
+
+def _summary_of_segments(segments: Segments, groups: list[str]) -> list[str]:
+    length = segments.length
+    lines = [f"          {'':16}{'segments':>9}{'length m':>10}{'longest m':>11}"]
+    for group in GROUPS:
+        those = length[[other == group for other in groups]]
+        name = group.replace("_", " ")
+        lines.append(f"          {name:16}{len(those):9d}{those.sum():10.1f}{those.max(initial=0):11.1f}")
+    for k in range(min(3, len(segments))):
+        ends = (f"({', '.join(f'{v:.2f}' for v in end[k])})" for end in (segments.start, segments.end))
+        lines.append(f"longest   {length[k]:.2f} m from {' to '.join(ends)}" if k == 0 else
+                     f"          {length[k]:.2f} m from {' to '.join(ends)}")  # fmt: skip
+    return lines
