@@ -20,9 +20,7 @@ from steelnb.simulation import build_tower, fly, scan_flight
 def main() -> None:
     tower = build_tower()
     print(f"# Speed on one core\n\n{machine()}. `{__doc__.split('by hand:')[1].split('>')[0].strip()}`\n")
-    print(
-        "| flight, sensor | flight, × real time | scans, million rays/s | frame median (ms) | p95 (ms) | of it Hough (ms) |"
-    )
+    print("| flight, sensor | flight, × real time | scans, Mrays/s | frame median (ms) | p95 (ms) | of it Hough (ms) |")
     print("|---|---|---|---|---|---|")
     for trajectory in TRAJECTORIES:
         for sensor in SENSORS:

@@ -37,7 +37,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (SteelnbError, typer.TyperException) as fault:
         return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
     if code == INTERRUPTED:  # Typer catches KeyboardInterrupt itself
-        return _complain("interrupted; what is finished is kept, the next call resumes", code=INTERRUPTED)
+        return _complain(
+            "interrupted; nothing is half-written, and a next reproduce resumes where this one stopped",
+            code=INTERRUPTED,
+        )
     return int(code or 0)
 
 
@@ -123,10 +126,12 @@ def check(ids: Ids = None, budget: Budget = "full", jobs: Jobs = 2) -> None:
 
 @app.command()
 def segment(
-    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, XYZ, TXT or CSV file.")],
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, XYZ, TXT, CSV, PTS or ASC file.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the segments.")] = None,
     voxel: Annotated[float | None, typer.Option(help="Voxel size in metres; default: from the point spacing.")] = None,
-    dx: Annotated[float | None, typer.Option(help="Width of a line in metres; default: from the voxel size.")] = None,
+    dx: Annotated[
+        float | None, typer.Option(help="Radius of a bar's tube of points in metres; default: from the point spacing.")
+    ] = None,
     min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
 ) -> None:
     """Find the straight bars in a point cloud."""

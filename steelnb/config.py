@@ -280,6 +280,62 @@ class OdometrySettings(Settings):
         return cls(correction=correction, robust_scale_m=0.115 if sensor == "report" else 0.05)
 
 
+CloudMethod = Literal["icp", "icp-3dof", "icp-3dof-dropped", "icp-4dof", "gicp", "gicp-4dof", "vgicp", "best"]
+
+
+class CloudSettings(Settings):
+    """Odometry by clouds: how a scan is registered to the voxel map, and how the map remembers.
+
+    ``error`` × ``dof`` × ``robust`` are the solver's; ``shape`` says where the covariances of GICP come from: the
+    nearest neighbours, regularised to planes (``neighbours``), or what the map has measured around each voxel and the
+    sensor's noise along each ray (``measured``). ``drop_rotation`` is the original's fault: it solves for six degrees
+    of freedom, keeps the translation of the result, and inserts the rotated cloud.
+    """
+
+    method: CloudMethod = "gicp"
+    error: Literal["point", "plane", "gicp"] = "gicp"
+    dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
+    robust: Literal["none", "huber", "cauchy", "geman_mcclure"] = "none"
+    robust_scale: Positive = 1.0
+    max_correspondence_m: Positive = 0.3
+    iterations_max: Annotated[int, Field(ge=1)] = 150
+    source_voxel_m: NotNegative = 0.0
+    map_voxel_m: Positive = 0.1
+    remember: bool = False
+    shape: Literal["neighbours", "measured"] = "neighbours"
+    neighbours: Annotated[int, Field(ge=4)] = 20
+    sigma_floor_m: Positive = 0.01
+    sigma_relative: NotNegative = 0.01
+    drop_rotation: bool = False
+    prior_sigma_m: Positive = 1e3
+    prior_sigma_rad: Positive = 1e3
+    inlier_share_min: Probability = 0.3
+    jump_max_m: Positive = 1.0
+
+    @classmethod
+    def preset(cls, method: CloudMethod) -> "CloudSettings":
+        """The report's settings for its three methods, and ours for the others. Raises `SettingsError`."""
+        report: dict[str, dict[str, Any]] = {
+            "icp": {"error": "point", "dof": "se3", "max_correspondence_m": 0.5},
+            "icp-3dof": {"error": "point", "dof": "xyz", "max_correspondence_m": 0.1, "iterations_max": 200},
+            "gicp": {"error": "gicp", "dof": "se3", "max_correspondence_m": 0.3},
+        }
+        ours: dict[str, dict[str, Any]] = {
+            "icp-3dof-dropped": {**report["icp-3dof"], "dof": "se3", "drop_rotation": True},
+            "icp-4dof": {**report["icp"], "dof": "xyz_yaw", "remember": True},
+            "gicp-4dof": {**report["gicp"], "dof": "xyz_yaw", "remember": True},
+            "best": {
+                "error": "gicp", "dof": "xyz_yaw", "remember": True, "shape": "measured", "robust": "geman_mcclure",
+                "robust_scale": 3.0, "max_correspondence_m": 0.3, "source_voxel_m": 0.05, "iterations_max": 20,
+                "prior_sigma_m": 0.05, "prior_sigma_rad": 0.02,
+            },
+        }  # fmt: skip
+        known = {**report, **ours}
+        if method not in known:
+            raise SettingsError(f"method = {method!r}: expected one of {_names(known)}")
+        return cls(method=method, **known[method])
+
+
 class ExperimentSettings(Settings):
     """Everything one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower."""
 

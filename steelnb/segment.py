@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from steelnb.blocks import segment_structure, within
 from steelnb.datatypes import Array, Segments
 from steelnb.errors import SettingsError
+from steelnb.hough.blocks import segment_structure, within
 from steelnb.preprocess import voxel_grid
 from steelnb.recordings import Cloud, new_folder, read_cloud, write_segments
 
@@ -76,7 +76,7 @@ def segment_file(
             "explained": explained, "explained_filtered": filtered,
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
-        from steelnb.segment_figure import figure_segments
+        from steelnb.figures.segments import figure_segments
 
         title = f"{path.name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)

@@ -80,6 +80,6 @@ def _cleaned(points: Array, path: Path) -> Cloud:
     origin = SHIFT_STEP_M * np.round(middle / SHIFT_STEP_M) if far else np.zeros(3)
     single = bool((distinct == distinct.astype(np.float32)).all())
     resolution = np.spacing(np.float32(largest)) if single else np.spacing(largest)
-    return Cloud(
-        distinct - origin, origin, len(points) - len(valid), len(valid) - len(distinct), float(resolution)
-    )  # fmt: skip
+    # Rounded to 0.1 µm: then a shifted cloud has the very numbers, and so the segments, that it would have at home.
+    near = np.round(distinct - origin, 7) if far else distinct
+    return Cloud(near, origin, len(points) - len(valid), len(valid) - len(distinct), float(resolution))

@@ -152,8 +152,10 @@ def _pcd_layout(path: Path) -> PointLayout:
             raise FileContentError(
                 f"{path}: field {name!r} has type {kind!r} and size {size!r}; expected F 4, F 8, ..."
             )
-        fields.append((name, _PCD_TYPES[kind, size], _whole(f"{path}: COUNT {number!r}", number)))
-    size_of = {key: _whole(f"{path}: {key}", *entry[key][:1]) for key in ("POINTS", "WIDTH", "HEIGHT") if key in entry}
+        fields.append((name, _PCD_TYPES[kind, size], _whole(f"{path}: COUNT {number!r}", number, 10**4)))
+    size_of = {
+        key: _whole(f"{path}: {key}", " ".join(entry[key])) for key in ("POINTS", "WIDTH", "HEIGHT") if key in entry
+    }
     count = size_of.get("POINTS", size_of.get("WIDTH", 0) * size_of.get("HEIGHT", 1))
     encodings: dict[str, Literal["ascii", "binary", "compressed"]]
     encodings = {"ascii": "ascii", "binary": "binary", "binary_compressed": "compressed"}
@@ -163,7 +165,7 @@ def _pcd_layout(path: Path) -> PointLayout:
     return PointLayout(encodings[encoding], tuple(fields), count, offset, len(header))
 
 
-def _whole(where: str, number: str = "") -> int:
-    if not number.isdigit():
-        raise FileContentError(f"{where}; expected a whole number, got {number!r}")
+def _whole(where: str, number: str, most: int = 10**12) -> int:
+    if not (number.isascii() and number.isdigit() and len(number) < 20 and int(number) <= most):
+        raise FileContentError(f"{where}; expected a whole number up to {most:.0e}, got {number!r}")
     return int(number)

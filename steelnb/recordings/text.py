@@ -60,8 +60,8 @@ def read_lines(path: Path, layout: TextLayout) -> Array:
         frame = pd.read_csv(
             path, sep=layout.separator or r"\s+", decimal=layout.decimal, header=None, usecols=sorted(layout.columns),
             dtype=np.float64, skiprows=layout.skip, nrows=layout.rows, comment="#", skipinitialspace=True,
-            quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=list(NOT_A_NUMBER), float_precision="round_trip",
-            encoding="utf-8", encoding_errors="replace",
+            quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=list(NOT_A_NUMBER), encoding="utf-8",
+            encoding_errors="replace",
         )  # fmt: skip
     except pd.errors.EmptyDataError:
         raise EmptyCloudError(f"{path}: no line with a point") from None
@@ -173,24 +173,24 @@ def _bad_line(path: Path, number: int, line: str, layout: TextLayout) -> FileCon
 
 
 def _refuse_cut_end(path: Path, layout: TextLayout) -> None:
+    size = path.stat().st_size
     with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - _SAMPLE_BYTES, 0))
+        file.seek(max(size - _SAMPLE_BYTES, 0))
         tail = file.read().decode("utf-8", errors="replace")
     if tail.endswith(("\n", "\r")):
         return
-    # The first line of the tail may be cut by the sample, and a header may be among the others: they do not weigh.
-    *others, last = [layout.split(line) for line in tail.splitlines()[1:]] or [[]]
+    *lines, end = tail.splitlines()[layout.skip if size <= _SAMPLE_BYTES else 1 :]
     column = max(layout.columns)
-    if len(last) != column + 1 or len(others) < 20:
-        return  # something stands behind the coordinates, so they are whole; or too few lines to judge by
+    last = layout.split(end)
+    others = [fields for fields in map(layout.split, lines) if len(fields) > column]
+    if len(last) != column + 1 or len(others) < 2:
+        return  # something stands behind the coordinates, so they are whole; or there is nothing to judge by
 
-    def decimals(fields: list[str]) -> int:
-        if len(fields) <= column:
-            return 0
-        return len(fields[column].partition(layout.decimal)[2]) + 100 * (len(fields) - column)
+    def content(fields: list[str]) -> tuple[int, int]:
+        return len(fields), len(fields[column].partition(layout.decimal)[2])
 
-    if np.mean([decimals(fields) <= decimals(last) for fields in others]) < 0.05:
+    if np.mean([content(fields) <= content(last) for fields in others]) < 0.05:
         raise FileContentError(
-            f"{path}: its last line, {' '.join(last)!r}, has no line end and less in it than the others; "
+            f"{path}: its last line, {end.strip()!r}, has no line end and less in it than the others; "
             "expected a complete line (add a line end if it is)"
         )

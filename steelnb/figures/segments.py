@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from steelnb.datatypes import Array, Segments
-from steelnb.figures.style import style
+from steelnb.figures.style import Figure, style
 
 # Okabe and Ito's palette (2008).
 COLOURS = {"near_vertical": "#0072B2", "inclined": "#D55E00", "near_horizontal": "#009E73"}
@@ -38,6 +38,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     }
     # One scale for all panels. Towers stand side by side, long structures lie below each other.
     sizes = np.array([np.ptp(flat, axis=0) * 1.06 for flat, _ in views.values()])
+    sizes = np.maximum(sizes, 0.1 * sizes.max())  # a flat cloud still needs room for its axes
     beside = sizes[0, 0] <= 1.5 * sizes[0, 1]
     inches = min(7.0 / sizes[:, 1].max(), 8.0 / sizes[:, 0].sum()) if beside else 9.0 / sizes[:, 0].max()
     along, across = (0, 1) if beside else (1, 0)
@@ -55,7 +56,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
         colours = [COLOURS[group] for group in groups]
         for k, (name, (flat, lines)) in enumerate(views.items()):
             panel = figure.add_subplot(grid[k])
-            _draw(panel, flat, lines, colours)
+            _draw(panel, flat, lines, colours, sizes[k], inches)
             panel.set_title(name)
             if name == "perspective":
                 panel.set_axis_off()
@@ -71,11 +72,14 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     return figure
 
 
-def _draw(panel: Axes, points: Array, bars: Array, colours: list[str]) -> None:
+def _draw(panel: Axes, points: Array, bars: Array, colours: list[str], size: Array, inches: float) -> None:
     panel.scatter(points[:, 0], points[:, 1], s=1.0, c=POINT_COLOUR, linewidths=0, rasterized=True)
     panel.add_collection(LineCollection(list(bars), colors=colours, linewidths=1.1, capstyle="round", alpha=0.9))
-    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0) * 0.53
-    panel.set(xlim=middle[0] + [-half[0], half[0]], ylim=middle[1] + [-half[1], half[1]], aspect="equal")
+    low, high = [(points.min(axis=0) + points.max(axis=0) + sign * size) / 2 for sign in (-1, 1)]
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    for axis in (panel.xaxis, panel.yaxis):
+        ticks = max(1, int(1.5 * inches * np.ptp(axis.get_view_interval())))  # three for every two inches
+        axis.set_major_locator(MaxNLocator(min(ticks, 10), steps=[1, 2, 5, 10]))
 
 
 def _seen(points: Array, cloud: Array) -> Array:

@@ -1,0 +1,199 @@
+"""A k-d tree in arrays, compiled: nearest neighbours of points that move a little between queries."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Array, IntArray
+
+LEAF = 10
+
+
+class KdTree(NamedTuple):
+    """``point (N, 3)`` sorted by leaf, ``order (N,)`` of each in the cloud it was built of; nodes: ``axis`` (−1 for a
+    leaf), ``low`` and ``high`` (largest coordinate left, smallest right), ``left`` and ``right`` (children or points).
+    """
+
+    point: Array
+    order: IntArray
+    axis: IntArray
+    low: Array
+    high: Array
+    left: IntArray
+    right: IntArray
+
+
+def build_kdtree(points: Array) -> KdTree:
+    """Tree over finite points ``(N, 3)``: split at the median of the longest side, leaves of up to ten points."""
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    return KdTree(*_build(points))
+
+
+@njit(cache=True)
+def _build(points):  # type: ignore[no-untyped-def]
+    n = len(points)
+    index = np.arange(n)
+    most = max(1, 4 * n // LEAF + 4)
+    axis = np.full(most, -1, np.int64)
+    low, high = np.zeros(most), np.zeros(most)
+    left, right = np.zeros(most, np.int64), np.zeros(most, np.int64)
+    stack = np.zeros((64, 3), np.int64)  # node, first, last
+    stack[0, 2] = n
+    depth, nodes = 1, 1
+    while depth:
+        depth -= 1
+        node, first, last = stack[depth]
+        if last - first <= LEAF:
+            left[node], right[node] = first, last
+            continue
+        longest, side = -1.0, 0
+        for d in range(3):
+            least, most_ = np.inf, -np.inf
+            for k in range(first, last):
+                value = points[index[k], d]
+                least, most_ = min(least, value), max(most_, value)
+            if most_ - least > longest:
+                longest, side = most_ - least, d
+        middle = (first + last) // 2
+        _select(points[:, side], index, first, last - 1, middle)
+        below = -np.inf
+        for k in range(first, middle):
+            below = max(below, points[index[k], side])
+        axis[node], low[node], high[node] = side, below, points[index[middle], side]
+        left[node], right[node] = nodes, nodes + 1
+        stack[depth] = (nodes + 1, middle, last)
+        stack[depth + 1] = (nodes, first, middle)
+        depth += 2
+        nodes += 2
+    return points[index], index, axis[:nodes], low[:nodes], high[:nodes], left[:nodes], right[:nodes]
+
+
+@njit(cache=True)
+def _select(value, index, first, last, k):  # type: ignore[no-untyped-def]
+    """Hoare's selection: put the k-th smallest at k, smaller ones before it and larger ones behind."""
+    while first < last:
+        pivot = value[index[(first + last) // 2]]
+        i, j = first, last
+        while i <= j:
+            while value[index[i]] < pivot:
+                i += 1
+            while value[index[j]] > pivot:
+                j -= 1
+            if i <= j:
+                index[i], index[j] = index[j], index[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            last = j
+        elif k >= i:
+            first = i
+        else:
+            return
+
+
+@njit(cache=True)
+def nearest_two(tree, x, y, z, limit, best, other, node_of, reach):  # type: ignore[no-untyped-def]
+    """The nearest two points within √limit: (position of the first or −1, of the second, squared distances of both).
+
+    Distances of what is not found are ``limit``, so that they stay lower bounds. ``best`` and ``other`` are two points
+    that may be near (−1 for none): the closer they are, the less is searched, and the answer is the same.
+    ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
+    """
+    point, axis, low, high, left, right = tree.point, tree.axis, tree.low, tree.high, tree.left, tree.right
+    first, second = limit, limit
+    if best >= 0:
+        dx, dy, dz = point[best, 0] - x, point[best, 1] - y, point[best, 2] - z
+        first = dx * dx + dy * dy + dz * dz
+    if other >= 0:
+        dx, dy, dz = point[other, 0] - x, point[other, 1] - y, point[other, 2] - z
+        second = dx * dx + dy * dy + dz * dz
+    if second < first:
+        best, other, first, second = other, best, second, first
+    if first >= limit:
+        best, first = -1, limit
+    if second >= limit:
+        other, second = -1, limit
+    node_of[0] = 0
+    reach[0, 0] = reach[0, 1] = reach[0, 2] = reach[0, 3] = 0.0
+    depth = 1
+    while depth:
+        depth -= 1
+        if reach[depth, 0] >= second:
+            continue
+        node, far = node_of[depth], reach[depth, 0]
+        fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
+        while axis[node] >= 0:
+            side = axis[node]
+            value = x if side == 0 else (y if side == 1 else z)
+            old = fx if side == 0 else (fy if side == 1 else fz)
+            if 2.0 * value < low[node] + high[node]:
+                near_node, far_node, gap = left[node], right[node], high[node] - value
+            else:
+                near_node, far_node, gap = right[node], left[node], value - low[node]
+            gap2 = gap * gap
+            total = far - old + gap2
+            if total < second:
+                node_of[depth], reach[depth, 0] = far_node, total
+                reach[depth, 1] = gap2 if side == 0 else fx
+                reach[depth, 2] = gap2 if side == 1 else fy
+                reach[depth, 3] = gap2 if side == 2 else fz
+                depth += 1
+            node = near_node
+        for k in range(left[node], right[node]):
+            dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
+            d = dx * dx + dy * dy + dz * dz
+            if d < second and k != best and k != other:
+                if d < first:
+                    best, other, first, second = k, best, d, first
+                else:
+                    other, second = k, d
+    return best, other, first, second
+
+
+@njit(cache=True)
+def nearest_k(tree, x, y, z, k_most, found, distance):  # type: ignore[no-untyped-def]
+    """Write the positions in ``tree.point`` of the nearest points to ``found``, squared distances to ``distance``.
+
+    Sorted, nearest first; returns how many there are.
+    """
+    point, axis, low, high, left, right = tree.point, tree.axis, tree.low, tree.high, tree.left, tree.right
+    node_of = np.empty(64, np.int64)
+    reach = np.empty((64, 4))
+    node_of[0] = 0
+    reach[0, :] = 0.0
+    depth, count = 1, 0
+    while depth:
+        depth -= 1
+        if count == k_most and reach[depth, 0] >= distance[count - 1]:
+            continue
+        node, far = node_of[depth], reach[depth, 0]
+        fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
+        while axis[node] >= 0:
+            side = axis[node]
+            value = x if side == 0 else (y if side == 1 else z)
+            old = fx if side == 0 else (fy if side == 1 else fz)
+            if 2.0 * value < low[node] + high[node]:
+                near_node, far_node, gap = left[node], right[node], high[node] - value
+            else:
+                near_node, far_node, gap = right[node], left[node], value - low[node]
+            gap2 = gap * gap
+            total = far - old + gap2
+            if count < k_most or total < distance[count - 1]:
+                node_of[depth], reach[depth, 0] = far_node, total
+                reach[depth, 1] = gap2 if side == 0 else fx
+                reach[depth, 2] = gap2 if side == 1 else fy
+                reach[depth, 3] = gap2 if side == 2 else fz
+                depth += 1
+            node = near_node
+        for k in range(left[node], right[node]):
+            dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
+            d = dx * dx + dy * dy + dz * dz
+            if count < k_most or d < distance[count - 1]:
+                place = min(count, k_most - 1)
+                while place > 0 and distance[place - 1] > d:
+                    distance[place], found[place] = distance[place - 1], found[place - 1]
+                    place -= 1
+                distance[place], found[place] = d, k
+                count = min(count + 1, k_most)
+    return count
