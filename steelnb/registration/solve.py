@@ -37,10 +37,10 @@ class RegistrationResult:
     """Where a registration ended, and what can be told of it.
 
     ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, pairs within the largest distance;
-    ``rmse_m`` of their distances; ``H (6, 6)`` and ``b (6,)`` of the last normal equations (rotation first, target frame);
-    ``covariance (6, 6)`` of the pose in the same order, zero in directions that were not free; ``eigenvalues (k,)`` of
-    H in the free directions, ascending, and ``weak (w, 6)``, those directions that are hardly constrained; ``reason``
-    why it stopped.
+    ``rmse_m`` of their distances; ``H (6, 6)`` and ``b (6,)`` of the last normal equations (rotation first, target
+    frame); ``covariance (6, 6)`` of the pose in the same order, zero in directions that were not free; ``eigenvalues
+    (k,)`` of H in the free directions, ascending, and ``weak (w, 6)``, those directions that are hardly constrained;
+    ``reason`` why it stopped.
     """
 
     T_target_source: Array
