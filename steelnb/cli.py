@@ -105,10 +105,15 @@ def reproduce(
 
 
 @app.command()
-def check(ids: Ids = None, budget: Budget = "full", jobs: Jobs = 2) -> None:
+def check(
+    ids: Ids = None,
+    budget: Budget = "full",
+    jobs: Jobs = 2,
+    rerun: Annotated[bool, typer.Option(help="Run again, or compare the results as they lie there.")] = True,
+) -> None:
     """Run the notebooks again and compare, metric by metric, with the committed results. Exit 1 on a difference."""
     with _shown() as on_progress:
-        report = notebooks.check(ids or [], budget, jobs, on_progress=on_progress)
+        report = notebooks.check(ids or [], budget, jobs, rerun=rerun, on_progress=on_progress)
     settings = Project().check
     for pattern, reason in settings.exceptions.items():
         print(f"exception: {pattern}: {reason}")

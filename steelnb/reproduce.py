@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import steelnb.errors
-from steelnb.errors import NotebookError, OutputError, SettingsError, SteelnbError
+from steelnb.errors import FileMissingError, NotebookError, OutputError, SettingsError, SteelnbError
 from steelnb.project import RESULT_FOLDERS, Experiment, Part, Project
 from steelnb.results import (
     Difference,
@@ -126,16 +126,18 @@ def check(
     budget: str = "full",
     jobs: int = 2,
     *,
+    rerun: bool = True,
     on_progress: OnProgress | None = None,
     root: Path | None = None,
 ) -> CheckReport:
     """Run the experiments again into a scratch folder, reading no cache, and compare with what is committed.
 
+    With ``rerun`` False, the result folder as it stands is compared: right after `run` in a fresh clone it is as good.
     Without git, or where nothing is committed, the files in the result folder are compared. Raises `FileMissingError`
     where there are none, before a notebook starts, and what `run` raises.
     """
     project = Project(root)
-    scratch = project.cache / "check"
+    scratch = project.cache / "check" if rerun else project.root / RESULT_FOLDERS[budget]
     plans = [
         _Plan(experiment, budget, project.parts(experiment, budget), scratch / experiment.id)
         for experiment in project.select(ids)
@@ -147,9 +149,13 @@ def check(
         }
         for plan in plans
     }
-    _Runner(project, "check", jobs, on_progress).run(plans, force=True)
+    if rerun:
+        _Runner(project, "check", jobs, on_progress).run(plans, force=True)
     differences: list[Difference] = []
     for folder, before in committed.items():
+        missing = [folder / name for name in COMPARED if not (folder / name).is_file()]
+        if missing:
+            raise FileMissingError(f"{missing[0]}: nothing to compare; run `steelnb reproduce` first")
         now = {name: (folder / name).read_text(encoding="utf-8") for name in COMPARED}
         differences += compare(folder.name, before, now, project.check)
     metrics = sum(len(json.loads(before["metrics.json"])) for before in committed.values())

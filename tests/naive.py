@@ -55,3 +55,72 @@ def close_to_line(points, anchor, direction, distance):
 def fit_line(points):
     mean = points.mean(axis=0)
     return mean, np.linalg.eigh((points - mean).T @ (points - mean))[1][:, 2]
+
+
+def nearest_k(points, query, k):
+    """(positions, distances) of the k nearest, nearest first."""
+    distance = np.linalg.norm(points - query, axis=1)
+    order = np.argsort(distance, kind="stable")[:k]
+    return order, distance[order]
+
+
+def covariances(points, k):
+    result = []
+    for point in points:
+        near = points[nearest_k(points, point, k)[0]]
+        result.append(np.cov(near.T, bias=True))
+    return np.array(result)
+
+
+def pairs(points, target, limit):
+    """Position of the nearest target point within the limit, or −1."""
+    result = []
+    for point in points:
+        order, distance = nearest_k(target, point, 1)
+        result.append(order[0] if distance[0] <= limit else -1)
+    return np.array(result)
+
+
+def voxel_moments(points, weights, voxel_m):
+    """{cube: (weight, mean, covariance of the points in the 27 cubes about it)}."""
+    cube = np.floor(points / voxel_m).astype(int)
+    result = {}
+    for key in {tuple(c) for c in cube}:
+        own = (cube == key).all(axis=1)
+        about = (np.abs(cube - key) <= 1).all(axis=1)
+        result[key] = (
+            weights[own].sum(),
+            np.average(points[own], axis=0, weights=weights[own]),
+            np.cov(points[about].T, aweights=weights[about], bias=True),
+        )
+    return result
+
+
+def robust(kernel, squared, scale):
+    """Loss of a squared residual: ½ r² for small r."""
+    r = np.sqrt(squared)
+    if kernel == "huber":
+        return 0.5 * r**2 if r <= scale else scale * r - 0.5 * scale**2
+    if kernel == "cauchy":
+        return 0.5 * scale**2 * np.log(1 + (r / scale) ** 2)
+    if kernel == "geman_mcclure":
+        return 0.5 * r**2 / (1 + (r / scale) ** 2)
+    return 0.5 * r**2
+
+
+def registration_terms(error, source, C_source, target, normal, C_target, match, T, R, limit):
+    """[(residual vector, root of its metric, point), …]: the terms whose squares ICP sums up, one by one."""
+    terms = []
+    for i, j in enumerate(match):
+        q = T[:3, :3] @ source[i] + T[:3, 3]
+        e = q - target[j]
+        if j < 0 or np.linalg.norm(e) > limit:
+            continue
+        if error == "plane":
+            root = normal[j][None]
+        elif error == "gicp":
+            root = np.linalg.cholesky(np.linalg.inv(C_target[j] + R @ C_source[i] @ R.T)).T
+        else:
+            root = np.eye(3)
+        terms.append((e, root, q))
+    return terms

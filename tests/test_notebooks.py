@@ -39,7 +39,7 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
     assert set(table["noise"]) == {"random-walk", "constant-drift", "yaw-random-walk"}
     assert (table["rms"] / table["expected_rms"]).between(0.85, 1.15).all()
     metrics = json.loads((smoke / "world-and-noise" / "metrics.json").read_text())
-    assert metrics["vertical.members_seen"] > 20
+    assert metrics["vertical.members_seen"] >= 10
     for name in ("fig_3_1.png", "fig_drift.png"):
         assert (smoke / "world-and-noise" / name).stat().st_size > 50_000
 
@@ -59,3 +59,91 @@ def test_the_segmentation_notebook_corrects_the_drift(smoke):
             assert {f"fig_{figure}_{part}-{sensor}.png", f"fig_3_4_{part}-{sensor}.png"} <= names
     timing = pd.read_csv(folder / "timing.csv")
     assert set(timing["stage"]) == {"preprocess", "hough", "match", "map", "frame"}
+
+
+def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
+    folder = smoke / "cloud-odometry"
+    table = pd.read_csv(folder / "table.csv")
+    assert not table.duplicated(["trajectory", "noise", "method", "map", "sensor", "seed"]).any()
+    assert table.notna().all(axis=None)
+    assert (table["scans"] >= 100).all()
+    assert (table["unused_share"] < 0.02).all()
+    report = {"icp", "icp-3dof", "gicp"}
+    for (flight, noise, sensor), rows in table.groupby(["trajectory", "noise", "sensor"]):
+        where = f"{flight}, {noise}, {sensor}"
+        assert report | {"icp-4dof", "best"} <= set(rows["method"]), where
+        first = rows.drop_duplicates("method").set_index("method")
+        assert first["ate_rmse_m"]["best"] < 0.75 * first["raw_ate_rmse_m"]["best"], where
+        assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp"], where
+        if sensor == "report":
+            assert {"gicp-4dof", "icp-3dof-dropped"} <= set(rows["method"]), where
+            # A rotation dropped after the solve is no restricted solve: that is the fault this run shows.
+            assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp-3dof-dropped"], where
+            assert set(rows.loc[rows["method"] == "icp", "map"]) == {"re-voxelised", "weighted"}, where
+        elif noise == "constant-drift":
+            assert first["ate_rmse_m"]["gicp"] < first["raw_ate_rmse_m"]["gicp"], where
+    assert table.groupby(["noise", "sensor"]).ngroups == 4
+    assert set(table["trajectory"]) == {"orbit", "vertical"}
+    names = {path.name for path in folder.glob("fig_*.png")}
+    for noise, figure in {"random-walk": "3_5", "constant-drift": "3_6"}.items():
+        for sensor in ("report", "starling2"):
+            assert {f"fig_{figure}_{noise}-{sensor}.png", f"fig_methods_{noise}-{sensor}.png"} <= names
+
+
+def test_the_icp_notebook_measures_how_much_longer_gicp_takes(smoke):
+    times = pd.read_csv(smoke / "cloud-odometry" / "timing.csv")
+    frames = times[(times["stage"] == "frame") & (times["map"] == "re-voxelised")]
+    wide = frames.pivot_table(index=["trajectory", "noise", "sensor"], columns="method", values="median_ms")
+    ratio = wide["gicp"] / wide["icp"]
+    assert len(ratio) == 8
+    assert ratio.between(1, 50).all()
+
+
+def test_the_comparison_notebook_measures_the_bend_of_each_cloud(smoke):
+    folder = smoke / "cloud-comparison"
+    table = pd.read_csv(folder / "table.csv")
+    assert table.groupby(["sensor", "method"]).ngroups == 2 * 4
+    for _, rows in table.groupby(["sensor", "method"]):
+        assert len(rows) >= 4
+        assert (rows["height_m"].diff().dropna() > 0).all()
+        assert (rows[["tilt_deg", "offset_m", "blur_m"]] >= 0).all(axis=None)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    for sensor in ("report", "starling2"):
+        assert metrics[f"{sensor}.best.bend_deg"] < 1
+        assert metrics[f"{sensor}.best.offset_max_m"] < 0.06
+        assert metrics[f"{sensor}.icp-3dof.bend_deg"] < metrics[f"{sensor}.icp.bend_deg"]
+
+
+def test_the_convergence_notebook_maps_the_basin_and_searches(smoke):
+    folder = smoke / "false-convergence"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    labels = {name.rpartition(".")[0] for name in metrics if name.endswith(".radius_m")}
+    assert len(labels) == 4
+    for label in labels:
+        shares = [metrics[f"{label}.{kind}_share"] for kind in ("right", "wrong", "refused")]
+        assert sum(shares) == pytest.approx(1)
+        assert shares[0] > 0, label  # a start at the truth itself comes home
+        assert metrics[f"{label}.radius_m"] < 1.2
+    wide, narrow = (f"3-DoF ICP, {distance} m" for distance in (0.5, 0.1))
+    assert metrics[f"{wide}.right_share"] > metrics[f"{narrow}.right_share"]
+    assert metrics[f"{wide}.wrong_share"] > metrics[f"{narrow}.wrong_share"]
+    table = pd.read_csv(folder / "table.csv")
+    assert len(table) == metrics["flights"] == 2 * 2 * 2 * 2
+    assert table["wrong"].sum() == metrics["flights_wrong"]
+    assert {path.name for path in folder.glob("fig_*.png")} == {"fig_basin.png", "fig_3_10.png"}
+
+
+def test_the_yaw_notebook_flies_every_method_and_best_takes_the_turn_out(smoke):
+    folder = smoke / "yaw-drift"
+    table = pd.read_csv(folder / "table.csv")
+    assert (table["scans"] >= 100).all()
+    for (flight, sensor), rows in table.groupby(["trajectory", "sensor"]):
+        where = f"{flight}, {sensor}"
+        ate = rows.set_index("method")["ate_rmse_m"]
+        assert {"none", "average", "least_squares", "icp-3dof", "icp-4dof", "gicp", "best"} <= set(ate.index), where
+        assert ate["none"] == pytest.approx(rows["raw_ate_rmse_m"].iloc[0])
+        assert ate["best"] < min(ate["none"], ate["icp-3dof"], ate["average"]), where
+    assert table.groupby(["trajectory", "sensor"]).ngroups == 4
+    for sensor in ("report", "starling2"):
+        for figure in ("5_1", "5_2", "errors"):
+            assert (folder / f"fig_{figure}_{sensor}.png").stat().st_size > 30_000

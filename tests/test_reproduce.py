@@ -423,6 +423,9 @@ def test_check_compares_a_second_run_with_the_last_commit(project: Path) -> None
     subprocess.run([*git, "commit", "-q", "-m", "results"], cwd=project, check=True)
     metrics.write_text(now)  # the tree is right, the commit is not
     before = contents(project / "results")
+    lying = reproduce.check(["single"], root=project, rerun=False)
+    assert [each.name for each in lying.differences] == ["single.third_m"]
+    assert not (project / ".cache" / "reproduce" / "check").exists()
     report = reproduce.check(["single"], root=project)
     assert [(each.name, each.committed, each.now) for each in report.differences] == [
         ("single.third_m", "1.00001", "1.0")

@@ -32,7 +32,7 @@ def figure_maps(results: Sequence[Result]) -> Figure:
             draw_bars(scene, bars[~right], colors="#c0392b", linewidths=1.0)
             frame_3d(scene, truth.tower.vertices, -65, zoom=1.0)
             title = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
-            figure.text(centre, 0.99, f"{LABELS[result.settings.odometry.correction]}\n{title}", ha="center", va="top",
+            figure.text(centre, 0.99, f"{LABELS[result.settings.odometry.method]}\n{title}", ha="center", va="top",
                         fontsize=12)  # fmt: skip
         for label, shade in {"on a member": colour, "not on one": "#c0392b", "true members": "#bbbbbb"}.items():
             scene.plot([], [], color=shade, label=label)

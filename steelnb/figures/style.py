@@ -24,8 +24,30 @@ COLOURS = {
     "arm": "#D55E00",
     "vertical": "#CC79A7",
     "orbit": "#56B4E9",
+    "icp": "#0072B2",
+    "icp-3dof": "#56B4E9",
+    "icp-3dof-dropped": "#882255",
+    "icp-4dof": "#E69F00",
+    "gicp": "#117733",
+    "gicp-4dof": "#999933",
+    "vgicp": "#AA4499",
+    "best": "#CC79A7",
+    "built": "#009E73",
+    "true cloud": "#E69F00",
 }
-LABELS = {"none": "no correction", "average": "average (report's)", "least_squares": "least squares"}
+LABELS = {
+    "none": "no correction",
+    "average": "average (report's)",
+    "least_squares": "least squares",
+    "icp": "ICP",
+    "icp-3dof": "3-DoF ICP",
+    "icp-3dof-dropped": "3-DoF ICP, rotation dropped",
+    "icp-4dof": "4-DoF ICP",
+    "gicp": "GICP",
+    "gicp-4dof": "4-DoF GICP",
+    "vgicp": "VGICP",
+    "best": "best",
+}
 
 
 class Figure(matplotlib.figure.Figure):

@@ -30,7 +30,7 @@ def figure_segment_odometry(results: Sequence[Result]) -> Figure:
             draw_bars(scene, best.truth.tower.axes, colors="#bbbbbb", linewidths=0.4)
             scene.plot(*best.prior.position.T, color=COLOURS["none"], linewidth=1.0, label="Noisy")
             scene.plot(*truth.position.T, color=COLOURS["truth"], linewidth=1.4, label="Truth")
-            adjusted = COLOURS[best.settings.odometry.correction]
+            adjusted = COLOURS[best.settings.odometry.method]
             scene.plot(*best.corrected.position.T, color=adjusted, linewidth=1.0, label="Adjust")
             frame_3d(
                 scene, np.concatenate([best.truth.tower.vertices, truth.position, best.prior.position]), -50, zoom=1.1
@@ -39,7 +39,7 @@ def figure_segment_odometry(results: Sequence[Result]) -> Figure:
 
             curve = figure.add_subplot(grid[row, 1])
             for result in of_noise:
-                method = result.settings.odometry.correction
+                method = result.settings.odometry.method
                 error = position_error_m(result.corrected, truth)
                 label = f"{LABELS[method]}: mean {error.mean():.3f} m, max {error.max():.3f} m"
                 curve.plot(error, color=COLOURS[method], label=label)

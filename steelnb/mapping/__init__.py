@@ -1,5 +1,5 @@
 """Points → the voxel map that registration and reconstruction share."""
 
-from steelnb.mapping.voxel_map import VoxelMap
+from steelnb.mapping.voxel_map import VoxelGrid, VoxelMap
 
-__all__ = ["VoxelMap"]
+__all__ = ["VoxelGrid", "VoxelMap"]

@@ -1,36 +1,44 @@
 """A map that grows with the flight: hashed voxels with the moments of their points."""
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 
 from steelnb.datatypes import Array, IntArray
 from steelnb.errors import SettingsError
+from steelnb.mapping import kernels
 
-EMPTY = -1
-BITS = 20
-REACH = 1 << BITS
-"""Voxels are counted from −REACH to REACH along each axis; 100 km each way with voxels of 10 cm."""
+
+class VoxelGrid(NamedTuple):
+    """What a compiled search for voxels needs: edge, hash table (keys and slots) and the means ``(capacity, 3)``."""
+
+    voxel_m: float
+    key: IntArray
+    slot: IntArray
+    mean: Array
 
 
 class VoxelMap:
-    """Voxels of edge ``voxel_m`` in the world frame: number, mean and covariance of all points that fell into each.
+    """Voxels of edge ``voxel_m`` in the world frame: weight, mean and covariance of all points that fell into each.
 
     ``remember`` False makes it the report's map, which is filtered anew with every scan: an old mean then weighs as
-    much as one new point, so the map forgets. With True, the mean is that of all points ever inserted.
+    much as one new point, so the map forgets. With True, the mean is that of all points ever inserted. A voxel keeps
+    its index for good; inserting costs what the scan needs, whatever the size of the map.
     """
 
     def __init__(self, voxel_m: float, remember: bool = True) -> None:
-        if not voxel_m > 0:
+        if not 0 < voxel_m < np.inf:
             raise SettingsError(f"voxel_m = {voxel_m}: expected a positive length")
-        self.voxel_m, self.remember = voxel_m, remember
-        self._table_key = np.full(1 << 14, EMPTY, dtype=np.int64)
+        self.voxel_m, self.remember = float(voxel_m), remember
+        self._table_key = np.full(1 << 14, kernels.EMPTY, dtype=np.int64)
         self._table_slot = np.zeros(1 << 14, dtype=np.int64)
         self._key = np.zeros(1 << 12, dtype=np.int64)
         self._moment = np.zeros((1 << 12, 10))  # weight, sum (3), outer (6), all about the voxel's corner
+        self._mean = np.zeros((1 << 12, 3))
         self._shape = np.zeros((1 << 12, 6))
         self._seen = np.zeros(1 << 12, dtype=np.int64)
-        self._size = 0
-        self.frames = 0
+        self._around = np.zeros((0, 27), dtype=np.int32)  # the 3×3×3 voxels of the first `_linked` ones, or −1
+        self._size = self._linked = self._mark = 0
 
     def __len__(self) -> int:
         return self._size
@@ -38,206 +46,87 @@ class VoxelMap:
     @property
     def nbytes(self) -> int:
         """Memory of the map."""
-        arrays = (self._table_key, self._table_slot, self._key, self._moment, self._shape, self._seen)
-        return sum(array.nbytes for array in arrays)
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
     def insert(self, points: Array, weight: Array | None = None) -> IntArray:
         """Add points ``(N, 3)`` with weights ``(N,)`` (default 1); returns the voxels touched, each once.
 
-        Points outside of ±REACH voxels are refused with `SettingsError`.
+        Points that are not finite or lie beyond ±REACH voxels, and weights that are not positive, are refused with
+        `SettingsError`; the map then stays as it was.
         """
-        points = np.ascontiguousarray(points, dtype=np.float64)
-        if len(points) and np.abs(points).max() >= (REACH - 2) * self.voxel_m:
-            raise SettingsError(
-                f"a point lies {np.abs(points).max():.3g} m away: beyond the map of {self.voxel_m} m voxels"
-            )
+        points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        weight = np.ones(len(points)) if weight is None else np.ascontiguousarray(weight, dtype=np.float64)
+        farthest = np.abs(points).max(initial=0.0)
+        if not farthest < (kernels.REACH - 2) * self.voxel_m:
+            raise SettingsError(f"a point lies {farthest:.3g} m away: beyond the map of {self.voxel_m} m voxels")
+        if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
+            raise SettingsError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         self._reserve(len(points))
-        self.frames += 1
-        weights = np.ones(len(points)) if weight is None else np.asarray(weight, dtype=np.float64)
-        touched, self._size = _insert(
-            points, weights, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._seen,
-            self._size, self.frames, self.remember,
+        self._mark += 1
+        touched, self._size = kernels.insert(
+            points, weight, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._mean,
+            self._seen, self._size, self._mark, self.remember,
         )  # fmt: skip
         return touched
 
     def _reserve(self, more: int) -> None:
         while self._size + more > len(self._key):
-            self._key, self._seen = (np.concatenate([a, np.zeros_like(a)]) for a in (self._key, self._seen))
-            self._moment, self._shape = (np.concatenate([a, np.zeros_like(a)]) for a in (self._moment, self._shape))
+            for name in ("_key", "_seen", "_moment", "_mean", "_shape"):
+                setattr(self, name, _doubled(getattr(self, name)))
         if 2 * (self._size + more) > len(self._table_key):
             size = len(self._table_key)
             while 2 * (self._size + more) > size:
                 size *= 2
-            self._table_key = np.full(size, EMPTY, dtype=np.int64)
+            self._table_key = np.full(size, kernels.EMPTY, dtype=np.int64)
             self._table_slot = np.zeros(size, dtype=np.int64)
-            _rehash(self._key[: self._size], self._table_key, self._table_slot)
+            kernels.rehash(self._key[: self._size], self._table_key, self._table_slot)
 
     def means(self, chosen: IntArray | None = None) -> Array:
         """Means ``(M, 3)`` of the voxels, or of those chosen."""
-        chosen = np.arange(self._size) if chosen is None else chosen
-        moment = self._moment[chosen]
-        return _corner(self._key[chosen], self.voxel_m) + moment[:, 1:4] / moment[:, :1]
+        return self._mean[: self._size].copy() if chosen is None else self._mean[chosen]
 
     def weights(self, chosen: IntArray | None = None) -> Array:
         """Total weights ``(M,)`` of the voxels, or of those chosen."""
-        return self._moment[: self._size, 0] if chosen is None else self._moment[chosen, 0]
+        return self._moment[: self._size, 0].copy() if chosen is None else self._moment[chosen, 0]
 
     def near(self, centre: Array, radius_m: float) -> IntArray:
-        """Voxels whose corner lies within ``radius_m`` of a point, along each axis."""
-        return _near(self._key[: self._size], self.voxel_m, np.asarray(centre, dtype=np.float64), radius_m)
+        """Voxels that reach into the cube of half-width ``radius_m`` about ``centre (3,)``."""
+        low, high = (np.floor((np.asarray(centre) + side * radius_m) / self.voxel_m) for side in (-1, 1))
+        low, high = (np.clip(side, -kernels.REACH, kernels.REACH).astype(np.int64) for side in (low, high))
+        return kernels.near(self._key[: self._size], low, high)
 
     def update_shapes(self, touched: IntArray) -> None:
-        """Recompute the covariance around the voxels touched and their neighbours, from the moments of 3×3×3 voxels."""
-        _shapes(
-            touched, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._shape, self._size
-        )
+        """Recompute the covariance around the voxels touched and their neighbours, from the moments of 3×3×3 voxels.
 
-    def shapes(self, chosen: IntArray) -> Array:
-        """Covariances ``(M, 6)`` of the points in the 3×3×3 voxels around each, as `update_shapes` left them."""
-        return self._shape[chosen]
-
-
-@njit(cache=True)
-def _hash(key, mask):  # type: ignore[no-untyped-def]
-    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64((h >> np.uint64(20)) & np.uint64(mask))
-
-
-@njit(cache=True)
-def _pack(i, j, k):  # type: ignore[no-untyped-def]
-    return ((i + REACH) << (2 * BITS + 2)) | ((j + REACH) << (BITS + 1)) | (k + REACH)
-
-
-@njit(cache=True)
-def _find(key, table_key, table_slot):  # type: ignore[no-untyped-def]
-    mask = len(table_key) - 1
-    place = _hash(key, mask)
-    while table_key[place] != EMPTY:
-        if table_key[place] == key:
-            return table_slot[place]
-        place = (place + 1) & mask
-    return -1
-
-
-@njit(cache=True)
-def _put(key, slot, table_key, table_slot):  # type: ignore[no-untyped-def]
-    mask = len(table_key) - 1
-    place = _hash(key, mask)
-    while table_key[place] != EMPTY:
-        place = (place + 1) & mask
-    table_key[place], table_slot[place] = key, slot
-
-
-@njit(cache=True)
-def _rehash(keys, table_key, table_slot):  # type: ignore[no-untyped-def]
-    for slot in range(len(keys)):
-        _put(keys[slot], slot, table_key, table_slot)
-
-
-@njit(cache=True)
-def _insert(points, weights, voxel, table_key, table_slot, keys, moment, seen, size, frame, remember):  # type: ignore[no-untyped-def]
-    touched = np.empty(len(points), np.int64)
-    count = 0
-    inverse = 1.0 / voxel
-    for n in range(len(points)):
-        i, j, k = (
-            np.int64(np.floor(points[n, 0] * inverse)), np.int64(np.floor(points[n, 1] * inverse)),
-            np.int64(np.floor(points[n, 2] * inverse)),
+        Costs what the touched voxels need, whatever the size of the map.
+        """
+        if self._linked < self._size:
+            if len(self._around) < len(self._key):
+                grown = np.full((len(self._key), 27), -1, dtype=np.int32)
+                grown[: len(self._around)] = self._around
+                self._around = grown
+            kernels.link(self._linked, self._size, self._key, self._table_key, self._table_slot, self._around)
+            self._linked = self._size
+        self._mark += 1
+        kernels.shapes(
+            np.asarray(touched, dtype=np.int64), self.voxel_m, self._around, self._moment, self._shape, self._seen,
+            self._mark,
         )  # fmt: skip
-        key = _pack(i, j, k)
-        slot = _find(key, table_key, table_slot)
-        if slot < 0:
-            slot = size
-            size += 1
-            keys[slot] = key
-            moment[slot, :] = 0.0
-            seen[slot] = 0
-            _put(key, slot, table_key, table_slot)
-        if seen[slot] != frame:
-            seen[slot] = frame
-            touched[count] = slot
-            count += 1
-            if not remember and moment[slot, 0] > 0.0:  # the old mean becomes one point
-                w = moment[slot, 0]
-                x, y, z = moment[slot, 1] / w, moment[slot, 2] / w, moment[slot, 3] / w
-                moment[slot, :] = (1.0, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)
-        w = weights[n]
-        x, y, z = points[n, 0] - i * voxel, points[n, 1] - j * voxel, points[n, 2] - k * voxel
-        m = moment[slot]
-        m[0] += w
-        m[1] += w * x
-        m[2] += w * y
-        m[3] += w * z
-        m[4] += w * x * x
-        m[5] += w * x * y
-        m[6] += w * x * z
-        m[7] += w * y * y
-        m[8] += w * y * z
-        m[9] += w * z * z
-    return touched[:count], size
+
+    def shapes(self, chosen: IntArray | None = None) -> Array:
+        """Covariances ``(M, 6)`` of the points in the 3×3×3 voxels around each, as `update_shapes` left them.
+
+        Upper triangles xx xy xz yy yz zz in m²; of all voxels, or of those chosen.
+        """
+        return self._shape[: self._size].copy() if chosen is None else self._shape[chosen]
+
+    def grid(self) -> tuple[VoxelGrid, Array]:
+        """The map as a compiled search sees it, without copies: its grid and the shapes ``(capacity, 6)`` by slot.
+
+        Valid until the next `insert`.
+        """
+        return VoxelGrid(self.voxel_m, self._table_key, self._table_slot, self._mean), self._shape
 
 
-def _corner(keys: IntArray, voxel: float) -> Array:
-    mask = (1 << (BITS + 1)) - 1
-    cell = np.stack([keys >> (2 * BITS + 2), (keys >> (BITS + 1)) & mask, keys & mask], axis=1) - REACH
-    return cell * voxel
-
-
-@njit(cache=True)
-def _near(keys, voxel, centre, radius):  # type: ignore[no-untyped-def]
-    mask = (np.int64(1) << (BITS + 1)) - 1
-    i0, i1 = (centre[0] - radius) / voxel - 1, (centre[0] + radius) / voxel
-    j0, j1 = (centre[1] - radius) / voxel - 1, (centre[1] + radius) / voxel
-    k0, k1 = (centre[2] - radius) / voxel - 1, (centre[2] + radius) / voxel
-    found = np.empty(len(keys), np.int64)
-    count = 0
-    for slot in range(len(keys)):
-        key = keys[slot]
-        i, j, k = (key >> (2 * BITS + 2)) - REACH, ((key >> (BITS + 1)) & mask) - REACH, (key & mask) - REACH
-        if i0 <= i <= i1 and j0 <= j <= j1 and k0 <= k <= k1:
-            found[count] = slot
-            count += 1
-    return found[:count]
-
-
-@njit(cache=True)
-def _shapes(touched, voxel, table_key, table_slot, keys, moment, shape, size):  # type: ignore[no-untyped-def]
-    mask = (np.int64(1) << (BITS + 1)) - 1
-    fresh = np.zeros(size, np.bool_)
-    for slot in touched:
-        key = keys[slot]
-        i, j, k = (key >> (2 * BITS + 2)) - REACH, ((key >> (BITS + 1)) & mask) - REACH, (key & mask) - REACH
-        for a in range(-1, 2):
-            for b in range(-1, 2):
-                for c in range(-1, 2):
-                    near = _find(_pack(i + a, j + b, k + c), table_key, table_slot)
-                    if near >= 0:
-                        fresh[near] = True
-    for slot in range(size):
-        if not fresh[slot]:
-            continue
-        key = keys[slot]
-        i, j, k = (key >> (2 * BITS + 2)) - REACH, ((key >> (BITS + 1)) & mask) - REACH, (key & mask) - REACH
-        w = x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-        for a in range(-1, 2):
-            for b in range(-1, 2):
-                for c in range(-1, 2):
-                    near = _find(_pack(i + a, j + b, k + c), table_key, table_slot)
-                    if near < 0:
-                        continue
-                    m = moment[near]
-                    p, q, r = a * voxel, b * voxel, c * voxel
-                    w += m[0]
-                    x += m[1] + m[0] * p
-                    y += m[2] + m[0] * q
-                    z += m[3] + m[0] * r
-                    xx += m[4] + 2 * p * m[1] + m[0] * p * p
-                    xy += m[5] + p * m[2] + q * m[1] + m[0] * p * q
-                    xz += m[6] + p * m[3] + r * m[1] + m[0] * p * r
-                    yy += m[7] + 2 * q * m[2] + m[0] * q * q
-                    yz += m[8] + q * m[3] + r * m[2] + m[0] * q * r
-                    zz += m[9] + 2 * r * m[3] + m[0] * r * r
-        x, y, z = x / w, y / w, z / w
-        s = shape[slot]
-        s[0], s[1], s[2] = xx / w - x * x, xy / w - x * y, xz / w - x * z
-        s[3], s[4], s[5] = yy / w - y * y, yz / w - y * z, zz / w - z * z
+def _doubled(array: Array) -> Array:
+    return np.concatenate([array, np.zeros_like(array)])

@@ -1,6 +1,10 @@
 """Estimates and truth → numbers. Nothing here plots."""
 
+from steelnb.metrics.clouds import Bend, basin_radius_m, bend, largest_slip
 from steelnb.metrics.segments import SegmentScore, score_segments
-from steelnb.metrics.trajectory import position_error_m, score_trajectory
+from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory
 
-__all__ = ["SegmentScore", "position_error_m", "score_segments", "score_trajectory"]
+__all__ = [
+    "Bend", "SegmentScore", "basin_radius_m", "bend", "largest_slip", "position_error_m", "score_gaps",
+    "score_segments", "score_trajectory",
+]  # fmt: skip

@@ -1,5 +1,7 @@
 """Errors of a trajectory, unaligned: the drift is zero at t = 0, so estimate and truth share a frame."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from steelnb.datatypes import Array, Trajectory
@@ -35,3 +37,20 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float
         rpe.process_data((reference, ours))
         result["rpe_rmse_m"] = rpe.get_statistic(metrics.StatisticsType.rmse)
     return {name: float(value) for name, value in result.items()}
+
+
+def score_gaps(
+    estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]], grace_s: float = 2.0
+) -> dict[str, float]:
+    """``ate_outside_gaps_rmse_m``, without the blind intervals and the ``grace_s`` after each, and
+    ``error_after_gaps_max_m``, the largest error within a second after that."""
+    error = position_error_m(estimate, truth)
+    stamp = estimate.stamp_s
+    inside, after = np.zeros(len(stamp), dtype=bool), np.zeros(len(stamp), dtype=bool)
+    for first, last in blind_s:
+        inside |= (stamp >= first) & (stamp < last + grace_s)
+        after |= (stamp >= last + grace_s) & (stamp < last + grace_s + 1.0)
+    return {
+        "ate_outside_gaps_rmse_m": float(np.sqrt((error[~inside] ** 2).mean())),
+        "error_after_gaps_max_m": float(error[after].max()) if after.any() else float("nan"),
+    }

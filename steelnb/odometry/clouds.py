@@ -5,13 +5,14 @@ import time
 import numpy as np
 
 from steelnb.config import CloudSettings, PreprocessSettings
-from steelnb.datatypes import Array, OdometryStep, Scan
+from steelnb.datatypes import Array, OdometryStep, Scan, Segments
 from steelnb.errors import SettingsError
 from steelnb.mapping import VoxelMap
+from steelnb.odometry.near_side import NearSide
 from steelnb.preprocess import preprocess_scan
 from steelnb.preprocess.covariances import neighbour_covariances, regularised
 from steelnb.preprocess.kdtree import build_kdtree
-from steelnb.registration.solve import RegistrationResult, Target, align, free_directions
+from steelnb.registration import RegistrationResult, Target, VoxelTarget, align, free_directions, voxel_target
 
 
 class CloudOdometry:
@@ -32,17 +33,21 @@ class CloudOdometry:
         s = self.settings
         self.information = np.diag([s.prior_sigma_rad**-2.0] * 3 + [s.prior_sigma_m**-2.0] * 3)
         self.last: RegistrationResult | None = None
+        self.near_side = NearSide()
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan = scan if isinstance(scan, Scan) else Scan(0.0, scan)
         if np.shape(T_world_drone_prior) != (4, 4) or not np.isfinite(T_world_drone_prior).all():
             raise SettingsError(f"T_world_drone_prior = {T_world_drone_prior!r}: expected a finite (4, 4) array")
-        clock = [time.perf_counter()]
+        s, clock = self.settings, [time.perf_counter()]
         T_init = T_world_drone_prior.copy()
         T_init[:3, :3] = self.turn @ T_init[:3, :3]
         T_init[:3, 3] += self.offset
         points = preprocess_scan(scan, T_init, self.T_drone_sensor, self.preprocess)
+        if s.near_side:
+            self.near_side.look(scan.points)
+            points = points + self.near_side.shift_m * self._rays(points)[0]
         clock.append(time.perf_counter())
         target, covariance = self._prepare(points, T_init)
         clock.append(time.perf_counter())
@@ -52,7 +57,7 @@ class CloudOdometry:
         if (used or reason == "first scan") and len(points):
             self._insert(points, T_world_drone)
         if used:
-            if self.settings.drop_rotation:
+            if s.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
             self.turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
             self.offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
@@ -60,10 +65,12 @@ class CloudOdometry:
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds)
 
-    def _prepare(self, points: Array, T_init: Array) -> tuple[Target | None, Array | None]:
+    def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.settings
         if not len(points) or not len(self.map):
             return None, None
+        if s.shape == "voxels":
+            return voxel_target(self.map), self._ray_covariances(points)
         world = points @ T_init[:3, :3].T + T_init[:3, 3]
         low, high = world.min(axis=0), world.max(axis=0)
         chosen = self.map.near((low + high) / 2, float((high - low).max() / 2 + 2 * s.max_correspondence_m))
@@ -80,12 +87,16 @@ class CloudOdometry:
         around[:, [0, 3, 5]] += (0.5 * s.sigma_floor_m) ** 2
         return Target(tree, np.zeros((0, 3)), around), self._ray_covariances(points)
 
+    def _rays(self, points: Array) -> tuple[Array, Array]:
+        """Unit vectors ``(N, 3)`` from the sensor to the points, and their distances ``(N,)``; drone frame."""
+        ray = points - self.T_drone_sensor[:3, 3]
+        distance = np.linalg.norm(ray, axis=1)
+        return ray / np.maximum(distance, 1e-9)[:, None], distance
+
     def _ray_covariances(self, points: Array) -> Array:
         """Range noise along each ray, and the floor across it, upper triangles ``(N, 6)`` in the drone frame."""
         s = self.settings
-        ray = points - self.T_drone_sensor[:3, 3]
-        distance = np.linalg.norm(ray, axis=1)
-        ray /= np.maximum(distance, 1e-9)[:, None]
+        ray, distance = self._rays(points)
         along = np.maximum(s.sigma_floor_m, s.sigma_relative * distance) ** 2
         across = (0.5 * s.sigma_floor_m) ** 2
         extra = along - across
@@ -96,7 +107,7 @@ class CloudOdometry:
         )  # fmt: skip
 
     def _register(
-        self, points: Array, covariance: Array | None, target: Target | None, T_init: Array
+        self, points: Array, covariance: Array | None, target: Target | VoxelTarget | None, T_init: Array
     ) -> tuple[Array, str, int]:
         s = self.settings
         if len(points) < 10:
@@ -105,9 +116,10 @@ class CloudOdometry:
             return T_init, "first scan", 0
         if target is None:
             return T_init, "no map in sight", 0
+        prior = self.information if s.prior_sigma_m < 1e2 else None
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance, s.robust, s.robust_scale,
-            s.iterations_max, 1e-4, 2e-4, self.information if s.prior_sigma_m < 1e2 else None,
+            s.iterations_max, s.rotation_epsilon_rad, s.translation_epsilon_m, prior,
         )  # fmt: skip
         self.last = result
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
@@ -120,15 +132,14 @@ class CloudOdometry:
         return result.T_target_source, "", result.inliers
 
     def _insert(self, points: Array, T_world_drone: Array) -> None:
-        weight = None
-        if self.settings.shape == "measured":
-            distance = np.linalg.norm(points - self.T_drone_sensor[:3, 3], axis=1)
-            sigma = np.maximum(self.settings.sigma_floor_m, self.settings.sigma_relative * distance)
-            weight = (self.settings.sigma_floor_m / sigma) ** 2
-        touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3], weight)
-        if self.settings.shape == "measured":
+        touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
+        if self.settings.shape != "neighbours":
             self.map.update_shapes(touched)
 
     def map_points(self) -> Array:
         """Means of the map's voxels, ``(N, 3)`` in the world frame."""
         return self.map.means()
+
+    def map_segments(self) -> Segments:
+        """The bars of the map; none, since it is a cloud."""
+        return Segments.empty()

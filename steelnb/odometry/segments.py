@@ -82,3 +82,7 @@ class SegmentOdometry:
             for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
         ]
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+
+    def map_segments(self) -> Segments:
+        """The bars of the map."""
+        return self.map.segments

@@ -93,79 +93,19 @@ def _select(value, index, first, last, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def nearest_two(tree, x, y, z, limit, best, other, node_of, reach):  # type: ignore[no-untyped-def]
-    """The nearest two points within √limit: (position of the first or −1, of the second, squared distances of both).
-
-    Distances of what is not found are ``limit``, so that they stay lower bounds. ``best`` and ``other`` are two points
-    that may be near (−1 for none): the closer they are, the less is searched, and the answer is the same.
-    ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
-    """
-    point, axis, low, high, left, right = tree.point, tree.axis, tree.low, tree.high, tree.left, tree.right
-    first, second = limit, limit
-    if best >= 0:
-        dx, dy, dz = point[best, 0] - x, point[best, 1] - y, point[best, 2] - z
-        first = dx * dx + dy * dy + dz * dz
-    if other >= 0:
-        dx, dy, dz = point[other, 0] - x, point[other, 1] - y, point[other, 2] - z
-        second = dx * dx + dy * dy + dz * dz
-    if second < first:
-        best, other, first, second = other, best, second, first
-    if first >= limit:
-        best, first = -1, limit
-    if second >= limit:
-        other, second = -1, limit
-    node_of[0] = 0
-    reach[0, 0] = reach[0, 1] = reach[0, 2] = reach[0, 3] = 0.0
-    depth = 1
-    while depth:
-        depth -= 1
-        if reach[depth, 0] >= second:
-            continue
-        node, far = node_of[depth], reach[depth, 0]
-        fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
-        while axis[node] >= 0:
-            side = axis[node]
-            value = x if side == 0 else (y if side == 1 else z)
-            old = fx if side == 0 else (fy if side == 1 else fz)
-            if 2.0 * value < low[node] + high[node]:
-                near_node, far_node, gap = left[node], right[node], high[node] - value
-            else:
-                near_node, far_node, gap = right[node], left[node], value - low[node]
-            gap2 = gap * gap
-            total = far - old + gap2
-            if total < second:
-                node_of[depth], reach[depth, 0] = far_node, total
-                reach[depth, 1] = gap2 if side == 0 else fx
-                reach[depth, 2] = gap2 if side == 1 else fy
-                reach[depth, 3] = gap2 if side == 2 else fz
-                depth += 1
-            node = near_node
-        for k in range(left[node], right[node]):
-            dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
-            d = dx * dx + dy * dy + dz * dz
-            if d < second and k != best and k != other:
-                if d < first:
-                    best, other, first, second = k, best, d, first
-                else:
-                    other, second = k, d
-    return best, other, first, second
-
-
-@njit(cache=True)
-def nearest_k(tree, x, y, z, k_most, found, distance):  # type: ignore[no-untyped-def]
+def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, reach):  # type: ignore[no-untyped-def]
     """Write the positions in ``tree.point`` of the nearest points to ``found``, squared distances to ``distance``.
 
-    Sorted, nearest first; returns how many there are.
+    Nearest first, only those within √limit; returns how many there are. The nearer a limit that surely holds enough of
+    them, the less is searched. ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
     """
     point, axis, low, high, left, right = tree.point, tree.axis, tree.low, tree.high, tree.left, tree.right
-    node_of = np.empty(64, np.int64)
-    reach = np.empty((64, 4))
     node_of[0] = 0
-    reach[0, :] = 0.0
-    depth, count = 1, 0
+    reach[0, 0] = reach[0, 1] = reach[0, 2] = reach[0, 3] = 0.0
+    depth, count, worst = 1, 0, limit
     while depth:
         depth -= 1
-        if count == k_most and reach[depth, 0] >= distance[count - 1]:
+        if reach[depth, 0] >= worst:
             continue
         node, far = node_of[depth], reach[depth, 0]
         fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
@@ -179,7 +119,7 @@ def nearest_k(tree, x, y, z, k_most, found, distance):  # type: ignore[no-untype
                 near_node, far_node, gap = right[node], left[node], value - low[node]
             gap2 = gap * gap
             total = far - old + gap2
-            if count < k_most or total < distance[count - 1]:
+            if total < worst:
                 node_of[depth], reach[depth, 0] = far_node, total
                 reach[depth, 1] = gap2 if side == 0 else fx
                 reach[depth, 2] = gap2 if side == 1 else fy
@@ -189,11 +129,51 @@ def nearest_k(tree, x, y, z, k_most, found, distance):  # type: ignore[no-untype
         for k in range(left[node], right[node]):
             dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
             d = dx * dx + dy * dy + dz * dz
-            if count < k_most or d < distance[count - 1]:
+            if d < worst:
                 place = min(count, k_most - 1)
                 while place > 0 and distance[place - 1] > d:
                     distance[place], found[place] = distance[place - 1], found[place - 1]
                     place -= 1
                 distance[place], found[place] = d, k
                 count = min(count + 1, k_most)
+                if count == k_most:
+                    worst = distance[count - 1]
     return count
+
+
+@njit(cache=True)
+def within(tree, x, y, z, limit, found_x, found_y, found_z, node_of, reach):  # type: ignore[no-untyped-def]
+    """Write the coordinates of all points within √limit to ``found_x (N + 1,)`` and so on; returns how many.
+
+    ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
+    """
+    point, axis, low, high, left, right = tree.point, tree.axis, tree.low, tree.high, tree.left, tree.right
+    node_of[0] = 0
+    reach[0, 0] = reach[0, 1] = reach[0, 2] = reach[0, 3] = 0.0
+    depth, count = 1, np.uint64(0)
+    while depth:
+        depth -= 1
+        node, far = node_of[depth], reach[depth, 0]
+        fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
+        while axis[node] >= 0:
+            side = axis[node]
+            value = x if side == 0 else (y if side == 1 else z)
+            old = fx if side == 0 else (fy if side == 1 else fz)
+            if 2.0 * value < low[node] + high[node]:
+                near_node, far_node, gap = left[node], right[node], high[node] - value
+            else:
+                near_node, far_node, gap = right[node], left[node], value - low[node]
+            gap2 = gap * gap
+            total = far - old + gap2
+            if total <= limit:
+                node_of[depth], reach[depth, 0] = far_node, total
+                reach[depth, 1] = gap2 if side == 0 else fx
+                reach[depth, 2] = gap2 if side == 1 else fy
+                reach[depth, 3] = gap2 if side == 2 else fz
+                depth += 1
+            node = near_node
+        for k in range(left[node], right[node]):
+            dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
+            found_x[count], found_y[count], found_z[count] = point[k, 0], point[k, 1], point[k, 2]
+            count += np.uint64(dx * dx + dy * dy + dz * dz <= limit)  # written first, kept if near: no branch to guess
+    return np.int64(count)

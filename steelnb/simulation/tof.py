@@ -45,6 +45,9 @@ def scan_flight(
         for k in range(len(some)):
             noise = rng.stream(seed, "tof", begin + k)
             range_m[begin + k] = measure(exact[k], settings, noise)
+            stamp = trajectory.stamp_s[some[k]]
+            if any(first <= stamp < last for first, last in settings.blind_s):
+                range_m[begin + k] = np.nan
             returned = triangle[k][np.isfinite(range_m[begin + k])]
             hits += np.bincount(owner[returned], minlength=len(hits) + 1)[:-1]
     return RangeScans(trajectory.stamp_s[index], range_m, ray), hits

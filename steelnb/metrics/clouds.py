@@ -1,0 +1,105 @@
+"""How a cloud that was built at estimated poses lies over the true one, and how far a registration finds home."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.datatypes import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Bend:
+    """The rigid motion from true to built cloud in each slice of height.
+
+    ``height_m (S,)`` of the middles of the slices, ``T_built_true (S, 4, 4)``, ``blur_m (S,)``, the root mean square of
+    what no rigid motion explains (layers side by side), and ``count (S,)`` points.
+    """
+
+    height_m: Array
+    T_built_true: Array
+    blur_m: Array
+    count: IntArray
+
+    @property
+    def tilt_deg(self) -> Array:
+        """Angle ``(S,)`` by which the vertical leans."""
+        up = self.T_built_true[:, :3, 2]
+        return np.asarray(np.degrees(np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])))
+
+    @property
+    def yaw_deg(self) -> Array:
+        """Turn ``(S,)`` about the vertical, anticlockwise from above."""
+        R = self.T_built_true[:, :3, :3]
+        return np.asarray(np.degrees(np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])))
+
+    @property
+    def bend_deg(self) -> float:
+        """Angle of the rotation from the lowest slice to the highest."""
+        turn = self.T_built_true[-1, :3, :3] @ self.T_built_true[0, :3, :3].T
+        return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+
+    def offset_m(self, axis: Array) -> Array:
+        """Displacement ``(S, 3)`` of the point at each slice's height on the vertical through ``axis (2,)``."""
+        at = np.column_stack([np.tile(axis, (len(self.height_m), 1)), self.height_m])
+        moved = np.einsum("sij,sj->si", self.T_built_true[:, :3, :3], at) + self.T_built_true[:, :3, 3]
+        return np.asarray(moved - at)
+
+    def metrics(self, axis: Array) -> dict[str, float]:
+        """``bend_deg``, the largest tilt, turn and offset of a slice, and the mean blur."""
+        return {
+            "bend_deg": self.bend_deg,
+            "tilt_max_deg": float(self.tilt_deg.max()),
+            "yaw_max_deg": float(np.abs(self.yaw_deg).max()),
+            "offset_max_m": float(np.linalg.norm(self.offset_m(axis), axis=1).max()),
+            "blur_mean_m": float(np.average(self.blur_m, weights=self.count)),
+        }
+
+
+def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:
+    """Fit a rotation and an offset (Kabsch 1976) to each slice of height of two clouds ``(N, 3)``.
+
+    Row k of ``built`` and of ``true`` is the same return placed at the estimated and at the true pose. Slices of
+    ``slice_m`` are cut by true height, counted from zero; those with fewer than ``points_min`` points are left out.
+    Raises ValueError if none is left or the clouds are no pairs.
+    """
+    if built.shape != true.shape:
+        raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
+    level = np.floor(true[:, 2] / slice_m).astype(int)
+    levels, counts = np.unique(level, return_counts=True)
+    levels, counts = levels[counts >= points_min], counts[counts >= points_min]
+    if not len(levels):
+        raise ValueError(f"no slice of {slice_m} m has {points_min} points")
+    fits = [_kabsch(true[level == each], built[level == each]) for each in levels]
+    return Bend((levels + 0.5) * slice_m, np.array([T for T, _ in fits]), np.array([blur for _, blur in fits]), counts)
+
+
+def _kabsch(source: Array, target: Array) -> tuple[Array, float]:
+    """The rigid motion ``(4, 4)`` that brings ``source`` onto ``target`` best, and the RMS of what is left."""
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    U, _, Vt = np.linalg.svd((source - source_mean).T @ (target - target_mean))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    T = np.eye(4)
+    T[:3, :3] = Vt.T @ mirror @ U.T
+    T[:3, 3] = target_mean - T[:3, :3] @ source_mean
+    left = source @ T[:3, :3].T + T[:3, 3] - target
+    return T, float(np.sqrt((left**2).sum(axis=1).mean()))
+
+
+def basin_radius_m(offset_m: Array, right: np.ndarray) -> float:
+    """The distance within which every start comes home.
+
+    ``offset_m (N, k)`` are starts relative to the true position and ``right (N,)`` says which came home; the answer is
+    the distance of the farthest start that is nearer than every start that did not, and zero if there is none.
+    """
+    distance = np.linalg.norm(offset_m, axis=1)
+    nearest_wrong = distance[~right].min(initial=np.inf)
+    return float(distance[distance < nearest_wrong - 1e-9].max(initial=0.0))
+
+
+def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
+    """Where an error ``(N,)`` grows most within ``scans`` scans: the scan at which it has grown, and by how much."""
+    scans = min(scans, len(error_m) - 1)
+    growth = error_m[scans:] - error_m[:-scans]
+    k = int(growth.argmax())
+    return k + scans, float(growth[k])

@@ -1,0 +1,101 @@
+"""How far behind the surfaces that a sensor sees the middle of the bars lies, from the width that they show.
+
+A sensor sees the near side of a bar, so its points lie nearer than the bar's middle, whatever the side from which it is
+seen. When the view turns, they move around the bar, and a registration takes that for a motion of the drone. Points
+moved away from the sensor by the right length lie about the middle from every side.
+
+For a thin equal-leg angle section of flange b, seen from all sides alike, the middle of what is visible is 0.068 b
+nearer than the centroid of the section, and the width that a pixel sees is 1.13 b on average. So the length is 0.060
+times that width, which the scans show. No tower enters; a structure of tubes would want 0.39 instead.
+"""
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Array
+
+SHARE_OF_WIDTH = 0.060
+STEP_M = 0.15
+WIDTH_MAX_M = 0.4
+
+
+class NearSide:
+    """Running estimate of the shift, from organised scans; zero until the first, and with unorganised clouds."""
+
+    def __init__(self) -> None:
+        self._sum_m, self._pixels = 0.0, 0
+
+    @property
+    def width_m(self) -> float:
+        """Mean width that the pixels on bars have seen so far, metres."""
+        return self._sum_m / self._pixels if self._pixels else 0.0
+
+    @property
+    def shift_m(self) -> float:
+        """How far points are to be moved away from the sensor."""
+        return SHARE_OF_WIDTH * self.width_m
+
+    def look(self, image: Array) -> None:
+        """Take in an organised scan ``(H, W, 3)`` in the sensor frame."""
+        if image.ndim == 3 and min(image.shape[:2]) > 2:
+            total, pixels = apparent_width(np.ascontiguousarray(image, dtype=np.float64))
+            self._sum_m += total
+            self._pixels += pixels
+
+
+@njit(cache=True)
+def apparent_width(image):  # type: ignore[no-untyped-def]
+    """(sum, count) of the width of the strip around each pixel of an organised scan, up to 0.4 m.
+
+    A strip of width w crossed by a row over the length h and by a column over v has 1/w² = 1/h² + 1/v², whatever its
+    direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.
+    """
+    rows, columns = image.shape[0], image.shape[1]
+    distance = np.empty((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
+            distance[r, c] = np.sqrt(x * x + y * y + z * z)
+    along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for r in range(rows):
+        first = 0
+        for c in range(1, columns + 1):
+            if c < columns and abs(distance[r, c] - distance[r, c - 1]) <= STEP_M:
+                continue
+            if distance[r, first] == distance[r, first]:
+                pitch = _pitch(image, r, first, c - 1, True)
+                for k in range(first, c):
+                    along_row[r, k] = (c - first) * pitch
+            first = c
+    for c in range(columns):
+        first = 0
+        for r in range(1, rows + 1):
+            if r < rows and abs(distance[r, c] - distance[r - 1, c]) <= STEP_M:
+                continue
+            if distance[first, c] == distance[first, c]:
+                pitch = _pitch(image, c, first, r - 1, False)
+                for k in range(first, r):
+                    along_column[k, c] = (r - first) * pitch
+            first = r
+    total, count = 0.0, 0
+    for r in range(rows):
+        for c in range(columns):
+            h, v = along_row[r, c], along_column[r, c]
+            if h > 0.0 and v > 0.0:
+                width = h * v / np.sqrt(h * h + v * v)
+                if width < WIDTH_MAX_M:
+                    total += width
+                    count += 1
+    return total, count
+
+
+@njit(cache=True)
+def _pitch(image, line, first, last, row):  # type: ignore[no-untyped-def]
+    """Distance between neighbouring pixels of a run, from its first and last point; 0 for a lone pixel."""
+    if first == last:
+        return 0.0
+    if row:
+        a, b = image[line, first], image[line, last]
+        return abs(b[1] / b[0] - a[1] / a[0]) * 0.5 * (a[0] + b[0]) / (last - first)
+    a, b = image[first, line], image[last, line]
+    return abs(b[2] / b[0] - a[2] / a[0]) * 0.5 * (a[0] + b[0]) / (last - first)

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from steelnb.config import TofSettings
+from steelnb.odometry.near_side import SHARE_OF_WIDTH, NearSide, apparent_width
+from steelnb.simulation.tof import rays
+
+
+def strip(width_m, angle_deg, distance_m=3.0, columns=240, rows=240):
+    """Organised scan of a flat strip that faces the sensor, turned by an angle in the picture."""
+    settings = TofSettings(columns=columns, rows=rows, fov_horizontal_rad=1.0, fov_vertical_rad=1.0)
+    points = rays(settings)
+    points = points / points[..., :1] * distance_m
+    across = np.cos(np.radians(angle_deg)) * points[..., 1] + np.sin(np.radians(angle_deg)) * points[..., 2]
+    points[np.abs(across) > width_m / 2] = np.nan
+    return points
+
+
+@pytest.mark.parametrize("angle_deg", [0, 30, 45, 70, 90])
+@pytest.mark.parametrize("width_m", [0.1, 0.2])
+def test_the_width_of_a_strip_is_seen_whatever_its_direction(width_m, angle_deg):
+    total, pixels = apparent_width(strip(width_m, angle_deg))
+    assert pixels > 1000
+    assert total / pixels == pytest.approx(width_m, rel=0.12)
+
+
+def test_walls_and_lone_pixels_do_not_count():
+    assert apparent_width(strip(2.0, 0))[1] == 0
+    lone = np.full((9, 9, 3), np.nan)
+    lone[4, 4] = [2, 0, 0]
+    assert apparent_width(lone) == (0.0, 0)
+
+
+def test_a_step_in_range_ends_a_run():
+    near, far = strip(0.1, 0), strip(0.6, 0, distance_m=4.0)
+    both = np.where(np.isfinite(near), near, far)
+    total, pixels = apparent_width(both)
+    assert total / pixels > 0.1  # the strip, and the two pieces of wall beside it
+    assert pixels > 2 * apparent_width(near)[1]
+
+
+def test_the_constants_are_those_of_an_angle_section():
+    # An equal-leg angle of flange 1, thin, seen from all sides: where the visible middle is, and how wide it looks.
+    t = np.linspace(0, 1, 1000)
+    section = np.concatenate([np.stack([t, 0 * t], axis=1), np.stack([0 * t, t], axis=1)])
+    nearer, width = [], []
+    for angle in np.radians(np.arange(0.5, 360, 1)):
+        to_viewer = np.array([np.cos(angle), np.sin(angle)])
+        lateral, depth = section @ [-to_viewer[1], to_viewer[0]], section @ to_viewer
+        pixel = np.floor((lateral - lateral.min()) / 0.005).astype(int)
+        front = np.full(pixel.max() + 1, -np.inf)
+        np.maximum.at(front, pixel, depth)
+        nearer.append(front[np.isfinite(front)].mean() - 0.25 * to_viewer.sum())
+        width.append(np.ptp(lateral))
+    seen_by_pixels = np.square(width).sum() / np.sum(width)
+    assert np.mean(nearer) / seen_by_pixels == pytest.approx(SHARE_OF_WIDTH, rel=0.02)
+
+
+def test_the_shift_follows_the_width_and_needs_an_organised_scan():
+    state = NearSide()
+    state.look(np.zeros((50, 3)))
+    assert state.shift_m == 0.0
+    state.look(strip(0.1, 20))
+    state.look(strip(0.2, 20))
+    assert 0.1 < state.width_m < 0.2
+    assert state.shift_m == SHARE_OF_WIDTH * state.width_m

@@ -1,0 +1,302 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb.mapping import VoxelMap
+from steelnb.preprocess.covariances import full, neighbour_covariances, regularised
+from steelnb.registration import Target, align, free_directions, kernels, make_target, register, solve, voxel_target
+from steelnb.registration import target as target_room
+from tests import naive
+from tests.registration.scenes import apart, motion, moved, room
+
+ERRORS = ("point", "plane", "gicp")
+KERNELS = ("none", "huber", "cauchy", "geman_mcclure")
+SCALE = {"point": 0.05, "plane": 0.03, "gicp": 2.0}
+NONE = np.zeros((0, 6))
+
+
+class Problem:
+    """A small registration under way, and its terms by kernel and by slow twin."""
+
+    def __init__(self, error, kernel):
+        self.error, self.kernel, self.scale = error, kernel, SCALE[error]
+        self.source = room(150, 1)
+        self.target = make_target(room(220, 2), error)
+        self.C_source = regularised(neighbour_covariances(self.source)) if error == "gicp" else NONE
+        self.T = motion(4, 0.05)
+        self.match = naive.pairs(moved(self.source, self.T), self.target.point, 0.6)
+        self.centre = np.array([0.3, -0.2, 0.5])
+
+    def fast(self, T, spread=False):
+        H, b, S = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6) if spread else (0, 0))
+        t = self.target
+        answer = kernels.linearise(
+            solve.ERRORS[self.error], self.source, self.C_source, t.point, t.normal, t.covariance, self.match, T,
+            self.T[:3, :3], self.centre, math.inf, solve.ROBUST[self.kernel], self.scale, H, b, S,
+        )  # fmt: skip
+        return *answer, H, b, S
+
+    def terms(self, T):
+        C_target = full(self.target.covariance) if self.error == "gicp" else None
+        C_source = full(self.C_source) if self.error == "gicp" else None
+        return naive.registration_terms(
+            self.error, self.source, C_source, self.target.point, self.target.normal, C_target, self.match, T,
+            self.T[:3, :3], math.inf,
+        )  # fmt: skip
+
+    def loss(self, xi):
+        """Loss at the pose moved by a twist about the centre, from the definition."""
+        turn = Rotation.from_rotvec(xi[:3]).as_matrix()
+        T = np.eye(4)
+        T[:3, :3] = turn @ self.T[:3, :3]
+        T[:3, 3] = turn @ (self.T[:3, 3] - self.centre) + self.centre + xi[3:]
+        return sum(
+            naive.robust(self.kernel, float((root @ e) @ (root @ e)), self.scale) for e, root, _ in self.terms(T)
+        )
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("error", ERRORS)
+def test_loss_and_gradient_are_those_of_the_definition(error, kernel):
+    problem = Problem(error, kernel)
+    loss, inliers, _, _, b, _ = problem.fast(problem.T)
+    assert inliers == (problem.match >= 0).sum() > 100
+    assert loss == pytest.approx(problem.loss(np.zeros(6)), rel=1e-9)
+    step = 1e-6
+    gradient = [(problem.loss(step * d) - problem.loss(-step * d)) / (2 * step) for d in np.eye(6)]
+    np.testing.assert_allclose(b, gradient, rtol=1e-4, atol=1e-5 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("error", ERRORS)
+def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error, kernel):
+    problem = Problem(error, kernel)
+    *_, H, _, S = problem.fast(problem.T, spread=True)
+    H_slow, S_slow = np.zeros((6, 6)), np.zeros((6, 6))
+    step = 1e-5
+    for e, root, q in problem.terms(problem.T):
+        columns = []
+        for d in np.eye(6):
+            ahead, behind = (
+                Rotation.from_rotvec(s * d[:3]).apply(q - problem.centre) + s * d[3:] for s in (step, -step)
+            )
+            columns.append(root @ (ahead - behind) / (2 * step))
+        J, r = np.array(columns).T, root @ e
+        squared = r @ r
+        change = 1e-6 * squared
+        ahead, behind = (naive.robust(kernel, squared + d, problem.scale) for d in (change, -change))
+        weight = (ahead - behind) / change  # twice the slope of the loss over the squared residual
+        H_slow += weight * J.T @ J
+        S_slow += weight**2 * np.outer(J.T @ r, J.T @ r)
+    np.testing.assert_allclose(H, H_slow, atol=1e-5 * np.abs(H_slow).max())
+    np.testing.assert_allclose(S, S_slow, atol=1e-5 * np.abs(S_slow).max())
+
+
+def test_pairs_kept_from_step_to_step_are_those_of_a_new_search_at_every_step(monkeypatch):
+    source, cloud = room(1500, 1), moved(room(1500, 2), motion(5, 0.2))
+    target, limit = make_target(cloud, "point"), 0.12
+    searches = []
+
+    def checked(tree, points, T, reach, match, *state):
+        searches.append(correspond(tree, points, T, reach, match, *state))
+        np.testing.assert_array_equal(match, naive.pairs(moved(points, T), tree.point, reach))
+
+    correspond = target_room.correspond_points
+    monkeypatch.setattr(target_room, "correspond_points", checked)
+    result = align(source, target, "point", np.eye(6), np.eye(4), limit)
+    assert result.iterations > 8
+    assert searches[0] == 1500
+    assert 0 < min(searches) < 150  # and most searches were spared
+
+
+def test_pairs_stay_exact_when_the_pose_jumps_to_and_fro():
+    source, target = room(300, 1), make_target(room(400, 2), "point")
+    pairs = target.pairs(source, 0.2)
+    rng = np.random.default_rng(0)
+    for size in rng.choice([1e-12, 1e-3, 0.03, 0.2, 5.0], 60):
+        T = motion(20 * size, size, seed=int(rng.integers(1000)))
+        pairs.update(T)
+        np.testing.assert_array_equal(pairs.match, naive.pairs(moved(source, T), target.point, 0.2))
+
+
+def test_voxels_are_paired_as_by_their_slow_twin_while_the_pose_jumps():
+    source, voxels = room(300, 1) - 1.5, VoxelMap(0.3)
+    voxels.update_shapes(voxels.insert(room(2000, 2) - 1.5))
+    pairs, means = voxel_target(voxels).pairs(source, 0.25), voxels.means()
+    cubes = np.floor(means / 0.3)
+    rng = np.random.default_rng(0)
+    for size in [0.0, *rng.choice([1e-9, 1e-3, 0.03, 0.2, 5.0], 25)]:
+        T = motion(20 * size, size, seed=int(rng.integers(1000)))
+        pairs.update(T)
+        for q, found in zip(moved(source, T), pairs.match, strict=True):
+            step = cubes - np.floor(q / 0.3 - 0.5)
+            eight = ((step == 0) | (step == 1)).all(axis=1)
+            distance = np.where(eight, np.linalg.norm(means - q, axis=1), np.inf)
+            assert found == (distance.argmin() if distance.min() <= 0.25 else -1)
+    assert (pairs.match >= 0).any()
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_scene_far_from_the_origin_is_solved_as_well_as_one_near_by(error):
+    here, T_true = room(1500, 1), motion(3, 0.08)
+    far = np.eye(4)
+    far[:3, 3] = [4e5, -3e5, 1e3]
+    covariance = regularised(neighbour_covariances(here)) if error == "gicp" else None
+    near = align(here, make_target(moved(here, T_true), error), error, np.eye(6), np.eye(4), 0.5, covariance)
+    away = align(here, make_target(moved(moved(here, T_true), far), error), error, np.eye(6), far, 0.5, covariance)
+    assert away.iterations == near.iterations
+    np.testing.assert_allclose(np.linalg.inv(far) @ away.T_target_source, near.T_target_source, atol=1e-5)
+    np.testing.assert_allclose(away.H, near.H, rtol=1e-3, atol=1e-4 * np.abs(near.H).max())
+
+
+def test_a_step_after_which_the_same_pairs_fit_worse_is_taken_back(monkeypatch):
+    # A dozen points against planes, far off: Gauss–Newton's steps overshoot, and it often wanders for ever.
+    here, target = room(12, 7), make_target(room(48, 6), "plane")
+    judged, expected = [], []
+
+    def converged():
+        runs = [
+            align(here, target, "plane", np.eye(6), motion(40, 0.5, seed=k), 3.0, iterations_max=80) for k in range(40)
+        ]
+        return sum(run.converged for run in runs)
+
+    def worse(problem, T, T_best, best, match, limit):
+        answer = really_worse(problem, T, T_best, best, match, limit)
+        before, after = (loss_of_pairs(here, target, match, T_best, pose, limit) for pose in (T_best, T))
+        judged.append((answer, after > before))
+        expected[:] = [best] if answer else []
+        return answer
+
+    def step(normal, basis, damping):
+        if expected:  # solved again where the fit was better, and shorter
+            assert normal is expected.pop()
+            assert damping >= 1e-3
+        return really_step(normal, basis, damping)
+
+    really_worse = solve._Problem.worse
+    really_step = solve._step
+    monkeypatch.setattr(solve._Problem, "worse", worse)
+    monkeypatch.setattr(solve, "_step", step)
+    damped = converged()
+    assert 50 < sum(answer for answer, _ in judged) < len(judged) - 50
+    assert all(answer == truth for answer, truth in judged)
+    monkeypatch.setattr(solve._Problem, "worse", lambda *_: False)
+    assert damped > converged() + 3
+
+
+def loss_of_pairs(points, target, match, T_pairs, T, limit):
+    kept = np.linalg.norm(moved(points, T_pairs) - target.point[match], axis=1) <= limit
+    e = (moved(points, T) - target.point[match]) * target.normal[match]
+    return 0.5 * (e.sum(axis=1)[kept & (match >= 0)] ** 2).sum()
+
+
+@pytest.mark.parametrize(("error", "dof"), [("point", "se3"), ("plane", "se3"), ("gicp", "se3"), ("plane", "xyz_yaw")])
+def test_the_covariance_is_the_spread_of_200_noisy_runs(error, dof):
+    sigma, poses, told = 0.01, [], []
+    target, free = make_target(room(4000, 1), error), free_directions(dof)
+    for seed in range(200):
+        source = room(4000, 1)[np.random.default_rng(seed).choice(4000, 300, replace=False)]
+        source = source + sigma * np.random.default_rng(1000 + seed).normal(size=source.shape)
+        covariance = regularised(neighbour_covariances(source)) if error == "gicp" else None
+        result = align(source, target, error, free, np.eye(4), 0.3, covariance, rotation_epsilon_rad=1e-5,
+                       translation_epsilon_m=1e-5)  # fmt: skip
+        turn = Rotation.from_matrix(result.T_target_source[:3, :3]).as_rotvec()
+        poses.append(np.append(turn, result.T_target_source[:3, 3]))
+        told.append(result.covariance_at(np.zeros(3)))
+    spread = np.array(poses).std(axis=0)
+    expected = np.sqrt(np.diagonal(np.mean(told, axis=0)))
+    used = spread > 1e-12
+    assert used.sum() == free.shape[1]
+    np.testing.assert_array_equal(expected[~used], 0)
+    ratio = expected[used] / spread[used]
+    assert ratio.min() > 1 / 1.5
+    assert ratio.max() < 1.5
+
+
+def test_covariance_at_another_point_is_that_of_the_lever():
+    result = register(room(500, 1), room(500, 1) + 0.01, "plane")
+    rng = np.random.default_rng(0)
+    draws = rng.multivariate_normal(np.zeros(6), result.covariance, 200_000)
+    point = result.centre + np.array([3.0, -1, 2])
+    moves = np.hstack([draws[:, :3], draws[:, 3:] + np.cross(draws[:, :3], point - result.centre)])
+    np.testing.assert_allclose(
+        result.covariance_at(point), np.cov(moves.T), atol=0.02 * result.covariance_at(point).max()
+    )
+
+
+@pytest.mark.parametrize("error", ["plane", "gicp"])
+@pytest.mark.parametrize("shift", [0.0, 500.0])
+def test_weak_directions_are_what_a_floor_and_a_corridor_leave_open(error, shift):
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(-3, 3, (2, 1500))
+    floor = np.stack([u, v, np.zeros(1500)], 1) + shift
+    walls = np.stack([u, np.where(v > 0, 4.0, -4.0), v], 1) + shift
+    flat = register(floor, floor, error)
+    assert flat.converged
+    assert flat.weak.shape == (3, 6)
+    open_ = np.zeros((6, 6))
+    open_[[2, 3, 4], [2, 3, 4]] = 1  # turn about z, shift along x and y
+    np.testing.assert_allclose(flat.weak.T @ flat.weak, open_, atol=1e-2)
+    corridor = register(np.vstack([floor, walls]), np.vstack([floor, walls]), error)
+    assert corridor.weak.shape == (1, 6)
+    np.testing.assert_allclose(np.abs(corridor.weak[0]), np.eye(6)[3], atol=1e-2)
+    assert (register(room(1500, 1), room(1500, 1), error).weak).shape == (0, 6)
+    assert (np.diff(flat.eigenvalues) >= 0).all()
+    # Points seen as points are blind to it, as documented.
+    assert register(floor, floor, "icp").weak.shape == (0, 6)
+
+
+def test_nothing_moves_where_the_pairs_say_nothing_and_the_covariance_says_so():
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-3, 3, (1000, 2)), np.zeros(1000)])
+    start = motion(0, 0.0)
+    start[:3, 3] = [0.02, -0.03, 0.05]
+    result = register(floor, floor, "plane", T_init=start, max_correspondence_m=0.3)
+    np.testing.assert_allclose(result.T_target_source[:3, 3], [0.02, -0.03, 0], atol=1e-6)
+    np.testing.assert_array_less(1e11, np.diag(result.covariance)[[2, 3, 4]])
+    np.testing.assert_array_less(np.diag(result.covariance)[[0, 1, 5]], 1e-6)
+
+
+def test_a_prior_holds_the_open_directions_and_yields_in_the_others():
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-3, 3, (1000, 2)), np.zeros(1000)]) + np.array([50.0, 0, 0])
+    start = motion(1, 0.0, seed=3)
+    start[:3, 3] = [0.02, -0.03, 0.05]
+    information = np.diag([0.3**-2.0] * 3 + [0.8**-2.0] * 3)  # a pair's standard deviation being 1 m
+    target = make_target(floor, "plane")
+    result = align(floor, target, "plane", np.eye(6), start, 2.0, prior_information=information)
+    prior, middle = (
+        moved(floor.mean(axis=0)[None], start)[0],
+        moved(floor.mean(axis=0)[None], result.T_target_source)[0],
+    )
+    np.testing.assert_allclose(middle[:2], prior[:2], atol=2e-3)  # the middle of the scan stays where the prior has it
+    assert abs(middle[2]) < 2e-3 < 0.5 < abs(prior[2])
+    assert np.sqrt(np.diag(result.covariance))[[3, 4]] == pytest.approx(0.8, rel=0.05)
+
+
+@pytest.mark.filterwarnings("error")
+def test_covariances_without_any_extent_are_singular_and_say_so():
+    points = room(200, 1)
+    target = make_target(points, "point")
+    flat = Target(target.tree, target.normal, np.zeros((200, 6)))
+    result = align(points, flat, "gicp", np.eye(6), np.eye(4), 1.0, np.zeros((200, 6)))
+    assert (result.converged, result.reason) == (False, "singular")
+    np.testing.assert_array_equal(result.T_target_source, np.eye(4))
+    assert np.isfinite(result.covariance).all()
+    assert np.diag(result.covariance)[3:].min() > 1e11
+
+
+def test_iterations_exhausted_is_not_converged():
+    result = register(room(500, 1), room(500, 1) + 0.1, "icp", iterations_max=1)
+    assert (result.converged, result.iterations, result.reason) == (False, 1, "iterations exhausted")
+
+
+def test_the_result_counts_and_measures_its_pairs():
+    source = room(500, 1)
+    source[:50] += 10.0
+    result = register(source, room(500, 1), "icp", max_correspondence_m=0.2)
+    assert result.inliers == 450
+    assert result.rmse_m == pytest.approx(0, abs=1e-6)
+    assert apart(result.T_target_source, np.eye(4))[0] < 1e-6
