@@ -1,5 +1,6 @@
 """Results → matplotlib figures, one function for each figure of the report. Nothing here computes a result."""
 
+from steelnb.figures.accuracy import figure_accuracy
 from steelnb.figures.clouds import (
     figure_basins,
     figure_bend,
@@ -16,7 +17,8 @@ from steelnb.figures.trajectories import figure_segment_odometry
 from steelnb.figures.world import figure_drift, figure_tower
 
 __all__ = [
-    "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "figure_basins", "figure_bend",
-    "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods", "figure_drift", "figure_error_curves",
-    "figure_false_convergence", "figure_maps", "figure_segment_odometry", "figure_tower",
+    "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "figure_accuracy",
+    "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
+    "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_maps", "figure_segment_odometry",
+    "figure_tower",
 ]  # fmt: skip
