@@ -32,7 +32,10 @@ PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters
 
 
 class Experiment(Settings):
-    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts."""
+    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
+
+    One that is ``apart`` is too long for every day: at the full budget it runs only when it is named.
+    """
 
     id: str
     notebook: str
@@ -42,6 +45,7 @@ class Experiment(Settings):
     full: dict[str, Any]
     smoke: dict[str, Any]
     expected_s: Positive | None = None
+    apart: bool = False
 
 
 class CheckSettings(Settings):
@@ -118,8 +122,11 @@ class Project:
         except SettingsError as fault:
             raise SettingsError(f"{EXPERIMENTS_FILE}: [{name}]: {fault}") from None
 
-    def select(self, ids: Iterable[str] = ()) -> list[Experiment]:
-        """The experiments named, in the file's order; all if none is named. Raises `UnknownExperimentError`."""
+    def select(self, ids: Iterable[str] = (), apart: bool = True) -> list[Experiment]:
+        """The experiments named, in the file's order; all if none is named. Raises `UnknownExperimentError`.
+
+        Without ``apart``, those that run apart are left out unless they are named.
+        """
         ids = list(ids)
         for name in ids:
             if name not in self.experiments:
@@ -127,7 +134,11 @@ class Project:
                 raise UnknownExperimentError(
                     f"unknown experiment {name!r}{_guess(name, self.experiments)}; known: {known}"
                 )
-        return [experiment for name, experiment in self.experiments.items() if not ids or name in ids]
+        return [
+            experiment
+            for name, experiment in self.experiments.items()
+            if name in ids or (not ids and (apart or not experiment.apart))
+        ]
 
     def parts(self, experiment: Experiment, budget: str, given: Mapping[str, Any] | None = None) -> list[Part]:
         """The notebook executions of one experiment, every parameter checked. Raises `SettingsError`.

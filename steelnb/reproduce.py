@@ -106,7 +106,7 @@ def run(
     on_progress: OnProgress | None = None,
     root: Path | None = None,
 ) -> Report:
-    """Run the notebooks of the experiments named (default: all) and leave ``<output>/<id>/`` for each.
+    """Run the notebooks of the experiments named (default: all that are not apart) and leave ``<output>/<id>/`` for each.
 
     ``output`` is by default ``results`` or, for the budget smoke, ``results-smoke`` in the project; ``parameters``
     (name → value, dotted names for single settings) want an output of their own. Everything is checked before a
@@ -115,7 +115,10 @@ def run(
     and SIGHUP.
     """
     project, given = Project(root), dict(parameters or {})
-    parts = [(experiment, project.parts(experiment, budget, given)) for experiment in project.select(ids)]
+    parts = [
+        (experiment, project.parts(experiment, budget, given))
+        for experiment in project.select(ids, apart=budget == "smoke")
+    ]
     folder = project.output_folder(budget, given, output)
     plans = [_Plan(experiment, budget, some, folder / experiment.id) for experiment, some in parts]
     return _Runner(project, "custom" if given else budget, jobs, on_progress).run(plans, force)
@@ -140,7 +143,7 @@ def check(
     scratch = project.cache / "check" if rerun else project.root / RESULT_FOLDERS[budget]
     plans = [
         _Plan(experiment, budget, project.parts(experiment, budget), scratch / experiment.id)
-        for experiment in project.select(ids)
+        for experiment in project.select(ids, apart=budget == "smoke")
     ]
     committed = {
         plan.folder: {

@@ -620,3 +620,12 @@ def test_progress_is_a_bar_where_nobody_asks_for_a_file(
     progress.step()
     progress.step()
     assert "flights: 100%" in capsys.readouterr().err
+
+
+def test_an_experiment_apart_runs_only_when_it_is_named(project: Path) -> None:
+    names = [experiment.id for experiment in Project(project).select()]
+    edit(project / "notebooks" / "experiments.toml", "[single]", "[single]\napart = true")
+    selected = Project(project)
+    assert [experiment.id for experiment in selected.select()] == names
+    assert [experiment.id for experiment in selected.select(apart=False)] == [n for n in names if n != "single"]
+    assert [experiment.id for experiment in selected.select(["single"], apart=False)] == ["single"]
