@@ -106,7 +106,7 @@ def run(
     on_progress: OnProgress | None = None,
     root: Path | None = None,
 ) -> Report:
-    """Run the notebooks of the experiments named (default: all that are not apart) and leave ``<output>/<id>/`` for each.
+    """Run the notebooks of the experiments named (default: all that are not apart); leave ``<output>/<id>/`` for each.
 
     ``output`` is by default ``results`` or, for the budget smoke, ``results-smoke`` in the project; ``parameters``
     (name → value, dotted names for single settings) want an output of their own. Everything is checked before a
