@@ -28,10 +28,17 @@ def figure_accuracy(table: pd.DataFrame, goal_m: float, worst_m: float) -> Figur
         panel.axhline(
             100 * worst_m, color=COLOURS["report"], linestyle=":", label=f"goal for any seed, {100 * worst_m:g} cm"
         )
-        labels = [f"{case.replace('+', ' +' + chr(10))}\n{LABELS.get(method, method)}" for case, method in cases]
+        short = {"+yaw-random-walk": "\n+ yaw walk", ", blind": ",\nblind"}
+        labels = [f"{_replaced(case, short)}\n{LABELS.get(method, method)}" for case, method in cases]
         panel.set_xticks(range(len(cases)), labels, fontsize=9)
         panel.set(ylabel="ATE, root mean square (cm)", xlim=(-0.5, len(cases) - 0.3), ylim=(0, None))
         panel.grid(axis="x", visible=False)
         panel.set_ylim(0, 1.25 * panel.get_ylim()[1])
         panel.legend(loc="upper left")
     return figure
+
+
+def _replaced(text: str, short: dict[str, str]) -> str:
+    for long, other in short.items():
+        text = text.replace(long, other)
+    return text
