@@ -1,0 +1,51 @@
+"""What a reconstruction gives: bars, the joints that tie them, and the graph of both."""
+
+import itertools
+from dataclasses import dataclass
+
+import networkx as nx
+import numpy as np
+
+from steelnb.datatypes import Array, IntArray, Segments
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Bars and joints in the world frame, metres, z up.
+
+    ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: what a bar
+    looks like across, NaN where that is not known; ``sightings (B,)``: in how many scans it was seen; ``sigma_m (B,)``:
+    standard deviation of the axis's position across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for each bar
+    that a joint ties.
+    """
+
+    segments: Segments
+    width_m: Array
+    sightings: IntArray
+    sigma_m: Array
+    joint: Array
+    tie: IntArray
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    @staticmethod
+    def empty() -> "Structure":
+        none = np.zeros(0)
+        return Structure(
+            Segments.empty(), none, np.zeros(0, np.int64), none, np.zeros((0, 3)), np.zeros((0, 2), np.int64)
+        )
+
+    def graph(self) -> nx.Graph:
+        """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``bar``, ``length_m``).
+
+        A bar with fewer than two joints gives no edge.
+        """
+        graph = nx.Graph()
+        graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joint.tolist()))
+        for bar in range(len(self)):
+            tied = self.tie[self.tie[:, 1] == bar, 0]
+            along = (self.joint[tied] - self.segments.start[bar]) @ self.segments.direction[bar]
+            for a, b in itertools.pairwise(tied[np.argsort(along, kind="stable")].tolist()):
+                graph.add_edge(a, b, bar=bar, length_m=float(np.linalg.norm(self.joint[b] - self.joint[a])))
+        return graph
