@@ -15,14 +15,14 @@ def figure_maps(results: Sequence[Result]) -> Figure:
     Segments within 5° and 10 cm of a true member along half their length are green, the others red.
     """
     colour = COLOURS["least_squares"]
-    width, side = 4.2 * len(results), 5.9
+    width, height, side = 4.2 * len(results), 7.3, 5.9
     with style():
         # Placed by hand: a 3D axis is square, and squares side by side would leave the towers small.
-        figure = Figure(figsize=(width, 7.1))
+        figure = Figure(figsize=(width, height))
         figure.set_layout_engine("none")
         for k, result in enumerate(results):
             centre = (k + 0.5) / len(results)
-            place = (centre - 0.5 * side / width, 0.075, side / width, side / 7.1)
+            place = (centre - 0.5 * side / width, 0.1, side / width, side / height)
             scene = figure.add_axes(place, projection="3d", facecolor="none")
             truth, segments = result.truth, result.segments
             right = score_segments(segments, truth.tower.axes).right

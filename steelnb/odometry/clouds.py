@@ -3,11 +3,12 @@
 import time
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from steelnb.config import CloudSettings, PreprocessSettings
 from steelnb.datatypes import Array, OdometryStep, Scan, Segments
-from steelnb.errors import SettingsError
 from steelnb.mapping import VoxelMap
+from steelnb.odometry.corrections import check_prior
 from steelnb.odometry.near_side import NearSide
 from steelnb.preprocess import preprocess_scan
 from steelnb.preprocess.covariances import neighbour_covariances, regularised
@@ -29,6 +30,7 @@ class CloudOdometry:
         self.T_drone_sensor = np.eye(4) if T_drone_sensor is None else T_drone_sensor
         self.map = VoxelMap(self.settings.map_voxel_m, self.settings.remember)
         self.offset, self.turn = np.zeros(3), np.eye(3)
+        self.offset_rate, self.turn_rate, self.used = np.zeros(3), np.zeros(3), False
         self.free = free_directions(self.settings.dof)
         s = self.settings
         self.information = np.diag([s.prior_sigma_rad**-2.0] * 3 + [s.prior_sigma_m**-2.0] * 3)
@@ -38,12 +40,9 @@ class CloudOdometry:
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan = scan if isinstance(scan, Scan) else Scan(0.0, scan)
-        if np.shape(T_world_drone_prior) != (4, 4) or not np.isfinite(T_world_drone_prior).all():
-            raise SettingsError(f"T_world_drone_prior = {T_world_drone_prior!r}: expected a finite (4, 4) array")
+        check_prior(T_world_drone_prior)
         s, clock = self.settings, [time.perf_counter()]
-        T_init = T_world_drone_prior.copy()
-        T_init[:3, :3] = self.turn @ T_init[:3, :3]
-        T_init[:3, 3] += self.offset
+        T_init = self._predict(T_world_drone_prior)
         points = preprocess_scan(scan, T_init, self.T_drone_sensor, self.preprocess)
         if s.near_side:
             self.near_side.look(scan.points)
@@ -55,15 +54,39 @@ class CloudOdometry:
         used = reason == ""
         clock.append(time.perf_counter())
         if (used or reason == "first scan") and len(points):
-            self._insert(points, T_world_drone)
+            self.insert(points, T_world_drone)
         if used:
             if s.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
-            self.turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
-            self.offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
+            self._correct(T_world_drone, T_world_drone_prior)
+        self.used = used
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds)
+
+    def _predict(self, T_world_drone_prior: Array) -> Array:
+        """The prior with the correction of the last scan, and with its rate where that scan was used.
+
+        An iteration that starts behind stops behind, by the same little in every frame, and the map keeps it: under a
+        constant drift that adds up. While nothing is seen, the rate says nothing either, and the prior stands.
+        """
+        turn, offset = self.turn, self.offset
+        if self.used:
+            turn, offset = Rotation.from_rotvec(self.turn_rate).as_matrix() @ turn, offset + self.offset_rate
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
+        return T
+
+    def _correct(self, T_world_drone: Array, T_world_drone_prior: Array) -> None:
+        """Keep the correction and follow its rate: an alpha-beta filter with alpha = 1, the position from the map."""
+        turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
+        offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
+        if self.used:  # a jump after a gap is no rate
+            gain = self.settings.drift_gain
+            self.offset_rate = self.offset_rate + gain * (offset - self.offset - self.offset_rate)
+            turned = Rotation.from_matrix(turn @ self.turn.T).as_rotvec()
+            self.turn_rate = self.turn_rate + gain * (turned - self.turn_rate)
+        self.turn, self.offset = turn, offset
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.settings
@@ -131,7 +154,8 @@ class CloudOdometry:
             return T_init, f"jump of {jump:.2f} m", result.inliers
         return result.T_target_source, "", result.inliers
 
-    def _insert(self, points: Array, T_world_drone: Array) -> None:
+    def insert(self, points: Array, T_world_drone: Array) -> None:
+        """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""
         touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
         if self.settings.shape != "neighbours":
             self.map.update_shapes(touched)

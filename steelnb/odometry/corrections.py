@@ -7,6 +7,7 @@ import numpy as np
 
 from steelnb.config import OdometrySettings
 from steelnb.datatypes import Array, Segments
+from steelnb.errors import SettingsError
 from steelnb.fusion import SegmentMap, associate
 
 
@@ -66,6 +67,12 @@ CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, OdometrySettings], Correc
     "average": average,
     "least_squares": least_squares,
 }
+
+
+def check_prior(T_world_drone_prior: Array) -> None:
+    """Raise `SettingsError` for a pose that is not a finite ``(4, 4)`` array."""
+    if np.shape(T_world_drone_prior) != (4, 4) or not np.isfinite(T_world_drone_prior).all():
+        raise SettingsError(f"T_world_drone_prior = {T_world_drone_prior!r}: expected a finite (4, 4) array")
 
 
 def _moved(segments: Segments, offset: Array) -> Segments:

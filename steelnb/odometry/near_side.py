@@ -57,26 +57,8 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
             x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
             distance[r, c] = np.sqrt(x * x + y * y + z * z)
     along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
-    for r in range(rows):
-        first = 0
-        for c in range(1, columns + 1):
-            if c < columns and abs(distance[r, c] - distance[r, c - 1]) <= STEP_M:
-                continue
-            if distance[r, first] == distance[r, first]:
-                pitch = _pitch(image, r, first, c - 1, True)
-                for k in range(first, c):
-                    along_row[r, k] = (c - first) * pitch
-            first = c
-    for c in range(columns):
-        first = 0
-        for r in range(1, rows + 1):
-            if r < rows and abs(distance[r, c] - distance[r - 1, c]) <= STEP_M:
-                continue
-            if distance[first, c] == distance[first, c]:
-                pitch = _pitch(image, c, first, r - 1, False)
-                for k in range(first, r):
-                    along_column[k, c] = (r - first) * pitch
-            first = r
+    measure_runs(image, distance, 1, along_row)
+    measure_runs(image.transpose(1, 0, 2), distance.T, 2, along_column.T)
     total, count = 0.0, 0
     for r in range(rows):
         for c in range(columns):
@@ -90,12 +72,21 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _pitch(image, line, first, last, row):  # type: ignore[no-untyped-def]
-    """Distance between neighbouring pixels of a run, from its first and last point; 0 for a lone pixel."""
-    if first == last:
-        return 0.0
-    if row:
-        a, b = image[line, first], image[line, last]
-        return abs(b[1] / b[0] - a[1] / a[0]) * 0.5 * (a[0] + b[0]) / (last - first)
-    a, b = image[first, line], image[last, line]
-    return abs(b[2] / b[0] - a[2] / a[0]) * 0.5 * (a[0] + b[0]) / (last - first)
+def measure_runs(image, distance, across, length):  # type: ignore[no-untyped-def]
+    """Write to ``length (L, K)`` how long the run of returns is that each pixel of a line lies in, metres, 0 for none.
+
+    ``across`` is the coordinate that grows along a line. The pitch of a run comes from its first and last point, so a
+    lone pixel has none.
+    """
+    lines, pixels = distance.shape
+    for i in range(lines):
+        first = 0
+        for k in range(1, pixels + 1):
+            if k < pixels and abs(distance[i, k] - distance[i, k - 1]) <= STEP_M:
+                continue
+            if distance[i, first] == distance[i, first] and k - 1 > first:
+                a, b = image[i, first], image[i, k - 1]
+                pitch = abs(b[across] / b[0] - a[across] / a[0]) * 0.5 * (a[0] + b[0]) / (k - 1 - first)
+                for j in range(first, k):
+                    length[i, j] = (k - first) * pitch
+            first = k

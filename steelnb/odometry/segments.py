@@ -6,10 +6,9 @@ import numpy as np
 
 from steelnb.config import FusionSettings, HoughSettings, OdometrySettings, PreprocessSettings
 from steelnb.datatypes import Array, OdometryStep, Scan, Segments
-from steelnb.errors import SettingsError
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
-from steelnb.odometry.corrections import CORRECTIONS
+from steelnb.odometry.corrections import CORRECTIONS, check_prior
 from steelnb.preprocess import preprocess_scan
 
 
@@ -43,8 +42,7 @@ class SegmentOdometry:
         correction as it was, and says so. Raises `SettingsError` for a prior that is not a finite ``(4, 4)`` array.
         """
         scan = scan if isinstance(scan, Scan) else Scan(0.0, scan)
-        if np.shape(T_world_drone_prior) != (4, 4) or not np.isfinite(T_world_drone_prior).all():
-            raise SettingsError(f"T_world_drone_prior = {T_world_drone_prior!r}: expected a finite (4, 4) array")
+        check_prior(T_world_drone_prior)
         clock = [time.perf_counter()]
         T_world_drone = T_world_drone_prior.copy()
         T_world_drone[:3, 3] += self.offset

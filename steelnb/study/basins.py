@@ -79,12 +79,12 @@ def find_basin(
     for k in range(0, len(flight.scans), every):
         if k != frame:
             points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.preprocess)
-            odometry.map.update_shapes(odometry.map.insert(points @ true[k][:3, :3].T + true[k][:3, 3]))
+            odometry.insert(points, true[k])
     ends, used = [], []
     for k, offset in enumerate(offset_m):
-        trial = copy.deepcopy(odometry)
-        trial.offset, trial.turn = np.asarray(offset, dtype=np.float64), np.eye(3)
-        step = trial.update(flight.scans[frame], true[frame])
+        start = true[frame].copy()
+        start[:3, 3] += offset
+        step = copy.deepcopy(odometry).update(flight.scans[frame], start)
         ends.append(step.T_world_drone)
         used.append(step.used)
         if on_progress:
