@@ -1,6 +1,6 @@
 """The command line: thin commands, one line for each error, exit codes that a script can use.
 
-0: done; 1: a notebook failed or `check` found a difference; 2: bad input; 130: interrupted.
+0: done; 1: a notebook failed, or `check` or `structure` found a difference; 2: bad input; 130: interrupted.
 """
 
 import contextlib
@@ -15,7 +15,8 @@ import typer
 
 import steelnb
 from steelnb import reproduce as notebooks
-from steelnb.errors import SteelnbError
+from steelnb.errors import SettingsError, SteelnbError
+from steelnb.fusion.compare import Tolerance
 from steelnb.project import Project, parse_parameter
 
 LINE_PERIOD_S = 30.0
@@ -144,6 +145,50 @@ def segment(
 
     result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
+
+
+@app.command()
+def structure(
+    first: Annotated[Path, typer.Argument(metavar="A.json", help="A structure as steelnb wrote it.")],
+    second: Annotated[Path | None, typer.Argument(metavar="[B.json]", help="Another one, in the same frame.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for differences.csv and differences.png.")
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option("--to", help="Write A to this file: .json, .csv, .dxf, .glb, .ply, .graphml or .ifc.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Let --to overwrite.")] = False,
+    offset: Annotated[float, typer.Option(help="Metres up to which an axis has not moved.")] = Tolerance.offset_m,
+    angle: Annotated[float, typer.Option(help="Degrees up to which it has not turned.")] = Tolerance.angle_deg,
+    end: Annotated[float, typer.Option(help="Metres up to which its ends have not moved.")] = Tolerance.end_m,
+    joint: Annotated[float, typer.Option(help="Metres up to which a joint has not moved.")] = Tolerance.joint_m,
+    match_offset: Annotated[
+        float, typer.Option(help="Metres beyond which a bar is another bar.")
+    ] = Tolerance.match_offset_m,
+    match_angle: Annotated[
+        float, typer.Option(help="Degrees beyond which it is another bar.")
+    ] = Tolerance.match_angle_deg,
+    match_joint: Annotated[
+        float, typer.Option(help="Metres beyond which a joint is another joint.")
+    ] = Tolerance.match_joint_m,
+) -> None:
+    """Say what a structure holds; compare it with another (exit 1 if they differ); or convert it with --to."""
+    from steelnb import structure as structures
+
+    if second is None and output is not None:
+        raise SettingsError("--output: expected two structures to compare; --to FILE converts one")
+    if second is not None and to is not None:
+        raise SettingsError("--to: expected one structure to convert, not two")
+    if second is not None:
+        limit = Tolerance(offset, angle, end, joint, match_offset, match_angle, match_joint)
+        report = structures.compare_files(first, second, output, limit)
+        print("\n".join(report.summary))
+        raise typer.Exit(0 if report.comparison.equal else 1)
+    if to is not None:
+        for file in structures.convert_file(first, to, overwrite=force):
+            print(f"{file} written")
+        return
+    print("\n".join(structures.describe_file(first)))
 
 
 def _short(folder: Path) -> Path:

@@ -43,3 +43,27 @@ class OutputError(SteelnbError):
 
 class NotebookError(SteelnbError):
     """A notebook that raised while it was run."""
+
+
+class VersionError(SteelnbError):
+    """A file of a version that this one cannot read."""
+
+
+class UnitsError(SteelnbError):
+    """A file that does not say its units, or has others than metres."""
+
+
+class NonFiniteError(SteelnbError):
+    """A coordinate or a length that is infinite or not a number."""
+
+
+class StructureError(SteelnbError):
+    """A structure whose bars, joints and ties do not fit together."""
+
+
+class EmptyStructureError(SteelnbError):
+    """A structure without a bar, where there should be something to draw."""
+
+
+class MissingExtraError(SteelnbError):
+    """An optional library that is asked for and not installed."""

@@ -10,15 +10,13 @@ from scipy.spatial import cKDTree
 
 from steelnb.datatypes import Array, Segments
 from steelnb.errors import SettingsError
+from steelnb.exports.members import GROUPS, orientation
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.preprocess import voxel_grid
 from steelnb.recordings import Cloud, new_folder, read_cloud, write_segments
 
 MIN_VOTES = 8
 STRAIGHT = 0.7
-VERTICAL_DEG, HORIZONTAL_DEG = 20.0, 10.0
-"""Near vertical is up to 20° from the vertical, since legs lean; near horizontal up to 10° from the horizontal."""
-GROUPS = ("near_vertical", "inclined", "near_horizontal")
 
 
 @dataclass(frozen=True)
@@ -131,12 +129,6 @@ def tube_radius(points: Array) -> float:
                 return max(spacing, float(np.median(width)))
         radius *= math.sqrt(2)
     return min(spacing, diagonal / 4)
-
-
-def orientation(segments: Segments) -> list[str]:
-    """The class of each segment out of `GROUPS`."""
-    lean = np.degrees(np.arccos(np.clip(np.abs(segments.direction[:, 2]), 0, 1)))
-    return [GROUPS[0] if angle <= VERTICAL_DEG else GROUPS[1 + (angle >= 90 - HORIZONTAL_DEG)] for angle in lean]
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:

@@ -25,7 +25,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     The front is the widest view: the structure is turned about z until the box around it is smallest, its wider side
     first. Lengths are metres from the middle of that box and from the lowest point.
     """
-    turn = _upright_box(points)
+    turn = upright_box(points)
     points = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(int)] @ turn.T
     low, high = points.min(axis=0), points.max(axis=0)
     shift = np.array([*(low + high)[:2] / 2, low[2]])
@@ -34,7 +34,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     views = {
         "front": (points[:, [0, 2]], bars[..., [0, 2]]),
         "side": (points[:, [1, 2]], bars[..., [1, 2]]),
-        "perspective": (_seen(points, points), _seen(bars.reshape(-1, 3), points).reshape(-1, 2, 2)),
+        "perspective": (seen(points, points), seen(bars.reshape(-1, 3), points).reshape(-1, 2, 2)),
     }
     # One scale for all panels. Towers stand side by side, long structures lie below each other.
     sizes = np.array([np.ptp(flat, axis=0) * 1.06 for flat, _ in views.values()])
@@ -82,7 +82,7 @@ def _draw(panel: Axes, points: Array, bars: Array, colours: list[str], size: Arr
         axis.set_major_locator(MaxNLocator(min(ticks, 10), steps=[1, 2, 5, 10]))
 
 
-def _seen(points: Array, cloud: Array) -> Array:
+def seen(points: Array, cloud: Array) -> Array:
     """Points ``(N, 3)`` → ``(N, 2)`` metres as a pinhole camera sees them, to scale in the middle of the cloud.
 
     Not matplotlib's 3D axes, which draw into a square and hide bars behind points.
@@ -96,7 +96,7 @@ def _seen(points: Array, cloud: Array) -> Array:
     return np.asarray(flat * (distance / (distance - away @ to_camera))[:, None])
 
 
-def _upright_box(points: Array) -> Array:
+def upright_box(points: Array) -> Array:
     """Rotation ``(3, 3)`` about z after which the upright box around the points is smallest and widest along x."""
     flat = points[:: max(1, len(points) // 20_000), :2]
     best = (np.inf, np.eye(3))

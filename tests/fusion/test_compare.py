@@ -1,0 +1,206 @@
+"""Comparing two structures: made-up cases whose differences are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steelnb.datatypes import Segments
+from steelnb.errors import SettingsError
+from steelnb.fusion.compare import Tolerance, compare, deviation
+from steelnb.fusion.structure import Structure
+
+
+def made(bars, joint=(), tie=()) -> Structure:
+    bars = np.array(bars, dtype=float).reshape(-1, 2, 3)
+    n = len(bars)
+    segments = Segments(bars[:, 0], bars[:, 1], np.full(n, 100), np.full(n, 0.01))
+    return Structure(
+        segments, np.full(n, 0.08), np.full(n, 5), np.full(n, 0.002), np.array(joint, dtype=float).reshape(-1, 3),
+        np.array(tie, dtype=np.int64).reshape(-1, 2),
+    )  # fmt: skip
+
+
+def changed(structure: Structure, bar: int, start=(0, 0, 0), end=(0, 0, 0)) -> Structure:
+    s = structure.segments
+    starts, ends = s.start.copy(), s.end.copy()
+    starts[bar] += start
+    ends[bar] += end
+    return replace(structure, segments=Segments(starts, ends, s.count, s.radius))
+
+
+def shuffled(structure: Structure, seed: int) -> tuple[Structure, np.ndarray, np.ndarray]:
+    """The same structure with bars and joints in another order and every other bar the other way round; and where
+    each bar and each joint went."""
+    rng, s = np.random.default_rng(seed), structure.segments
+    bar, joint = rng.permutation(len(structure)), rng.permutation(len(structure.joint))
+    turned = rng.random(len(bar))[:, None] < 0.5
+    start, end = s.start[bar], s.end[bar]
+    segments = Segments(np.where(turned, end, start), np.where(turned, start, end), s.count[bar], s.radius[bar])
+    bar_to, joint_to = np.argsort(bar), np.argsort(joint)
+    tie = np.stack([joint_to[structure.tie[:, 0]], bar_to[structure.tie[:, 1]]], axis=1)
+    each = {name: getattr(structure, name)[bar] for name in ("width_m", "sightings", "sigma_m")}
+    other = Structure(segments=segments, joint=structure.joint[joint], tie=rng.permutation(tie), **each)
+    return other, bar_to, joint_to
+
+
+def ladder(steps: int = 6) -> Structure:
+    """Two posts 1 m apart, and rungs between them 0.5 m apart, each tied to both posts."""
+    top = 0.5 * (steps + 1)
+    posts = [[[0, 0, 0], [0, 0, top]], [[1, 0, 0], [1, 0, top]]]
+    rungs = [[[0, 0, 0.5 * k], [1, 0, 0.5 * k]] for k in range(1, steps + 1)]
+    joint = [[x, 0, 0.5 * k] for k in range(1, steps + 1) for x in (0, 1)]
+    tie = [row for k in range(steps) for row in ((2 * k, 0), (2 * k, 2 + k), (2 * k + 1, 1), (2 * k + 1, 2 + k))]
+    return made(posts + rungs, joint, tie)
+
+
+def test_a_structure_equals_itself() -> None:
+    found = compare(ladder(), ladder(), Tolerance(0, 0, 0, 0))
+    assert found.equal
+    np.testing.assert_array_equal(found.bar, np.repeat(np.arange(8)[:, None], 2, axis=1))
+    np.testing.assert_array_equal(found.joint, np.repeat(np.arange(12)[:, None], 2, axis=1))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_neither_order_nor_sense_matters(seed: int) -> None:
+    other, bar_to, joint_to = shuffled(ladder(), seed)
+    found = compare(ladder(), other, Tolerance(0, 0, 0, 0))
+    assert found.equal
+    np.testing.assert_array_equal(found.bar[:, 1], bar_to[found.bar[:, 0]])
+    np.testing.assert_array_equal(found.joint[:, 1], joint_to[found.joint[:, 0]])
+    np.testing.assert_allclose(found.deviation.end_m, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_done_is_found(seed: int) -> None:
+    """Rung 3 is gone, a brace is new, rung 5 is 5 cm to the side, a post has lost 20 cm, a joint is 4 cm higher."""
+    whole = changed(changed(ladder(), 5, (0, 0.05, 0), (0, 0.05, 0)), 1, end=(0, 0, -0.2))
+    joint = whole.joint.copy()
+    joint[4] += [0, 0, 0.04]
+    s = whole.segments
+    bars = np.delete(np.stack([s.start, s.end], axis=1), 3, axis=0)
+    bars = np.concatenate([bars, [[[0, 0, 0], [1, 0, 0.5]]]])
+    tie = whole.tie[whole.tie[:, 1] != 3]
+    tie[:, 1] -= tie[:, 1] > 3
+    other, bar_to, joint_to = shuffled(made(bars, joint, tie), seed)
+    found = compare(ladder(), other)
+    assert not found.equal
+    assert found.bar_missing.tolist() == [3]
+    assert found.bar_extra.tolist() == [bar_to[7]]
+    moved = dict(zip(found.bar[found.bar_moved, 0].tolist(), np.flatnonzero(found.bar_moved), strict=True))
+    assert set(moved) == {1, 5}
+    assert found.deviation.offset_m[moved[5]] == pytest.approx(0.05)
+    assert found.deviation.end_m[moved[5]] == pytest.approx(0.05)
+    assert found.deviation.angle_deg[moved[5]] == pytest.approx(0, abs=1e-6)
+    assert found.deviation.offset_m[moved[1]] == pytest.approx(0, abs=1e-12)
+    assert found.deviation.end_m[moved[1]] == pytest.approx(0.2)
+    assert found.joint[found.joint_moved].tolist() == [[4, joint_to[4]]]
+    assert found.joint_distance_m[found.joint_moved] == pytest.approx(0.04)
+    # The missing rung is in no pair, so that its joints are not tied otherwise.
+    assert not found.joint_retied.any()
+    assert len(found.joint_missing) == len(found.joint_extra) == 0
+
+
+def test_a_joint_that_ties_another_bar() -> None:
+    tie = ladder().tie.copy()
+    tie[1] = [0, 3]  # the first joint ties the second rung now
+    found = compare(ladder(), replace(ladder(), tie=tie))
+    assert np.flatnonzero(found.joint_retied).tolist() == [0]
+    assert not found.equal
+
+
+def test_missing_and_extra_change_places_when_the_structures_do() -> None:
+    less = made([[[0, 0, 0], [0, 0, 3.5]]], [[0, 0, 1]], [[0, 0]])
+    there, back = compare(ladder(), less), compare(less, ladder())
+    assert there.bar_missing.tolist() == back.bar_extra.tolist() == [1, 2, 3, 4, 5, 6, 7]
+    assert there.joint_missing.tolist() == back.joint_extra.tolist() == [k for k in range(12) if k != 2]
+    assert len(there.bar_extra) == len(back.bar_missing) == 0
+
+
+def test_deviation_of_a_turned_bar() -> None:
+    """A bar of 2 m, turned by 3° about its middle and 7 cm to the side; then the same with its ends swapped."""
+    angle = np.radians(3)
+    reach = np.array([np.cos(angle), np.sin(angle), 0])
+    side = np.array([0, 0, 0.07])
+    for sign in (1, -1):
+        off = deviation(
+            made([[[-1, 0, 0], [1, 0, 0]]]).segments, made([[side - sign * reach, side + sign * reach]]).segments
+        )
+        assert off.angle_deg == pytest.approx(3)
+        assert off.offset_m == pytest.approx(0.07)
+        assert off.end_m == pytest.approx(np.hypot(2 * np.sin(angle / 2), 0.07))
+        assert off.overlap == pytest.approx(np.cos(angle))
+
+
+def test_the_offset_is_taken_where_both_are() -> None:
+    """A bar that leans away by 2° beyond the end of the other one: where they lie side by side, they are 1 cm apart."""
+    slope = np.tan(np.radians(2))
+    a = made([[[0, 0, 0], [2, 0, 0]]]).segments
+    b = made([[[0, 0.01 - slope, 0], [4, 0.01 + 3 * slope, 0]]]).segments
+    off = deviation(a, b)
+    assert off.offset_m == pytest.approx(0.01)
+    assert off.overlap == pytest.approx(0.5, abs=1e-3)
+
+
+def test_an_exact_match_is_not_given_up_for_two_poor_ones() -> None:
+    """Parallel bars at 0 and 20 cm, then at 20 and 40 cm: the one at 20 cm is there in both."""
+    a, b = (made([[[0, y, 0], [3, y, 0]] for y in ys]) for ys in ((0.0, 0.2), (0.2, 0.4)))
+    found = compare(a, b)
+    assert found.bar.tolist() == [[1, 0]]
+    assert (found.bar_missing.tolist(), found.bar_extra.tolist()) == ([0], [1])
+
+
+def test_beyond_the_limits_a_bar_is_another_one() -> None:
+    bar = [[0, 0, 0], [2, 0, 0]]
+    for offset, pairs in ((0.29, 1), (0.31, 0)):
+        found = compare(made([bar]), made([np.add(bar, [0, offset, 0])]))
+        assert (len(found.bar), len(found.bar_missing), len(found.bar_extra)) == (pairs, 1 - pairs, 1 - pairs)
+    for share, pairs in ((0.52, 1), (0.48, 0)):  # half of the longer
+        assert len(compare(made([bar]), made([[[0, 0, 0], [2 * share, 0, 0]]])).bar) == pairs
+    for angle, pairs in ((9.5, 1), (10.5, 0)):
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        assert len(compare(made([bar]), made([[[1 - c, -s, 0], [1 + c, s, 0]]])).bar) == pairs
+
+
+@pytest.mark.parametrize(
+    ("step", "tolerance"),
+    [
+        ({"start": (0, 0.011, 0), "end": (0, 0.011, 0)}, {"offset_m": 0.012}),
+        ({"start": (0.031, 0, 0)}, {"end_m": 0.032}),
+        ({"start": (0, 0.0095, 0), "end": (0, -0.0095, 0)}, {"angle_deg": 1.2}),
+    ],
+)
+def test_each_tolerance_decides_by_itself(step: dict, tolerance: dict) -> None:
+    a = made([[[0, 0, 0], [1, 0, 0]]])
+    b = changed(a, 0, **step)
+    assert not compare(a, b).equal
+    assert compare(a, b, Tolerance(**tolerance)).equal
+
+
+def test_large_coordinates_lose_nothing() -> None:
+    far = np.array([299100.0, 2801400.0, 1900.0])
+    s = ladder().segments
+    away = made(np.stack([s.start + far, s.end + far], axis=1), ladder().joint + far, ladder().tie)
+    found = compare(away, changed(away, 4, (0, 0.02, 0), (0, 0.02, 0)))
+    assert found.deviation.offset_m[4] == pytest.approx(0.02, abs=1e-8)
+    assert np.flatnonzero(found.bar_moved).tolist() == [4]
+
+
+def test_nothing_to_compare() -> None:
+    assert compare(Structure.empty(), Structure.empty()).equal
+    found = compare(Structure.empty(), ladder())
+    assert (len(found.bar), len(found.bar_extra), len(found.joint_extra)) == (0, 8, 12)
+    assert len(compare(ladder(), Structure.empty()).bar_missing) == 8
+
+
+@pytest.mark.parametrize("wrong", [{"offset_m": -1}, {"angle_deg": np.nan}, {"end_m": np.inf}, {"match_joint_m": 0}])
+def test_tolerances_that_are_none(wrong: dict) -> None:
+    with pytest.raises(SettingsError, match=f"{next(iter(wrong))} = "):
+        Tolerance(**wrong)
+
+
+def test_beyond_the_limit_a_joint_is_another_one() -> None:
+    bar = [[0, 0, 0], [2, 0, 0]]
+    for away, pairs in ((0.29, 1), (0.31, 0)):
+        found = compare(made([bar], [[0, 0, 0]], [[0, 0]]), made([bar], [[0, 0, away]], [[0, 0]]))
+        assert (len(found.joint), len(found.joint_missing), len(found.joint_extra)) == (pairs, 1 - pairs, 1 - pairs)
