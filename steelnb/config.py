@@ -350,6 +350,33 @@ class CloudSettings(Settings):
         return cls(method=method, **known[method])
 
 
+class StructureSettings(Settings):
+    """The final reconstruction. Defaults were chosen on the development seeds 11 and 12, on both flights.
+
+    Voxels of ``voxel_m`` stay with ``ridge_share`` of the largest weight within ``ridge_radius_m``, and contract to
+    their mean within ``contract_m``. A bar's points lie within ``tube_m`` of it. ``strut_length_min_m`` is the shortest
+    bar that may stand between two others, all others are at least ``length_min_m`` long. Pieces in line, at most
+    ``gap_max_m`` apart, are one bar; bars that mostly run within ``copy_distance_m`` of a stronger one are copies.
+    ``slack_m``, ``lead_m``, ``same_m`` are those of `fusion.joints.find_joints`. Points below ``floor_m`` are left out.
+    """
+
+    voxel_m: Positive = 0.04
+    ridge_radius_m: Positive = 0.15
+    ridge_share: Annotated[float, Field(gt=0, le=1)] = 0.2
+    contract_m: Positive = 0.08
+    tube_m: Positive = 0.06
+    min_votes: Annotated[int, Field(ge=2)] = 8
+    length_min_m: Positive = 0.3
+    strut_length_min_m: Positive = 0.18
+    floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.2
+    range_max_m: Positive = 6.0
+    gap_max_m: NotNegative = 0.3
+    copy_distance_m: Positive = 0.10
+    slack_m: NotNegative = 0.02
+    lead_m: NotNegative = 0.25
+    same_m: Positive = 0.15
+
+
 class ExperimentSettings(Settings):
     """Everything one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower."""
 

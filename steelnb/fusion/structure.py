@@ -16,7 +16,7 @@ class Structure:
     ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: what a bar
     looks like across, NaN where that is not known; ``sightings (B,)``: in how many scans it was seen; ``sigma_m (B,)``:
     standard deviation of the axis's position across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for each bar
-    that a joint ties.
+    that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
     """
 
     segments: Segments
@@ -25,15 +25,16 @@ class Structure:
     sigma_m: Array
     joint: Array
     tie: IntArray
+    reason: str = ""
 
     def __len__(self) -> int:
         return len(self.segments)
 
     @staticmethod
-    def empty() -> "Structure":
+    def empty(reason: str = "") -> "Structure":
         none = np.zeros(0)
         return Structure(
-            Segments.empty(), none, np.zeros(0, np.int64), none, np.zeros((0, 3)), np.zeros((0, 2), np.int64)
+            Segments.empty(), none, np.zeros(0, np.int64), none, np.zeros((0, 3)), np.zeros((0, 2), np.int64), reason
         )
 
     def graph(self) -> nx.Graph:

@@ -31,7 +31,7 @@ SHADOW = 1.25
 """Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
 
 
-def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
+def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH) -> Segments:
     """Find the bars in the cloud of a whole structure.
 
     Parameters
@@ -39,6 +39,7 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
     points: ``(N, 3)`` metres, finite, voxel-filtered with a leaf of about dx/√3.
     dx: radius of the tube that holds a bar's points, metres.
     min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
+    length_min: of a segment, in dx.
 
     Surfaces (ground, walls) come out as stripes side by side: crop them first.
 
@@ -46,7 +47,7 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
     """
     points = points[np.argsort(points[:, 2], kind="stable")]  # so that the points near a proposal are one slice
     px, py, pz = np.ascontiguousarray(points.T)
-    proposed = _propose(points, dx, min_votes)
+    proposed = _propose(points, dx, min_votes, length_min)
     start, direction, length = proposed.start, proposed.direction, proposed.length
     pairs = _pairs(px, py, pz, start, direction, length, dx, np.zeros((0, 3), dtype=np.int32))
     pair = np.empty((pairs, 3), dtype=np.int32)
@@ -55,7 +56,9 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8) -> Segments:
     first_pair = np.searchsorted(pair[:, 1], np.arange(len(points) + 1))
     ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
     radius = np.zeros(len(proposed))
-    found = _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pair, ends, count, radius)
+    found = _choose(
+        px, py, pz, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
+    )  # fmt: skip
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
 
@@ -70,7 +73,7 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
     return near
 
 
-def _propose(points: Array, dx: float, min_votes: int) -> Segments:
+def _propose(points: Array, dx: float, min_votes: int, length_min: float) -> Segments:
     """Segments of each block, of eight grids of blocks that are shifted by half a block against each other."""
     edge = BLOCK * dx
     low = points.min(axis=0)
@@ -83,12 +86,12 @@ def _propose(points: Array, dx: float, min_votes: int) -> Segments:
         for first, last in itertools.pairwise(bounds):
             some = points[order[first:last]]
             # Bounds looser than the final ones: a block may hold only part of a bar.
-            if len(some) >= 0.75 * min_votes and np.linalg.norm(np.ptp(some, axis=0)) > (LENGTH - 1) * dx:
+            if len(some) >= 0.75 * min_votes and np.linalg.norm(np.ptp(some, axis=0)) > (length_min - 1) * dx:
                 found.append(
                     detect_segments(
                         some, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
                         gap_max=GAP * dx, pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx,
-                        length_min=(LENGTH - 1) * dx,
+                        length_min=(length_min - 1) * dx,
                     )
                 )  # fmt: skip
     names = ("start", "end", "count", "radius")
@@ -129,7 +132,9 @@ def _pairs(px, py, pz, start, direction, length, dx, pair):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pair, ends, count, radius):  # type: ignore[no-untyped-def]
+def _choose(  # type: ignore[no-untyped-def]
+    px, py, pz, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius
+):
     """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
@@ -166,7 +171,7 @@ def _choose(px, py, pz, start, direction, length, dx, min_votes, pair, first_pai
             continue
         spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, kept)
         low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, kept)
-        long_enough = high - low >= LENGTH * dx and kept * dx >= high - low
+        long_enough = high - low >= length_min * dx and kept * dx >= high - low
         if not long_enough or spread_along < PCA_RATIO * (spread_along + spread_across):
             continue
         ends[found, 0], ends[found, 1], ends[found, 2] = ax + low * ux, ay + low * uy, az + low * uz

@@ -1,0 +1,151 @@
+"""Where bars meet: joints by shortest distance, bars led on to them, pieces chained across them."""
+
+import itertools
+import math
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Array, IntArray, Segments
+
+
+def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
+    """The point ``(3,)`` with the least sum of squared distances to lines ``(K, 2, 3)``.
+
+    Held to ``about (3,)`` with ``share`` of a line's weight, since almost parallel lines have no such point.
+    """
+    direction = axes[:, 1] - axes[:, 0]
+    direction = direction / np.linalg.norm(direction, axis=1)[:, None]
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    matrix = across.sum(axis=0) + share * np.eye(3)
+    return np.asarray(np.linalg.solve(matrix, (across @ axes[:, 0, :, None]).sum(axis=0)[:, 0] + share * about))
+
+
+def find_joints(
+    bars: Segments, width_m: Array, slack_m: float, lead_m: float, same_m: float
+) -> tuple[Array, IntArray, Segments]:
+    """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends led to the joints.
+
+    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``; either may
+    be led on by ``lead_m`` for that, since what is near another bar is easily taken for a part of it, but only to
+    what it meets first. Meetings on one bar that are less than ``same_m`` apart are one joint: the point nearest to
+    all axes that it ties. The end of a bar beyond its last joint, or short of it, is moved there if by less than
+    ``same_m`` or ``lead_m``.
+    """
+    pair, at, point = _meetings(bars.start, bars.direction, bars.length, width_m, slack_m, lead_m)
+    keep = _first_ones(pair, at, bars.length, same_m)
+    pair, at, point = pair[keep], at[keep], point[keep]
+    group = _groups(pair, at, point, same_m)
+    names = np.unique(group)
+    joint, ties = np.zeros((len(names), 3)), []
+    for j, name in enumerate(names):
+        inside = group == name
+        tied = np.unique(pair[inside])
+        axes = np.stack([bars.start[tied], bars.end[tied]], axis=1)
+        joint[j] = nearest_point(axes, point[inside].mean(axis=0))
+        ties += [(j, int(bar)) for bar in tied]
+    tie = np.array(ties, dtype=np.int64).reshape(-1, 2)
+    return joint, tie, _led(bars, joint, tie, lead_m, same_m)
+
+
+def _led(bars: Segments, joint: Array, tie: IntArray, lead_m: float, same_m: float) -> Segments:
+    start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
+    for bar in np.unique(tie[:, 1]):
+        along = (joint[tie[tie[:, 1] == bar, 0]] - bars.start[bar]) @ direction[bar]
+        low, high = along.min(), along.max()
+        if -lead_m <= low <= same_m and low < length[bar] / 2:
+            start[bar] = bars.start[bar] + low * direction[bar]
+        if -same_m <= high - length[bar] <= lead_m and high > length[bar] / 2:
+            end[bar] = bars.start[bar] + high * direction[bar]
+    return Segments(start, end, bars.count, bars.radius)
+
+
+@njit(cache=True)
+def _meetings(start, direction, length, width, slack, lead):  # type: ignore[no-untyped-def]
+    """Pairs of bars that meet ``(P, 2)``, where on either in metres from its start, and the points between."""
+    pairs, places, points = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)]
+    reach = lead + slack + 0.5 * width.max() if len(width) else 0.0
+    for i in range(len(length)):
+        for j in range(i + 1, len(length)):
+            apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
+            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + 2.0 * reach:
+                continue
+            cosine = (direction[i] * direction[j]).sum()
+            r = start[i] - start[j]
+            c, f = (direction[i] * r).sum(), (direction[j] * r).sum()
+            if abs(cosine) > 0.985:  # almost parallel: they meet end to end or not at all
+                best = 1e9
+                s = t = 0.0
+                for a in (0.0, length[i]):
+                    for b in (0.0, length[j]):
+                        gap = start[i] + a * direction[i] - start[j] - b * direction[j]
+                        if (gap * gap).sum() < best:
+                            best, s, t = (gap * gap).sum(), a, b
+                if best > lead * lead or abs(cosine) > 0.9995:
+                    continue
+                middle = start[i] + s * direction[i] + start[j] + t * direction[j]
+                s += 0.5 * ((middle * 0.5 - start[i] - s * direction[i]) * direction[i]).sum()
+                t += 0.5 * ((middle * 0.5 - start[j] - t * direction[j]) * direction[j]).sum()
+            else:
+                square = 1.0 - cosine * cosine
+                s, t = (cosine * f - c) / square, (f - cosine * c) / square
+                s = min(max(s, -lead), length[i] + lead)
+                t = min(max(f + cosine * s, -lead), length[j] + lead)
+                s = min(max(cosine * t - c, -lead), length[i] + lead)
+            p, q = start[i] + s * direction[i], start[j] + t * direction[j]
+            gap = p - q
+            if math.sqrt((gap * gap).sum()) > slack + 0.5 * (width[i] + width[j]):
+                continue
+            pairs.append((i, j))
+            places.append((s, t))
+            points.append((0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])))
+    return np.array(pairs)[1:], np.array(places)[1:], np.array(points)[1:]
+
+
+def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.ndarray:
+    """Drop meetings for which a bar would be led past what it meets first beyond its end."""
+    keep = np.ones(len(pair), dtype=bool)
+    for _ in range(2):  # dropping one for the sake of one bar may free another; the second round settles it
+        before = keep.copy()
+        for beyond in (-at, at - length[pair]):
+            first = np.full(len(length), np.inf)
+            for k in range(2):
+                out = before & (beyond[:, k] > -same_m)
+                np.minimum.at(first, pair[out, k], np.maximum(beyond[out, k], 0.0))
+            for k in range(2):
+                keep &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + same_m))
+    return keep
+
+
+def _groups(pair: IntArray, at: Array, point: Array, same_m: float) -> IntArray:
+    """Number the meetings by joint: neighbours along a bar that are less than ``same_m`` apart are one."""
+    parent = np.arange(len(pair))
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            i = int(parent[i])
+        return i
+
+    which = np.concatenate([np.arange(len(pair))] * 2)
+    bar, place = pair.T.ravel(), at.T.ravel()
+    order = np.lexsort((place, bar))
+    for a, b in itertools.pairwise(order):
+        if bar[a] == bar[b] and place[b] - place[a] < same_m:
+            one, other = sorted((root(int(which[a])), root(int(which[b]))))
+            parent[other] = one
+    # Two straight bars meet once: joints that share two bars are one. Bars that meet at an acute angle and do not lie
+    # in one plane come nearest to each other well beside the joint that a third bar makes with either.
+    while True:
+        group = np.array([root(i) for i in range(len(pair))], dtype=np.int64)
+        middle = {name: point[group == name].mean(axis=0) for name in np.unique(group).tolist()}
+        owner: dict[tuple[int, int], int] = {}
+        merged = False
+        for name in middle:
+            for two in itertools.combinations(np.unique(pair[group == name]).tolist(), 2):
+                other = owner.setdefault(two, name)
+                if root(other) != root(name) and np.linalg.norm(middle[other] - middle[name]) < 2 * same_m:
+                    one, rest = sorted((root(other), root(name)))
+                    parent[rest] = one
+                    merged = True
+        if not merged:
+            return group

@@ -1,0 +1,99 @@
+"""Which bars are pieces of one, and which are copies of a stronger one."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Segments
+
+IN_LINE_RAD = math.radians(4)
+COPY_RAD = math.radians(15)
+COPY_SHARE = 0.6
+SAMPLES = 9
+
+
+def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float) -> Segments:
+    """Join bars in line, up to ``gap_m`` apart and ``aside_m`` beside each other; drop copies; strongest first.
+
+    A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that. A joined bar has the
+    moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
+    """
+    while len(bars):
+        bars = bars.take(np.argsort(-bars.count, kind="stable"))
+        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy_m, aside_m)
+        if (fate == np.arange(len(bars))).all():
+            break
+        bars = _joined(bars, fate)
+    return bars
+
+
+def _joined(bars: Segments, fate: np.ndarray) -> Segments:
+    kept = np.flatnonzero(fate == np.arange(len(bars)))
+    start, end = bars.start[kept].copy(), bars.end[kept].copy()
+    count, radius = bars.count[kept].copy(), bars.radius[kept].copy()
+    for k, bar in enumerate(kept):
+        pieces = np.flatnonzero(fate == bar)
+        if len(pieces) == 1:
+            continue
+        mean, axis, total, across = combined(bars.take(pieces))
+        along = (np.concatenate([bars.start[pieces], bars.end[pieces]]) - mean) @ axis
+        start[k], end[k] = mean + along.min() * axis, mean + along.max() * axis
+        count[k], radius[k] = total, across
+    return Segments(start, end, count, radius)
+
+
+def combined(pieces: Segments) -> tuple[np.ndarray, np.ndarray, int, float]:
+    """Mean ``(3,)``, axis ``(3,)``, number of points and radius of pieces taken for uniform bars of their points."""
+    weight = pieces.count / pieces.count.sum()
+    mean = weight @ pieces.middle
+    apart, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
+    spread = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, apart, apart)
+    value, vector = np.linalg.eigh(spread)
+    across = math.sqrt(max(value[0] + value[1], 0.0) + float(weight @ pieces.radius**2))
+    return mean, vector[:, 2], int(pieces.count.sum()), across
+
+
+@njit(cache=True)
+def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyped-def]
+    """For each bar: itself, the stronger one that it joins, or −1 for a copy. One join for each bar a round."""
+    n = len(length)
+    fate = np.arange(n)
+    taken = np.zeros(n, np.bool_)
+    for j in range(1, n):
+        for i in range(j):
+            if fate[i] != i:
+                continue
+            apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
+            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + gap + copy:
+                continue
+            cosine = abs((direction[i] * direction[j]).sum())
+            if cosine < math.cos(COPY_RAD):
+                continue
+            beside = low = high = 0.0
+            near = 0
+            low, high = 1e9, -1e9
+            for k in range(SAMPLES):
+                r = start[j] + (k + 0.5) / SAMPLES * length[j] * direction[j] - start[i]
+                t = (r * direction[i]).sum()
+                low, high = min(low, t), max(high, t)
+                distance = math.sqrt(max((r * r).sum() - t * t, 0.0))
+                if distance <= copy and -copy <= t <= length[i] + copy:
+                    near += 1
+            if near >= COPY_SHARE * SAMPLES:
+                fate[j] = -1
+                break
+            if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j]:
+                continue
+            if max(low - length[i], -high) > gap:
+                continue
+            # Beside each other: where the gap or the overlap has its middle.
+            t = 0.5 * (min(max(low, 0.0), length[i]) + min(max(high, 0.0), length[i]))
+            r = start[i] + t * direction[i] - start[j]
+            s = (r * direction[j]).sum()
+            beside = math.sqrt(max((r * r).sum() - s * s, 0.0))
+            if beside <= aside:
+                fate[j] = i
+                taken[i] = taken[j] = True
+                break
+    return fate
