@@ -357,7 +357,7 @@ class StructureSettings(Settings):
     their mean within ``contract_m``. A bar's points lie within ``tube_m`` of it. ``strut_length_min_m`` is the shortest
     bar that may stand between two others, all others are at least ``length_min_m`` long. Pieces in line, at most
     ``gap_max_m`` apart, are one bar; bars that mostly run within ``copy_distance_m`` of a stronger one are copies.
-    ``slack_m``, ``lead_m``, ``same_m`` are those of `fusion.joints.find_joints`. Points below ``floor_m`` are left out.
+    ``slack_m``, ``reach_m``, ``same_m``, ``bend_m`` are those of `fusion.joints.find_joints`. Points below ``floor_m`` are left out.
     """
 
     voxel_m: Positive = 0.04
@@ -373,8 +373,9 @@ class StructureSettings(Settings):
     gap_max_m: NotNegative = 0.3
     copy_distance_m: Positive = 0.10
     slack_m: NotNegative = 0.02
-    lead_m: NotNegative = 0.25
+    reach_m: NotNegative = 0.2
     same_m: Positive = 0.15
+    bend_m: NotNegative = 1.2
 
 
 class ExperimentSettings(Settings):

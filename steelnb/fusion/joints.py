@@ -1,4 +1,4 @@
-"""Where bars meet: joints by shortest distance, bars led on to them, pieces chained across them."""
+"""Where bars meet: joints by shortest distance, and bars led on to them."""
 
 import itertools
 import math
@@ -7,6 +7,10 @@ import numpy as np
 from numba import njit
 
 from steelnb.datatypes import Array, IntArray, Segments
+
+BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
+"""Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where."""
+LEAD_MAX_M = 0.8
 
 
 def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
@@ -22,73 +26,89 @@ def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
 
 
 def find_joints(
-    bars: Segments, width_m: Array, slack_m: float, lead_m: float, same_m: float
+    bars: Segments, width_m: Array, slack_m: float, reach_m: float, same_m: float, bend_m: float
 ) -> tuple[Array, IntArray, Segments]:
     """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends led to the joints.
 
-    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``; either may
-    be led on by ``lead_m`` for that, since what is near another bar is easily taken for a part of it, but only to
-    what it meets first. Meetings on one bar that are less than ``same_m`` apart are one joint: the point nearest to
-    all axes that it ties. The end of a bar beyond its last joint, or short of it, is moved there if by less than
-    ``same_m`` or ``lead_m``.
+    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. What lies
+    within ``reach_m`` of another bar is easily taken for a part of that; so either bar may be led on by ``reach_m``
+    over the sine of the angle between them, but only to what it meets first. Bars that continue each other at a small
+    angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one bar that are less than ``same_m`` apart
+    are one joint: the point nearest to all axes that it ties. Ends near a bar's first and last joint move there.
     """
-    pair, at, point = _meetings(bars.start, bars.direction, bars.length, width_m, slack_m, lead_m)
+    pair, at, point, lead = _meetings(
+        bars.start, bars.direction, bars.length, width_m, slack_m, reach_m, bend_m, BEND_MIN, BEND_MAX
+    )
     keep = _first_ones(pair, at, bars.length, same_m)
-    pair, at, point = pair[keep], at[keep], point[keep]
+    pair, at, point, lead = pair[keep], at[keep], point[keep], lead[keep]
     group = _groups(pair, at, point, same_m)
     names = np.unique(group)
-    joint, ties = np.zeros((len(names), 3)), []
+    joint, ties, leads = np.zeros((len(names), 3)), [], []
     for j, name in enumerate(names):
         inside = group == name
         tied = np.unique(pair[inside])
         axes = np.stack([bars.start[tied], bars.end[tied]], axis=1)
         joint[j] = nearest_point(axes, point[inside].mean(axis=0))
         ties += [(j, int(bar)) for bar in tied]
+        leads += [lead[inside][(pair[inside] == bar).any(axis=1)].max() for bar in tied]
     tie = np.array(ties, dtype=np.int64).reshape(-1, 2)
-    return joint, tie, _led(bars, joint, tie, lead_m, same_m)
+    return joint, tie, _led(bars, joint, tie, np.array(leads), same_m)
 
 
-def _led(bars: Segments, joint: Array, tie: IntArray, lead_m: float, same_m: float) -> Segments:
+def trim_bends(bars: Segments, bend_m: float) -> Segments:
+    """Bars that continue each other at a small angle end at the bend: each had grown into the other there."""
+    width = np.full(len(bars), 0.1)
+    pair, at, _, lead = _meetings(bars.start, bars.direction, bars.length, width, 0.0, 0.0, bend_m, BEND_MIN, BEND_MAX)
+    start, end, length = bars.start.copy(), bars.end.copy(), bars.length
+    for k in np.flatnonzero(lead >= bend_m):
+        for bar, place in zip(pair[k], at[k], strict=True):
+            position = bars.start[bar] + place * bars.direction[bar]
+            (start if place < length[bar] / 2 else end)[bar] = position
+    return Segments(start, end, bars.count, bars.radius)
+
+
+def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array, same_m: float) -> Segments:
     start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
     for bar in np.unique(tie[:, 1]):
-        along = (joint[tie[tie[:, 1] == bar, 0]] - bars.start[bar]) @ direction[bar]
-        low, high = along.min(), along.max()
-        if -lead_m <= low <= same_m and low < length[bar] / 2:
+        mine = tie[:, 1] == bar
+        along = (joint[tie[mine, 0]] - bars.start[bar]) @ direction[bar]
+        first, last = int(along.argmin()), int(along.argmax())
+        low, high, slack = along[first], along[last], lead[mine] + same_m
+        if -slack[first] <= low <= max(same_m, slack[first] - same_m) and low < length[bar] / 2:
             start[bar] = bars.start[bar] + low * direction[bar]
-        if -same_m <= high - length[bar] <= lead_m and high > length[bar] / 2:
+        if -max(same_m, slack[last] - same_m) <= high - length[bar] <= slack[last] and high > length[bar] / 2:
             end[bar] = bars.start[bar] + high * direction[bar]
     return Segments(start, end, bars.count, bars.radius)
 
 
 @njit(cache=True)
-def _meetings(start, direction, length, width, slack, lead):  # type: ignore[no-untyped-def]
-    """Pairs of bars that meet ``(P, 2)``, where on either in metres from its start, and the points between."""
-    pairs, places, points = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)]
-    reach = lead + slack + 0.5 * width.max() if len(width) else 0.0
+def _meetings(start, direction, length, width, slack, reach, bend, bend_min, bend_max):  # type: ignore[no-untyped-def]
+    """Pairs of bars that meet ``(P, 2)``, where on either in metres from its start, the points between, and by how
+    much either may be led on or cut for it."""
+    pairs, places, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
+    widest = width.max() if len(width) else 0.0
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
             apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
-            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + 2.0 * reach:
+            far = 0.5 * (length[i] + length[j]) + 2.0 * max(bend, LEAD_MAX_M) + slack + widest
+            if math.sqrt((apart * apart).sum()) > far:
                 continue
             cosine = (direction[i] * direction[j]).sum()
+            if abs(cosine) > bend_min:
+                continue
             r = start[i] - start[j]
             c, f = (direction[i] * r).sum(), (direction[j] * r).sum()
-            if abs(cosine) > 0.985:  # almost parallel: they meet end to end or not at all
-                best = 1e9
-                s = t = 0.0
-                for a in (0.0, length[i]):
-                    for b in (0.0, length[j]):
-                        gap = start[i] + a * direction[i] - start[j] - b * direction[j]
-                        if (gap * gap).sum() < best:
-                            best, s, t = (gap * gap).sum(), a, b
-                if best > lead * lead or abs(cosine) > 0.9995:
+            square = 1.0 - cosine * cosine
+            s, t = (cosine * f - c) / square, (f - cosine * c) / square
+            if abs(cosine) > bend_max:
+                lead = bend
+                # At a bend one bar lies before it and the other behind.
+                side = (1.0 if s > 0.5 * length[i] else -1.0) * (1.0 if t > 0.5 * length[j] else -1.0) * cosine
+                off_i, off_j = min(abs(s), abs(s - length[i])), min(abs(t), abs(t - length[j]))
+                if side > 0.0 or off_i > min(bend, 0.4 * length[i]) or off_j > min(bend, 0.4 * length[j]):
                     continue
-                middle = start[i] + s * direction[i] + start[j] + t * direction[j]
-                s += 0.5 * ((middle * 0.5 - start[i] - s * direction[i]) * direction[i]).sum()
-                t += 0.5 * ((middle * 0.5 - start[j] - t * direction[j]) * direction[j]).sum()
             else:
-                square = 1.0 - cosine * cosine
-                s, t = (cosine * f - c) / square, (f - cosine * c) / square
+                lead = min(reach / math.sqrt(square), LEAD_MAX_M)
                 s = min(max(s, -lead), length[i] + lead)
                 t = min(max(f + cosine * s, -lead), length[j] + lead)
                 s = min(max(cosine * t - c, -lead), length[i] + lead)
@@ -99,7 +119,8 @@ def _meetings(start, direction, length, width, slack, lead):  # type: ignore[no-
             pairs.append((i, j))
             places.append((s, t))
             points.append((0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])))
-    return np.array(pairs)[1:], np.array(places)[1:], np.array(points)[1:]
+            leads.append(lead)
+    return np.array(pairs)[1:], np.array(places)[1:], np.array(points)[1:], np.array(leads)[1:]
 
 
 def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.ndarray:

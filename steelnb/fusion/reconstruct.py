@@ -10,7 +10,7 @@ from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
 from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import sections
-from steelnb.fusion.joints import find_joints
+from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.ridges import ridge_points
 from steelnb.fusion.structure import Structure
@@ -54,7 +54,14 @@ def reconstruct(
     bars, reason = find_bars(voxels, settings)
     if not len(bars):
         return Structure.empty(reason)
-    bars, width, sigma, sightings = _look_at_sections(bars, voxels, scans, T_world_sensor, settings)
+    # Bars led to their joints show more of themselves, so the second look sees more, and more exactly.
+    for every in (5, 1):
+        some = slice(None, None, every)
+        bars = trim_bends(bars, settings.bend_m)
+        bars, width, sigma, sightings = _look_at_sections(bars, voxels, scans[some], T_world_sensor[some], settings)
+        if every > 1:
+            bars = _tied(bars, width, sigma, sightings, settings).segments
+            bars = merge_pieces(bars, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
     return _tied(bars, width, sigma, sightings, settings)
 
 
@@ -87,23 +94,31 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
 def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points; and why there are none."""
     s = settings
-    ridges, _ = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, s.contract_m)
-    points = voxel_grid(ridges, s.tube_m / math.sqrt(3))
+    points = _ridges(voxels, None, s)
     if len(points) < s.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
     bars = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
     bars = merge_pieces(bars, s.gap_max_m, s.copy_distance_m, s.tube_m)
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
-    # What is short and stands between bars is hidden beside them: look again at what they leave over.
-    left = points[~within(points, bars, 1.25 * s.tube_m)]
+    # A short bar between long ones is weak beside them, and its ends lie within their tubes: look at what they leave.
+    means = voxels.means()
+    left = _ridges(voxels, within(means, bars, 1.25 * s.tube_m), s)
     if len(left) >= s.min_votes:
         more = segment_structure(left, s.tube_m, max(2, s.min_votes - 3), s.strut_length_min_m / s.tube_m)
-        more = more.take(_between_bars(more, bars, s.lead_m, 1.5 * s.tube_m))
-        names = ("start", "end", "count", "radius")
-        bars = Segments(*(np.concatenate([getattr(some, name) for some in (bars, more)]) for name in names))
-        bars = merge_pieces(bars, s.gap_max_m, s.copy_distance_m, s.tube_m)
+        more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
+        bars = merge_pieces(_together(bars, more), s.gap_max_m, s.copy_distance_m, s.tube_m)
     return bars, ""
+
+
+def _ridges(voxels: VoxelMap, leave: np.ndarray | None, s: StructureSettings) -> Array:
+    points = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, s.contract_m, leave)
+    return voxel_grid(points, s.tube_m / math.sqrt(3))
+
+
+def _together(some: Segments, others: Segments) -> Segments:
+    names = ("start", "end", "count", "radius")
+    return Segments(*(np.concatenate([getattr(each, name) for each in (some, others)]) for name in names))
 
 
 def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:
@@ -148,7 +163,7 @@ def _look_at_sections(
 
 def _tied(bars: Segments, width: Array, sigma: Array, sightings: IntArray, settings: StructureSettings) -> Structure:
     known = np.where(np.isfinite(width), width, 2 * bars.radius)
-    joint, tie, bars = find_joints(bars, known, settings.slack_m, settings.lead_m, settings.same_m)
+    joint, tie, bars = find_joints(bars, known, settings.slack_m, settings.reach_m, settings.same_m, settings.bend_m)
     return Structure(bars, width, sightings, sigma, joint, tie)
 
 

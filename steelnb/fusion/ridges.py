@@ -4,27 +4,32 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from steelnb.datatypes import Array
 from steelnb.mapping import VoxelMap
 from steelnb.mapping.kernels import find, pack
 
 
-def ridge_points(voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float) -> tuple[Array, Array]:
-    """Points on ridges ``(R, 3)`` and their weights ``(R,)``.
+def ridge_points(
+    voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float, leave: NDArray[np.bool_] | None = None
+) -> Array:
+    """Points on ridges ``(R, 3)``.
 
     A voxel stays if it has at least ``share_min`` of the largest weight within ``radius_m`` of it: range noise spreads
     a bar's points along the rays, and what it leaves there is weak beside the bar itself. Those that stay then move to
-    the weighted mean of their kind within ``contract_m``, once. Sums run over voxels in their order in the map.
+    the weighted mean of their kind within ``contract_m``, once. Voxels to ``leave`` out ``(V,)`` count for nothing.
     """
     grid, _ = voxels.grid()
     mean, weight = voxels.means(), voxels.weights()
+    if leave is not None:
+        weight[leave] = 0.0
     index = np.floor(mean / grid.voxel_m).astype(np.int64)
     stay = _ridge(index, weight, _offsets(radius_m, grid.voxel_m), share_min, grid.key, grid.slot)
     kept = np.where(stay, weight, 0.0)
     near = _offsets(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m)
     moved = _contract(index, mean, kept, near, contract_m, grid.key, grid.slot)
-    return moved[stay], weight[stay]
+    return np.asarray(moved[stay])
 
 
 def _offsets(radius_m: float, voxel_m: float) -> np.ndarray:
@@ -38,8 +43,10 @@ def _offsets(radius_m: float, voxel_m: float) -> np.ndarray:
 
 @njit(cache=True)
 def _ridge(index, weight, offsets, share_min, table_key, table_slot):  # type: ignore[no-untyped-def]
-    stay = np.ones(len(weight), np.bool_)
+    stay = weight > 0.0
     for n in range(len(weight)):
+        if not stay[n]:
+            continue
         bound = weight[n] / share_min
         for k in range(1, len(offsets)):
             other = find(
