@@ -297,6 +297,7 @@ class CloudSettings(Settings):
     ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation of the
     result, and inserts the rotated cloud. ``near_side`` moves points behind the surfaces seen (`odometry.near_side`).
     ``drift_gain`` is how fast the prediction follows the rate of the drift; 0 predicts that the drift stands still.
+    ``accelerated`` extrapolates the solver's steps, for the same answer in fewer of them.
     """
 
     method: CloudMethod = "gicp"
@@ -317,6 +318,7 @@ class CloudSettings(Settings):
     drop_rotation: bool = False
     near_side: bool = False
     drift_gain: Probability = 0.0
+    accelerated: bool = False
     prior_sigma_m: Positive = 1e3
     prior_sigma_rad: Positive = 1e3
     inlier_share_min: Probability = 0.3
@@ -344,6 +346,7 @@ class CloudSettings(Settings):
                 "robust_scale": 0.7, "max_correspondence_m": 0.2, "iterations_max": 20,
                 "rotation_epsilon_rad": 5e-4, "translation_epsilon_m": 7e-4,
                 "prior_sigma_m": 0.05, "prior_sigma_rad": 0.02, "near_side": True, "drift_gain": 0.05,
+                "accelerated": True,
             },
         }  # fmt: skip
         known = {**report, **ours}

@@ -142,7 +142,7 @@ class CloudOdometry:
         prior = self.information if s.prior_sigma_m < 1e2 else None
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance, s.robust, s.robust_scale,
-            s.iterations_max, s.rotation_epsilon_rad, s.translation_epsilon_m, prior,
+            s.iterations_max, s.rotation_epsilon_rad, s.translation_epsilon_m, prior, s.accelerated,
         )  # fmt: skip
         self.last = result
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])

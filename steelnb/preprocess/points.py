@@ -1,20 +1,32 @@
 """The three filters that the report runs on every scan, in its order."""
 
 import numpy as np
+from numba import njit
 
 from steelnb.config import PreprocessSettings
 from steelnb.datatypes import Array, Scan
 
 
-def finite_points(points: Array) -> Array:
-    """Points ``(H, W, 3)`` or ``(N, 3)`` without those that have a NaN or infinite coordinate, as ``(M, 3)``."""
-    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    return flat[np.isfinite(flat).all(axis=1)]
+@njit(cache=True)
+def crop(points, T_drone_sensor, lower, upper, up, height, floor):  # type: ignore[no-untyped-def]
+    """The returns ``(N, 3)`` of a scan that count, in the drone frame ``(M, 3)``, in their order.
 
-
-def pass_through(points: Array, lower: Array, upper: Array) -> Array:
-    """The points ``(N, 3)`` inside the axis-aligned box from ``lower (3,)`` to ``upper (3,)``, bounds included."""
-    return points[((points >= lower) & (points <= upper)).all(axis=1)]
+    Those are finite, inside the box from ``lower (3,)`` to ``upper (3,)``, bounds included, and not below ``floor`` in
+    the world, where a point of the drone frame is ``height`` + ``up (3,)`` · point high.
+    """
+    T = T_drone_sensor
+    kept = np.empty((len(points), 3))
+    count = 0
+    for i in range(len(points)):
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
+        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
+        z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+        inside = lower[0] <= x <= upper[0] and lower[1] <= y <= upper[1] and lower[2] <= z <= upper[2]
+        if inside and up[0] * x + up[1] * y + up[2] * z + height >= floor:  # NaN is not inside
+            kept[count, 0], kept[count, 1], kept[count, 2] = x, y, z
+            count += 1
+    return kept[:count]
 
 
 def voxel_grid(points: Array, leaf_m: float) -> Array:
@@ -47,9 +59,8 @@ def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, set
 
     The pose is the estimate at hand; it only serves to find the floor, which lies below ``floor_m`` in the world.
     """
-    sensor = finite_points(scan.points)
-    drone = sensor @ T_drone_sensor[:3, :3].T + T_drone_sensor[:3, 3]
+    points = np.ascontiguousarray(scan.points, dtype=np.float64).reshape(-1, 3)
     upper = np.array([settings.x_max_m, settings.y_max_m, settings.z_max_m])
-    drone = pass_through(drone, upper * [0, -1, -1], upper)
-    height = drone @ T_world_drone[2, :3] + T_world_drone[2, 3]
-    return voxel_grid(drone[height >= settings.floor_m], settings.voxel_leaf_m)
+    up, height = np.ascontiguousarray(T_world_drone[2, :3]), T_world_drone[2, 3]
+    kept = crop(points, T_drone_sensor, upper * [0, -1, -1], upper, up, height, settings.floor_m)
+    return voxel_grid(kept, settings.voxel_leaf_m)

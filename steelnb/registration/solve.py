@@ -55,12 +55,14 @@ def align(
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
     prior_information: Array | None = None,
+    accelerated: bool = False,
 ) -> RegistrationResult:
     """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
 
     A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
     the source. ``prior_information (6, 6)`` pulls the pose to ``T_init`` in directions that the pairs hardly constrain.
     ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
+    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`).
     A step after which the same pairs fit worse is taken back and damped (Levenberg–Marquardt). Stops when a step turns
     by less than ``rotation_epsilon_rad`` and moves the middle by less than ``translation_epsilon_m``, the criterion of
     small_gicp. Checks nothing; `register` does.
@@ -77,6 +79,7 @@ def align(
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
     reason, converged, iterations, damping = "iterations exhausted", False, 0, 0.0
+    metric, before = np.array([length_m] * 3 + [1.0] * 3), None
     while iterations < iterations_max:
         iterations += 1
         pairs.update(T)
@@ -94,6 +97,8 @@ def align(
         if step is None:
             reason = "singular"
             break
+        if accelerated:
+            step, before = _extrapolated(step, before, metric)
         T = exp_about(here.centre, step) @ T
         if np.linalg.norm(step[:3]) < rotation_epsilon_rad and np.linalg.norm(step[3:]) < translation_epsilon_m:
             reason, converged = "converged", True
@@ -133,6 +138,22 @@ def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
         return None
     along = vector[:, seen].T @ (basis.T @ normal.b)
     return -basis @ (vector[:, seen] @ (along / (value[seen] + damping * value[-1])))
+
+
+def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Array, Array | None]:
+    """The step ``(6,)`` lengthened to where the iteration is heading, and what the next one is to compare with.
+
+    Pairs that change and robust weights make it converge linearly: each step is r times the one before, so all steps to
+    come add up to 1/(1 − r) of this one. That is taken where two steps point the same way, and at most five-fold, every
+    other step. After Besl and McKay, "A method for registration of 3-D shapes", PAMI 14 (1992), section IV.C; Aitken.
+    """
+    if before is None:
+        return step, step
+    now, last = metric * step, metric * before
+    along = float(now @ last)
+    if not along > 0.9 * np.linalg.norm(now) * np.linalg.norm(last):
+        return step, step
+    return step / (1.0 - min(along / float(last @ last), 0.8)), None
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,40 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from steelnb.config import PreprocessSettings
 from steelnb.datatypes import Scan
-from steelnb.preprocess import finite_points, pass_through, preprocess_scan, voxel_grid
+from steelnb.preprocess import preprocess_scan, voxel_grid
+from steelnb.preprocess.points import crop
 from tests import naive
 
-
-def test_finite_points_drops_every_kind_of_invalid_return():
-    image = np.arange(18.0).reshape(2, 3, 3)
-    image[0, 1, 2] = np.nan
-    image[1, 2, 0] = np.inf
-    np.testing.assert_array_equal(finite_points(image), image.reshape(-1, 3)[[0, 2, 3, 4]])
+BOX = np.zeros(3), np.ones(3), np.array([0.0, 0.0, 1.0])
 
 
-def test_pass_through_includes_its_bounds():
-    points = np.array([[0, 0, 0], [1, 1, 1], [1, 1, 1.0001], [-0.0001, 0, 0]])
-    np.testing.assert_array_equal(pass_through(points, np.zeros(3), np.ones(3)), points[:2])
+def test_crop_drops_every_kind_of_invalid_return():
+    points = np.full((6, 3), 0.5) + np.arange(6)[:, None] * 0.01
+    points[2, 2], points[5, 0], points[1, 1] = np.nan, np.inf, -np.inf
+    np.testing.assert_array_equal(crop(points, np.eye(4), *BOX, 0.0, -1.0), points[[0, 3, 4]])
+
+
+def test_crop_includes_the_bounds_of_the_box_and_the_floor():
+    points = np.array([[0, 0, 0], [1, 1, 1], [1, 1, 1.0001], [-0.0001, 0, 0], [1, 1, 0.5]])
+    np.testing.assert_array_equal(crop(points, np.eye(4), *BOX, 0.0, 0.0), points[[0, 1, 4]])
+    np.testing.assert_array_equal(crop(points, np.eye(4), *BOX, 0.25, 0.75), points[[1, 4]])
+
+
+def test_crop_measures_in_the_frames_that_it_is_given():
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-2, 2, (500, 3))
+    T_drone_sensor, T_world_drone = np.eye(4), np.eye(4)
+    T_drone_sensor[:3, :3], T_world_drone[:3, :3] = Rotation.random(2, random_state=6).as_matrix()
+    T_drone_sensor[:3, 3], T_world_drone[:3, 3] = rng.normal(size=(2, 3))
+    drone = points @ T_drone_sensor[:3, :3].T + T_drone_sensor[:3, 3]
+    world = drone @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
+    expected = drone[(np.abs(drone) <= 1).all(axis=1) & (world[:, 2] >= 0.2)]
+    kept = crop(points, T_drone_sensor, -np.ones(3), np.ones(3), T_world_drone[2, :3].copy(), T_world_drone[2, 3], 0.2)
+    assert 10 < len(expected) < 400
+    np.testing.assert_allclose(kept, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("leaf_m", [0.05, 0.3, 10.0])

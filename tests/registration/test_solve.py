@@ -288,6 +288,21 @@ def test_covariances_without_any_extent_are_singular_and_say_so():
     assert np.diag(result.covariance)[3:].min() > 1e11
 
 
+@pytest.mark.parametrize("error", ["point", "plane"])
+def test_extrapolated_steps_end_at_the_same_pose_in_fewer(error):
+    source, target = room(3000, 1), make_target(room(3000, 2), error)
+    ends = [
+        align(source, target, error, np.eye(6), motion(4, 0.15), 0.5, None, "geman_mcclure", SCALE[error], 200, 1e-7,
+              1e-7, accelerated=accelerated)
+        for accelerated in (False, True)
+    ]  # fmt: skip
+    assert all(end.converged for end in ends)
+    assert ends[1].iterations < ends[0].iterations
+    shift_m, turn_deg = apart(ends[0].T_target_source, ends[1].T_target_source)
+    assert shift_m < 1e-5
+    assert turn_deg < 1e-3
+
+
 def test_iterations_exhausted_is_not_converged():
     result = register(room(500, 1), room(500, 1) + 0.1, "icp", iterations_max=1)
     assert (result.converged, result.iterations, result.reason) == (False, 1, "iterations exhausted")
