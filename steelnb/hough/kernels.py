@@ -6,7 +6,8 @@ On Line 7 (2017), 184–196: equations (2), (3) and (7), and Algorithm 1.
 The published program keeps a vote volume of all directions and searches all of it in every round. Here, no volume is
 kept. Removing points can only lower votes, so the maximum that a direction had is an upper bound of what it has: one
 (bound, cell) pair for each direction is kept in a heap, and only the direction on top is voted again, until the one on
-top is up to date. The lines are the same.
+top is up to date. Where points lie close together, the first bounds come from cubes of points instead of points: most
+directions are then not voted before the strongest lines have taken their points away. The lines are the same.
 """
 
 import math
@@ -14,44 +15,116 @@ import math
 import numpy as np
 from numba import njit
 
+BLOCK = 256
+"""Cells of the vote image whose maximum is taken at once."""
+CUBE = 0.999 / math.sqrt(3.0)
+"""Edge in dx of the cubes of the first bounds: their diagonal is dx, less what rounding may add."""
+GAIN = 3
+"""The first bounds come from cubes where these are so many times fewer than the points."""
+
 
 @njit(cache=True)
-def vote(px, py, pz, bx, by, bz, half, inverse_dx, columns, image, index, want_cell):
-    """Votes of one direction: (largest count, first cell that has it or 0 where no cell is asked for).
+def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
+    """Votes of one direction: (largest count, first cell that has it).
 
-    ``image (columns² + columns + 2,)`` holds zeros on entry and on return; ``index`` is scratch as long as the points.
+    ``box (3,)`` holds half the extents of the cloud, which is centred on its bounding box; ``image ((columns +
+    4)² + BLOCK)`` holds zeros on entry and on return; ``index`` is scratch as long as the points.
     """
     n = len(px)
     beta = 1.0 / (1.0 + bz)
     ax, ay, az = (1.0 - beta * bx * bx) * inverse_dx, -beta * bx * by * inverse_dx, -bx * inverse_dx
     cx, cy, cz = -beta * bx * by * inverse_dx, (1.0 - beta * by * by) * inverse_dx, -by * inverse_dx
     shift = half * inverse_dx + 0.5
-    cells = columns * columns
     for i in range(n):
         column = np.int32(ax * px[i] + ay * py[i] + az * pz[i] + shift)
         row = np.int32(cx * px[i] + cy * py[i] + cz * pz[i] + shift)
         index[i] = column * columns + row
     for i in range(n):
-        image[index[i]] += 1
-    image[cells:] = 0  # the reference drops votes past the last cell, which only a corner of the cloud can cast
+        image[np.uint32(index[i])] += 1  # unsigned: a signed index costs a test whether it counts from the end
+    # The reference drops votes past the last cell, which only a corner of the cloud can cast.
+    cells = columns * columns
+    image[cells : (columns + 2) * (columns + 2)] = 0
+    # The columns that the bounding box can reach, and one more on either side for rounding.
+    reach = abs(ax) * box[0] + abs(ay) * box[1] + abs(az) * box[2]
+    begin = max(int(shift - reach) - 1, 0) * columns
+    end = min((int(shift + reach) + 3) * columns, cells)
     best = np.int32(0)
-    dense = cells <= 8 * n  # then a scan of the image, which vectorises, is quicker than a visit to each point's cell
-    if dense:
-        for k in range(cells):
-            best = max(best, image[k])
-    else:
-        for i in range(n):
-            best = max(best, image[index[i]])
-    cell = np.int64(0)
-    if want_cell and best > 0:
-        while image[cell] != best:
+    if end - begin <= 8 * n:  # then a scan of the image, which vectorises, is quicker than a visit to each point's cell
+        cell = np.int64(begin)
+        for first in range(begin, end, BLOCK):
+            block = image[first : first + BLOCK]
+            most = np.int32(0)
+            for k in range(BLOCK):
+                most = max(most, block[k])
+            if most > best:
+                best, cell = most, np.int64(first)
+        while best > 0 and image[cell] != best:
             cell += 1
-    if dense:
-        image[:cells] = 0
+        image[begin:end] = 0
     else:
+        cell = np.int64(cells)
         for i in range(n):
-            image[index[i]] = 0
+            count = image[np.uint32(index[i])]
+            if count > best or (count == best and index[i] < cell):
+                best, cell = count, np.int64(index[i])
+        for i in range(n):
+            image[np.uint32(index[i])] = 0
     return best, cell
+
+
+@njit(cache=True)
+def group(px, py, pz, half, edge):
+    """Cubes of that edge that hold points: centres and number of points, in the order of their first points."""
+    n = len(px)
+    size = 4
+    while size < 2 * n:
+        size *= 2
+    slot = np.full(size, -1, np.int32)  # an open hash table of cubes
+    key = np.empty(n, np.int64)
+    x, y, z, weight = np.empty(n), np.empty(n), np.empty(n), np.zeros(n, np.int32)
+    cubes = 0
+    for i in range(n):
+        a, b, c = int((px[i] + half) / edge), int((py[i] + half) / edge), int((pz[i] + half) / edge)
+        cube = (a << 40) + (b << 20) + c
+        place = (a * 73856093 + b * 19349663 + c * 83492791) & (size - 1)
+        while slot[place] >= 0 and key[slot[place]] != cube:
+            place = (place + 1) & (size - 1)
+        if slot[place] < 0:
+            slot[place], key[cubes] = cubes, cube
+            x[cubes], y[cubes], z[cubes] = (a + 0.5) * edge - half, (b + 0.5) * edge - half, (c + 0.5) * edge - half
+            cubes += 1
+        weight[slot[place]] += 1
+    return x[:cubes], y[:cubes], z[:cubes], weight[:cubes]
+
+
+@njit(cache=True)
+def bound_votes(cx, cy, cz, weight, bx, by, bz, box, half, inverse_dx, columns, image, index):
+    """A number that no cell of this direction has more votes than, from cubes with a diagonal of at most dx.
+
+    A cube's points lie within dx/2 of its centre, so they vote for two columns and two rows at the most: four cells,
+    of which the last is counted here. The most that a cell can have is then the sum over it and its three successors.
+    """
+    n = len(cx)
+    beta = 1.0 / (1.0 + bz)
+    ax, ay, az = (1.0 - beta * bx * bx) * inverse_dx, -beta * bx * by * inverse_dx, -bx * inverse_dx
+    dx, dy, dz = -beta * bx * by * inverse_dx, (1.0 - beta * by * by) * inverse_dx, -by * inverse_dx
+    shift = half * inverse_dx + 0.5
+    for i in range(n):
+        column = np.int32(ax * cx[i] + ay * cy[i] + az * cz[i] + shift + 0.5)
+        row = np.int32(dx * cx[i] + dy * cy[i] + dz * cz[i] + shift + 0.5)
+        index[i] = column * columns + row
+    for i in range(n):
+        image[np.uint32(index[i])] += weight[i]
+    reach = abs(ax) * box[0] + abs(ay) * box[1] + abs(az) * box[2]
+    begin = max(int(shift - reach) - 1, 0) * columns
+    end = min((int(shift + reach) + 3) * columns, columns * columns)
+    best = np.int32(0)
+    here, right = image[begin:end], image[begin + 1 : end + 1]
+    above, across = image[begin + columns : end + columns], image[begin + columns + 1 : end + columns + 1]
+    for k in range(len(here)):
+        best = max(best, here[k] + right[k] + above[k] + across[k])
+    image[begin : end + 3 * columns + 4] = 0
+    return best
 
 
 @njit(cache=True)
@@ -163,57 +236,92 @@ def fit_line(px, py, pz, chosen, count):
 
 @njit(cache=True)
 def points_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, chosen):
-    """Write the indices of the points within ``distance`` of a line (equation 7) to ``chosen``; return their count."""
-    count = 0
+    """Write the indices of the points within ``distance`` of a line (equation 7) to ``chosen``; return their count.
+
+    ``chosen`` is as long as the points and holds yes or no for each of them first: so, the loop that computes
+    vectorises, and the one that collects has no branch.
+    """
     limit = distance * distance
     for i in range(len(px)):
         x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
         t = ux * x + uy * y + uz * z
         dx, dy, dz = x - t * ux, y - t * uy, z - t * uz
-        if dx * dx + dy * dy + dz * dz <= limit:
-            chosen[count] = i
-            count += 1
+        chosen[i] = dx * dx + dy * dy + dz * dz <= limit
+    count = 0
+    for i in range(len(px)):
+        near = chosen[i]
+        chosen[count] = i
+        count += near
     return count
 
 
 @njit(cache=True)
-def iterate(px, py, pz, sphere, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label):
+def far_apart(n):
+    """The numbers 0 to n − 1 in an order that puts neighbours far apart: steps of about n over the golden ratio.
+
+    A scan lists its points side by side, so most vote for the cell that the one before voted for, and each increment
+    would have to wait for the last one to be stored. In this order, it does not.
+    """
+    step = max(int(0.618 * n), 1)
+    while math.gcd(step, n) != 1:
+        step += 1
+    order = np.empty(n, np.int64)
+    k = 0
+    for i in range(n):
+        order[i] = k
+        k = (k + step) % n
+    return order
+
+
+@njit(cache=True)
+def iterate(
+    px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
+):
     """Algorithm 1: find the strongest line, fit it, remove its points, again. Returns (lines, votes counted).
 
     ``px, py, pz`` are overwritten. Lines go to the rows of ``anchor``, ``direction`` and ``counts``, the number of its
-    line to ``label`` of each point.
+    line to ``label`` of each point, which is −1 on entry.
     """
+    n = len(px)
     n_directions = len(sphere)
-    cells = columns * columns
-    image = np.zeros(cells + columns + 2, np.int32)
-    index = np.empty(len(px), np.int32)
+    image = np.zeros((columns + 4) * (columns + 4) + BLOCK, np.int32)
+    index = np.empty(n, np.int32)
     key = np.empty(n_directions, np.int64)
-    fresh = np.zeros(n_directions, np.int32)
+    fresh = np.full(n_directions, -1)
     heap = np.arange(n_directions)
     inverse_dx = 1.0 / dx
+    # Fits sum over the points in the order given; votes, which no order changes, over copies of them far apart.
+    original, chosen = np.arange(n), np.empty(n, np.int64)
+    voter = far_apart(n)
+    vx, vy, vz = px[voter], py[voter], pz[voter]
+    gone = np.zeros(n, np.uint8)
     votes_cast = 0
+    cx, cy, cz, weight = group(vx, vy, vz, half, CUBE * dx)
+    grouped = GAIN * len(cx) <= n
     for j in range(n_directions):
-        best, _ = vote(
-            px, py, pz, sphere[j, 0], sphere[j, 1], sphere[j, 2], half, inverse_dx, columns, image, index, False
-        )
-        # Larger votes first, then the smaller cell: a cell that is not known yet counts as 0, the smallest.
-        key[j] = np.int64(best) << 32
-        votes_cast += len(px)
+        bx, by, bz = sphere[j, 0], sphere[j, 1], sphere[j, 2]
+        if grouped:
+            best = bound_votes(cx, cy, cz, weight, bx, by, bz, box, half, inverse_dx, columns, image, index)
+            key[j] = np.int64(best) << 32
+            votes_cast += len(cx)
+        else:
+            best, cell = vote(vx, vy, vz, bx, by, bz, box, half, inverse_dx, columns, image, index)
+            # Larger votes first, then the smaller cell; then the smaller direction, by the heap.
+            key[j] = (np.int64(best) << 32) - cell
+            fresh[j] = 0
+            votes_cast += n
     for start in range(n_directions // 2 - 1, -1, -1):
         sift_down(heap, key, start)
 
-    n = len(px)
-    original = np.arange(n)
-    chosen = np.empty(n, np.int64)
     found = 0
-    round_number = 1
+    round_number = 0
     floor = min_votes // 2 if skip_weak else 1
     while n > 1 and found < max_lines:
         top = heap[0]
         while fresh[top] != round_number:
             best, cell = vote(
-                px[:n], py[:n], pz[:n], sphere[top, 0], sphere[top, 1], sphere[top, 2], half, inverse_dx, columns,
-                image, index[:n], True,
+                vx[:n], vy[:n], vz[:n], sphere[top, 0], sphere[top, 1], sphere[top, 2], box, half, inverse_dx, columns,
+                image, index[:n],
             )  # fmt: skip
             votes_cast += n
             key[top] = (np.int64(best) << 32) - cell
@@ -248,16 +356,19 @@ def iterate(px, py, pz, sphere, half, dx, columns, min_votes, max_lines, skip_we
             direction[found, 0], direction[found, 1], direction[found, 2] = ux, uy, uz
             counts[found] = count
         # Take the points out, keeping the order of the rest. A weak line's points go too, without a label.
+        for k in range(count):
+            gone[original[chosen[k]]] = 1
+            label[original[chosen[k]]] = -1 if weak else found
         kept = 0
-        next_out = 0
         for i in range(n):
-            if next_out < count and chosen[next_out] == i:
-                next_out += 1
-                label[original[i]] = -1 if weak else found
-            else:
-                px[kept], py[kept], pz[kept] = px[i], py[i], pz[i]
-                original[kept] = original[i]
-                kept += 1
+            stays = 1 - int(gone[original[i]])
+            px[kept], py[kept], pz[kept], original[kept] = px[i], py[i], pz[i], original[i]
+            kept += stays
+        kept = 0
+        for i in range(n):
+            stays = 1 - int(gone[voter[i]])
+            vx[kept], vy[kept], vz[kept], voter[kept] = vx[i], vy[i], vz[i], voter[i]
+            kept += stays
         n = kept
         found += 0 if weak else 1
         round_number += 1

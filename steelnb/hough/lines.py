@@ -1,5 +1,7 @@
 """Lines of a point cloud: the checks around the compiled iterative Hough transform."""
 
+import math
+
 import numpy as np
 
 from steelnb.datatypes import Array, Lines
@@ -46,17 +48,19 @@ def detect_lines(
         raise SettingsError(f"min_votes = {min_votes}, max_lines = {max_lines}: expected at least 2 and at least 1")
     centre = (low + high) / 2.0
     px, py, pz = np.ascontiguousarray((points - centre).T)
-    half = max(np.linalg.norm(high - centre), np.linalg.norm(low - centre))
-    columns = int(2 * half / dx + 0.5)
-    if columns * columns > MAX_CELLS:
-        fits = 2 * half / MAX_CELLS**0.5
+    half = float(max(np.linalg.norm(high - centre), np.linalg.norm(low - centre)))
+    if 2 * half / dx >= math.isqrt(MAX_CELLS) + 0.5:
+        fits = 2 * half / math.isqrt(MAX_CELLS)
+        unit = 10.0 ** (math.floor(math.log10(fits)) - 2)  # of the third digit, which is rounded up
+        fits = math.ceil(fits / unit) * unit
         raise SettingsError(f"dx = {dx}: the vote image would pass {MAX_CELLS} cells; a dx of {fits:.3g} m would fit")
+    columns = int(2 * half / dx + 0.5)
 
     most = min(len(points) // 2, max_lines or len(points))
     anchor, direction, count = np.zeros((most, 3)), np.zeros((most, 3)), np.zeros(most, np.int64)
     label = np.full(len(points), -1, np.int64)
     found, _ = iterate(
-        px, py, pz, directions(granularity), half, dx, columns, min_votes, most, skip_weak,
+        px, py, pz, directions(granularity), high - centre, half, dx, columns, min_votes, most, skip_weak,
         anchor, direction, count, label,
     )  # fmt: skip
     return Lines(anchor[:found] + centre, direction[:found], count[:found], label)

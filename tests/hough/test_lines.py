@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
-from steelnb.hough import detect_lines, directions
-from steelnb.hough.kernels import principal_axis
+from steelnb.hough import detect_lines, directions, kernels
+from steelnb.hough.lines import MAX_CELLS
 from tests import naive
 
 
@@ -52,6 +52,50 @@ def test_lines_are_those_of_the_full_vote_volume(seed, dx):
         assert abs(found.direction[k] @ direction) > 1 - 1e-12
 
 
+def test_lines_are_those_of_the_full_vote_volume_where_the_first_bounds_come_from_cubes():
+    points = lattice(5, lines=3, points=250, noise_m=0.01, clutter=30)
+    x, y, z = np.ascontiguousarray((points - (points.min(axis=0) + points.max(axis=0)) / 2).T)
+    assert kernels.GAIN * len(kernels.group(x, y, z, 3.0, kernels.CUBE * 0.3)[0]) < len(points)
+    expected = naive.hough_lines(points, 0.3, min_votes=10, granularity=2)
+    found = detect_lines(points, 0.3, min_votes=10, granularity=2)
+    assert len(found) == len(expected) >= 3
+    for k, (_, _, members) in enumerate(expected):
+        np.testing.assert_array_equal(np.flatnonzero(found.label == k), members)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), dx=st.floats(0.05, 1.0), points=st.integers(2, 300), flat=st.booleans())
+def test_no_cell_has_more_votes_than_its_bound_from_cubes(seed, dx, points, flat):
+    cloud = np.random.default_rng(seed).normal(size=(points, 3)) * [1, 0 if flat else 1, 1]
+    high = (cloud.max(axis=0) - cloud.min(axis=0)) / 2
+    x, y, z = np.ascontiguousarray((cloud - cloud.min(axis=0) - high).T)
+    half = np.linalg.norm(high)
+    columns = int(2 * half / dx + 0.5)
+    image, index = np.zeros((columns + 4) ** 2 + kernels.BLOCK, np.int32), np.empty(points, np.int32)
+    cubes = kernels.group(x, y, z, half, kernels.CUBE * dx)
+    assert cubes[3].sum() == points
+    for b in directions(2):
+        most = kernels.bound_votes(*cubes, *b, high, half, 1 / dx, columns, image, index)
+        votes, _ = kernels.vote(x, y, z, *b, high, half, 1 / dx, columns, image, index)
+        assert votes <= most
+        assert not image.any()
+
+
+@pytest.mark.parametrize("dx", [0.06, 0.3])
+def test_a_vote_goes_to_the_first_of_the_strongest_cells(dx):
+    # Both ways to search the image: over its cells, and over the points where these are fewer.
+    cloud = np.round(lattice(3, lines=2, points=60, noise_m=0.02), 1)
+    high = (cloud.max(axis=0) - cloud.min(axis=0)) / 2
+    cloud = cloud - cloud.min(axis=0) - high
+    half = np.linalg.norm(high)
+    columns = int(2 * half / dx + 0.5)
+    image, index = np.zeros((columns + 4) ** 2 + kernels.BLOCK, np.int32), np.empty(len(cloud), np.int32)
+    for b in directions(1):
+        found = kernels.vote(*np.ascontiguousarray(cloud.T), *b, high, half, 1 / dx, columns, image, index)
+        counts = np.bincount(index, minlength=columns**2)[: columns**2]
+        assert found == (counts.max(), counts.argmax())
+
+
 def test_lines_are_those_of_the_published_program():
     # Answers of hough3dlines 1.2 (IPOL 2017), printed to six digits, on clouds made by the same call as here.
     for case in json.loads((Path(__file__).parent / "reference_lines.json").read_text()):
@@ -81,6 +125,46 @@ def test_a_clear_line_is_found_wherever_it_lies(seed, turn, shift):
 
 
 @settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-50, 50)] * 3))
+def test_neither_the_order_of_the_points_nor_a_shift_changes_the_lines(seed, shift):
+    points = lattice(seed, lines=4, points=40, noise_m=0.01, clutter=30)
+    order = np.random.default_rng(seed).permutation(len(points))
+    found, other = detect_lines(points, 0.1, 10), detect_lines(points[order] + shift, 0.1, 10)
+    np.testing.assert_array_equal(other.label, found.label[order])
+    np.testing.assert_allclose(other.anchor - shift, found.anchor, atol=1e-9)
+    np.testing.assert_allclose(other.direction, found.direction, atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), times=st.integers(2, 6))
+def test_points_given_several_times_give_the_same_lines_with_as_many_more_votes(seed, times):
+    points = lattice(seed, lines=4, points=40, noise_m=0.01, clutter=30)
+    found, other = detect_lines(points, 0.1, 10), detect_lines(np.tile(points, (times, 1)), 0.1, 10 * times)
+    np.testing.assert_array_equal(other.count, times * found.count)
+    np.testing.assert_array_equal(other.label.reshape(times, -1), np.tile(found.label, (times, 1)))
+    np.testing.assert_allclose(other.anchor, found.anchor, atol=1e-9)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000), turn=st.tuples(*[st.floats(-3, 3)] * 3))
+def test_lines_apart_are_the_same_lines_after_a_rigid_motion(seed, turn):
+    # Cells and directions do not turn with the cloud, so only lines further apart than dx can be the same.
+    rng = np.random.default_rng(seed)
+    along = rng.uniform(-1, 1, (3, 150))
+    points = np.concatenate([np.outer(along[k], np.eye(3)[k]) + 0.6 * np.eye(3)[k - 1] for k in range(3)])
+    points += rng.normal(scale=0.005, size=points.shape)
+    R = Rotation.from_rotvec(turn).as_matrix()
+    found = detect_lines(points @ R.T + [3, -2, 1], 0.1, 100)
+    assert len(found) == 3
+    agreement = np.abs(found.direction @ R)
+    np.testing.assert_allclose(np.sort(agreement.max(axis=0)), 1, atol=1e-3)
+    for k in range(3):
+        offset = (found.anchor[k] - [3, -2, 1]) @ R
+        axis = agreement[k].argmax()
+        np.testing.assert_allclose(np.delete(offset - 0.6 * np.eye(3)[axis - 1], axis), 0, atol=0.02)
+
+
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), skip_weak=st.booleans())
 def test_lines_partition_the_points(seed, skip_weak):
     points = lattice(seed, lines=5, points=30, noise_m=0.01, clutter=30)
@@ -107,7 +191,7 @@ def test_skipping_weak_lines_finds_what_stopping_misses():
 def test_principal_axis_is_that_of_lapack(seed):
     A = np.random.default_rng(seed).normal(size=(3, 3))
     A = A @ np.diag([1, 10.0 ** -(seed % 8), 1]) @ A.T
-    first, rest, *axis = principal_axis(A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
+    first, rest, *axis = kernels.principal_axis(A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2])
     value, vector = np.linalg.eigh(A)
     np.testing.assert_allclose([first, rest], [value[2], value[:2].sum()], rtol=1e-10, atol=1e-12)
     assert abs(np.dot(axis, vector[:, 2])) > 1 - 1e-10
@@ -134,3 +218,23 @@ def test_principal_axis_is_that_of_lapack(seed):
 def test_bad_input_says_what_was_wrong(points, arguments, error, says):
     with pytest.raises(error, match=says):
         detect_lines(points, **arguments)
+
+
+def test_the_dx_that_would_fit_fits():
+    points = np.random.default_rng(0).normal(size=(4, 3))
+    with pytest.raises(SettingsError, match="would fit") as refusal:
+        detect_lines(points, 1e-300)
+    dx = float(str(refusal.value).split("a dx of ")[1].split(" m")[0])
+    detect_lines(points, dx, granularity=0)
+    half = np.linalg.norm(np.ptp(points, axis=0)) / 2
+    assert 0.98 * MAX_CELLS < (2 * half / dx) ** 2 <= MAX_CELLS
+    with pytest.raises(SettingsError, match="would fit"):
+        detect_lines(points, 0.98 * dx)
+
+
+def test_a_point_past_the_last_column_is_dropped():
+    # The ends of this cloud lie on the border of the image, where rounding decides whether they are in it.
+    points = np.outer([-1.0, 0.0, 0.01, 1.0], [1, 0, 0])
+    for columns in range(3, 60):
+        for offset in (-1e-15, 0.0, 1e-15):
+            assert len(detect_lines(points, 2 / (columns + 0.5 + offset), granularity=1)) == 1
