@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
 from steelnb.hough import detect_lines, directions, kernels
+from steelnb.hough import votes as image_votes
 from steelnb.hough.lines import MAX_CELLS
 from tests import naive
 
@@ -55,7 +56,7 @@ def test_lines_are_those_of_the_full_vote_volume(seed, dx):
 def test_lines_are_those_of_the_full_vote_volume_where_the_first_bounds_come_from_cubes():
     points = lattice(5, lines=3, points=250, noise_m=0.01, clutter=30)
     x, y, z = np.ascontiguousarray((points - (points.min(axis=0) + points.max(axis=0)) / 2).T)
-    assert kernels.GAIN * len(kernels.group(x, y, z, 3.0, kernels.CUBE * 0.3)[0]) < len(points)
+    assert kernels.GAIN * len(image_votes.group(x, y, z, 3.0, image_votes.CUBE * 0.3)[0]) < len(points)
     expected = naive.hough_lines(points, 0.3, min_votes=10, granularity=2)
     found = detect_lines(points, 0.3, min_votes=10, granularity=2)
     assert len(found) == len(expected) >= 3
@@ -71,12 +72,12 @@ def test_no_cell_has_more_votes_than_its_bound_from_cubes(seed, dx, points, flat
     x, y, z = np.ascontiguousarray((cloud - cloud.min(axis=0) - high).T)
     half = np.linalg.norm(high)
     columns = int(2 * half / dx + 0.5)
-    image, index = np.zeros((columns + 4) ** 2 + kernels.BLOCK, np.int32), np.empty(points, np.int32)
-    cubes = kernels.group(x, y, z, half, kernels.CUBE * dx)
+    image, index = np.zeros((columns + 4) ** 2 + image_votes.BLOCK, np.int32), np.empty(points, np.int32)
+    cubes = image_votes.group(x, y, z, half, image_votes.CUBE * dx)
     assert cubes[3].sum() == points
     for b in directions(2):
-        most = kernels.bound_votes(*cubes, *b, high, half, 1 / dx, columns, image, index)
-        votes, _ = kernels.vote(x, y, z, *b, high, half, 1 / dx, columns, image, index)
+        most = image_votes.bound_votes(*cubes, *b, high, half, 1 / dx, columns, image, index)
+        votes, _ = image_votes.vote(x, y, z, *b, high, half, 1 / dx, columns, image, index)
         assert votes <= most
         assert not image.any()
 
@@ -89,9 +90,9 @@ def test_a_vote_goes_to_the_first_of_the_strongest_cells(dx):
     cloud = cloud - cloud.min(axis=0) - high
     half = np.linalg.norm(high)
     columns = int(2 * half / dx + 0.5)
-    image, index = np.zeros((columns + 4) ** 2 + kernels.BLOCK, np.int32), np.empty(len(cloud), np.int32)
+    image, index = np.zeros((columns + 4) ** 2 + image_votes.BLOCK, np.int32), np.empty(len(cloud), np.int32)
     for b in directions(1):
-        found = kernels.vote(*np.ascontiguousarray(cloud.T), *b, high, half, 1 / dx, columns, image, index)
+        found = image_votes.vote(*np.ascontiguousarray(cloud.T), *b, high, half, 1 / dx, columns, image, index)
         counts = np.bincount(index, minlength=columns**2)[: columns**2]
         assert found == (counts.max(), counts.argmax())
 
@@ -209,6 +210,8 @@ def test_principal_axis_is_that_of_lapack(seed):
         (np.eye(3), {"dx": 0.0}, SettingsError, "dx = 0"),
         (np.eye(3), {"dx": -1.0}, SettingsError, "dx = -1"),
         (np.eye(3), {"dx": 5.0}, SettingsError, "diagonal"),
+        (np.eye(3), {"dx": np.nan}, SettingsError, "dx = nan"),
+        (np.eye(3), {"granularity": -1}, SettingsError, "granularity = -1"),
         (np.eye(3), {"dx": 1e-5}, SettingsError, "would fit"),
         (np.eye(3), {"granularity": 7}, SettingsError, "granularity = 7"),
         (np.eye(3), {"min_votes": 1}, SettingsError, "min_votes = 1"),
