@@ -247,6 +247,21 @@ class HoughSettings(Settings):
         )
 
 
+class SegmentationSettings(Settings):
+    """What every method of segmentation takes for a bar, so that they differ in nothing but how they find it.
+
+    Points of one group are cut where they leave a gap, pieces within ``merge_distance_m`` of one axis become one, and
+    those with enough points, thin for their length, stay. Chosen for the Hough transform on development seeds 11 to 16.
+    """
+
+    points_min: Annotated[int, Field(ge=2)] = 15
+    gap_max_m: Positive = 0.25
+    merge_distance_m: NotNegative = 0.12
+    pca_ratio_min: Probability = 0.9
+    radius_max_m: Positive = 0.07
+    length_min_m: NotNegative = 0.3
+
+
 class FusionSettings(Settings):
     """Which two segments are the same bar: angle, distance across (on top of both radii) and gap along the axis."""
 

@@ -57,6 +57,46 @@ def fit_line(points):
     return mean, np.linalg.eigh((points - mean).T @ (points - mean))[1][:, 2]
 
 
+def merged(points, pieces, distance, gap_max):
+    """Sets of numbers of the pieces (first, one past last) that are copies of one bar, the largest piece first."""
+
+    def axis(some):
+        mean, u = fit_line(points[some])
+        t = (points[some] - mean) @ u
+        return mean, u, mean + np.outer([t.min(), t.max()], u)
+
+    index = [list(range(a, b)) for a, b in pieces]
+    ends = [axis(some)[2] for some in index]
+    left = sorted(range(len(pieces)), key=lambda k: -len(index[k]))
+    groups = []
+    while left:
+        group = [left.pop(0)]
+        corners = ends[group[0]]
+        grown = True
+        while grown:
+            grown = False
+            for k in list(left):
+                mean, u, _ = axis([i for j in group for i in index[j]])
+                along = np.sort((corners - mean) @ u)
+                apart = ends[k] - mean
+                t = apart @ u
+                across = np.linalg.norm(apart - np.outer(t, u), axis=1)
+                if (
+                    abs(axis(index[k])[1] @ u) >= np.cos(np.radians(10))
+                    and (across <= distance).all()
+                    and t.min() <= along[-1] + gap_max
+                    and t.max() >= along[0] - gap_max
+                ):
+                    left.remove(k)
+                    group.append(k)
+                    mean, u, _ = axis([i for j in group for i in index[j]])
+                    t = (np.concatenate([corners, ends[k]]) - mean) @ u
+                    corners = mean + np.outer([t.min(), t.max()], u)
+                    grown = True
+        groups.append(set(group))
+    return groups
+
+
 def nearest_k(points, query, k):
     """(positions, distances) of the k nearest, nearest first."""
     distance = np.linalg.norm(points - query, axis=1)

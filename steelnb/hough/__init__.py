@@ -3,5 +3,6 @@
 from steelnb.hough.directions import directions
 from steelnb.hough.lines import detect_lines
 from steelnb.hough.segments import cut_and_sort, detect_segments, detect_segments_with
+from steelnb.hough.width import suggest_dx
 
-__all__ = ["cut_and_sort", "detect_lines", "detect_segments", "detect_segments_with", "directions"]
+__all__ = ["cut_and_sort", "detect_lines", "detect_segments", "detect_segments_with", "directions", "suggest_dx"]

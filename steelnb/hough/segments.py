@@ -1,14 +1,19 @@
-"""Lines → segments: cut at gaps, then keep what looks like a bar (the report's "segments sorting")."""
+"""Lines → segments: cut at gaps, merge copies, keep what looks like a bar (the report's "segments sorting")."""
 
 import math
 
 import numpy as np
-from numba import njit
 
 from steelnb.config import HoughSettings
 from steelnb.datatypes import Array, Lines, Segments
-from steelnb.hough.kernels import fit_line
+from steelnb.errors import SettingsError
 from steelnb.hough.lines import detect_lines
+from steelnb.hough.pieces import cut, merge, sort
+from steelnb.hough.width import suggest_dx
+
+GAP, MERGE = 4.0, 1.5
+"""Default gap and merging distance in dx. A line takes the points within dx away, so that the axis of a second copy of
+the same bar lies between 1 and about 1.5 dx from the first."""
 
 
 def detect_segments(
@@ -23,26 +28,31 @@ def detect_segments(
     density_min: float = 0.0,
     length_min: float = 0.0,
     skip_weak: bool = True,
+    merge_distance: float | None = 0.0,
 ) -> Segments:
     """Find line segments: Hough lines (`detect_lines`), cut where their points leave a gap, sorted by their PCA.
 
     Parameters
     ----------
-    points, dx, min_votes, max_lines, granularity, skip_weak: as in `detect_lines`.
+    points, min_votes, max_lines, granularity, skip_weak: as in `detect_lines`.
+    dx: as in `detect_lines`, but by default chosen from the cloud by `suggest_dx`.
     gap_max: a line is cut where two neighbours along it are further apart than this (metres; default 4 dx).
     pca_ratio_min: least share of the variance that lies along the segment, 0–1.
     radius_max: largest root mean square distance of the points to the axis, metres.
     density_min: fewest points for each metre.
     length_min: shortest segment, metres.
+    merge_distance: parallel segments whose axes are nearer than this, metres, become one before they are sorted; 0 for
+        no merging, None for 1.5 dx.
 
     Returns `Segments`, whose ends are the extreme points projected on the fitted axis. Raises as `detect_lines`.
     """
+    if merge_distance is not None and not merge_distance >= 0:
+        raise SettingsError(f"merge_distance = {merge_distance}: expected a length of at least 0 m")
+    dx = suggest_dx(points) if dx is None else dx
     lines = detect_lines(points, dx, min_votes, max_lines, granularity, skip_weak)
-    if dx is None:
-        dx = float(np.linalg.norm(np.ptp(points, axis=0))) / 64
     return cut_and_sort(
-        np.asarray(points, dtype=np.float64), lines, 4 * dx if gap_max is None else gap_max, min_votes, pca_ratio_min,
-        radius_max, density_min, length_min,
+        np.asarray(points, dtype=np.float64), lines, GAP * dx if gap_max is None else gap_max, min_votes, pca_ratio_min,
+        radius_max, density_min, length_min, MERGE * dx if merge_distance is None else merge_distance,
     )  # fmt: skip
 
 
@@ -64,63 +74,16 @@ def cut_and_sort(
     radius_max: float,
     density_min: float,
     length_min: float,
+    merge_distance: float = 0.0,
 ) -> Segments:
-    """Cut the points of each line at gaps and keep the pieces that pass; see `detect_segments` for the bounds."""
+    """Cut the points of each line at gaps, merge copies, and keep what passes; see `detect_segments` for the bounds.
+
+    Pieces of fewer than ``min_points`` points are dropped at once.
+    """
     order = np.argsort(lines.label, kind="stable")
     begin = np.searchsorted(lines.label[order], np.arange(len(lines) + 1))
-    most = len(points) // max(min_points, 1)
-    start, end = np.zeros((most, 3)), np.zeros((most, 3))
-    count, radius = np.zeros(most, np.int64), np.zeros(most)
     px, py, pz = np.ascontiguousarray(points.T)
-    kept = _cut(
-        px, py, pz, order, begin, lines.anchor, lines.direction, gap_max, min_points, pca_ratio_min, radius_max,
-        density_min, length_min, start, end, count, radius,
-    )  # fmt: skip
-    return Segments(start[:kept], end[:kept], count[:kept], radius[:kept])
-
-
-@njit(cache=True)
-def _cut(
-    px, py, pz, order, begin, anchor, direction, gap_max, min_points, pca_ratio_min, radius_max, density_min,
-    length_min, start, end, count, radius,
-):  # fmt: skip
-    kept = 0
-    for line in range(len(anchor)):
-        members = order[begin[line] : begin[line + 1]]
-        along_line = np.empty(len(members))
-        for k in range(len(members)):
-            i = members[k]
-            along_line[k] = (
-                (px[i] - anchor[line, 0]) * direction[line, 0]
-                + (py[i] - anchor[line, 1]) * direction[line, 1]
-                + (pz[i] - anchor[line, 2]) * direction[line, 2]
-            )
-        sorting = np.argsort(along_line, kind="mergesort")
-        first = 0
-        for k in range(1, len(members) + 1):
-            if k < len(members) and along_line[sorting[k]] - along_line[sorting[k - 1]] <= gap_max:
-                continue
-            n = k - first
-            if n >= max(min_points, 2):
-                piece = members[sorting[first:k]]
-                along, across, mx, my, mz, ux, uy, uz = fit_line(px, py, pz, piece, n)
-                low, high = np.inf, -np.inf
-                for i in piece:
-                    t = (px[i] - mx) * ux + (py[i] - my) * uy + (pz[i] - mz) * uz
-                    low, high = min(low, t), max(high, t)
-                length = high - low
-                spread = math.sqrt(across / n)
-                if (
-                    along >= pca_ratio_min * (along + across)
-                    and spread <= radius_max
-                    and n >= density_min * length
-                    and length > 0.0
-                    and length >= length_min
-                ):
-                    start[kept, 0], start[kept, 1], start[kept, 2] = mx + low * ux, my + low * uy, mz + low * uz
-                    end[kept, 0], end[kept, 1], end[kept, 2] = mx + high * ux, my + high * uy, mz + high * uz
-                    count[kept] = n
-                    radius[kept] = spread
-                    kept += 1
-            first = k
-    return kept
+    piece = cut(px, py, pz, order, begin, lines.anchor, lines.direction, gap_max, max(min_points, 2))
+    if merge_distance > 0:
+        order, piece = merge(px, py, pz, order, piece, merge_distance, gap_max)
+    return Segments(*sort(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, length_min))

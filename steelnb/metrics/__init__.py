@@ -1,10 +1,10 @@
 """Estimates and truth → numbers. Nothing here plots."""
 
 from steelnb.metrics.clouds import Bend, basin_radius_m, bend, largest_slip
-from steelnb.metrics.segments import SegmentScore, score_segments
+from steelnb.metrics.segments import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory
 
 __all__ = [
-    "Bend", "SegmentScore", "basin_radius_m", "bend", "largest_slip", "position_error_m", "score_gaps",
-    "score_segments", "score_trajectory",
+    "Bend", "SeenMembers", "SegmentScore", "basin_radius_m", "bend", "largest_slip", "position_error_m", "score_gaps",
+    "score_segments", "score_trajectory", "seen_members",
 ]  # fmt: skip

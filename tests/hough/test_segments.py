@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from steelnb.hough import detect_segments
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.hough import detect_lines, detect_segments, suggest_dx
+from steelnb.hough.pieces import add, merge, moments
+from tests import naive
 
 
 def bar(start, end, n, noise_m=0.004, seed=0):
@@ -50,3 +56,132 @@ def test_sorting_keeps_what_passes_its_bounds(bounds, kept):
 def test_a_ball_gives_no_segment():
     points = np.random.default_rng(5).normal(scale=0.3, size=(500, 3))
     assert len(detect_segments(points, 0.05, min_votes=12, pca_ratio_min=0.98, density_min=30.0, length_min=0.4)) == 0
+
+
+def strip(wide, n=1500, length=2.0, noise_m=0.005, seed=0):
+    """Points on a flat bar along x, ``wide`` along y."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform([0, -wide / 2, 0], [length, wide / 2, 1e-9], (n, 3)) + rng.normal(scale=noise_m, size=(n, 3))
+
+
+def test_the_copies_of_a_wide_bar_become_one():
+    points = strip(0.14)
+    options = {"dx": 0.04, "min_votes": 60, "pca_ratio_min": 0.98}
+    assert len(detect_segments(points, **options)) >= 2
+    found = detect_segments(points, **options, merge_distance=0.1)
+    assert len(found) == 1
+    assert abs(found.middle[0, 1]) < 0.01
+    assert abs(found.direction[0, 0]) > np.cos(np.radians(0.5))
+
+
+@pytest.mark.parametrize(
+    ("other", "merged"),
+    [
+        (([0, 0.07, 0], [1, 0.07, 0]), True),  # beside it
+        (([0, 0.2, 0], [1, 0.2, 0]), False),  # too far beside it
+        (([1.1, 0, 0], [2, 0, 0]), True),  # behind it
+        (([1.5, 0, 0], [2, 0, 0]), False),  # behind a gap
+        (([0.5, 0, 0.02], [0.5, 0.09, 0.02]), False),  # across it
+        (([0.2, 0, 0.01], [1.2, 0.3, 0.01]), False),  # leaves it
+    ],
+)
+def test_two_segments_are_one_when_they_lie_along_one_axis(other, merged):
+    points = np.concatenate([bar([0, 0, 0], [1, 0, 0], 200, seed=1), bar(*other, 150, seed=2)])
+    order, rows = merge(*points.T.copy(), np.arange(350), np.array([[0, 200], [200, 350]]), 0.1, 0.25)
+    assert len(rows) == (1 if merged else 2)
+    assert sorted(order) == list(range(350))
+    assert (rows[:, 1] - rows[:, 0]).sum() == 350
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), first=st.integers(2, 50), shift=st.floats(-100, 100))
+def test_moments_add_up_to_those_of_all_points(seed, first, shift):
+    points = np.random.default_rng(seed).normal(size=(60, 3)) * [1, 3, 0.1] + shift
+    p, index = points.T.copy(), np.arange(60)
+    both = add(moments(*p, index[:first]), moments(*p, index[first:]))
+    np.testing.assert_allclose(both, moments(*p, index), rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-20, 20)] * 3))
+def test_what_is_merged_depends_neither_on_pose_nor_on_the_order_of_pieces(seed, turn, shift):
+    rng = np.random.default_rng(seed)
+    clouds = [bar(*rng.uniform(-0.4, 0.4, (2, 3)) + np.array([[0, 0, 0], [2, 0, 0]]), 40 + k, seed=k) for k in range(6)]
+    R = Rotation.from_rotvec(turn).as_matrix()
+    groups = []
+    for points, chosen in ((clouds, range(6)), ([c @ R.T + shift for c in clouds], rng.permutation(6))):
+        first = np.concatenate([[0], np.cumsum([len(points[k]) for k in chosen])])
+        p = np.concatenate([points[k] for k in chosen]).T.copy()
+        piece = np.column_stack([first[:-1], first[1:]])
+        order, rows = merge(*p, np.arange(p.shape[1]), piece, 0.15, 0.3)
+        owner = np.repeat(np.array(chosen), np.diff(first))
+        groups.append({frozenset(owner[order[a:b]].tolist()) for a, b in rows})
+        assert {frozenset(np.array(chosen)[list(g)].tolist()) for g in naive.merged(p.T, piece, 0.15, 0.3)} == groups[
+            -1
+        ]
+    assert groups[0] == groups[1]
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_merging_loses_no_point_and_moves_no_end_outwards_but_by_the_turn_of_the_axis(seed):
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([bar(*rng.uniform(-1, 1, (2, 3)), 80, noise_m=0.02, seed=seed + k) for k in range(4)])
+    apart = detect_segments(points, 0.05, min_votes=8)
+    together = detect_segments(points, 0.05, min_votes=8, merge_distance=0.1)
+    assert together.count.sum() == apart.count.sum()
+    assert len(together) <= len(apart)
+    assert together.length.max(initial=0) <= apart.length.sum() + 0.2 * len(apart) + 1e-9
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.04])
+def test_dx_follows_width_and_noise(noise_m):
+    narrow, wide = (suggest_dx(strip(w, noise_m=noise_m, n=4000)) for w in (0.02, 0.10))
+    assert wide > narrow
+    # Of 1.4 times the root mean square distance to the axis; balls around points at the ends have less.
+    for dx, w in ((narrow, 0.02), (wide, 0.10)):
+        assert dx == pytest.approx(1.4 * np.sqrt(w**2 / 12 + 2 * noise_m**2), rel=0.25)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), turn=st.tuples(*[st.floats(-3, 3)] * 3), scale=st.floats(0.01, 100))
+def test_dx_turns_and_grows_with_the_cloud(seed, turn, scale):
+    points = np.concatenate([strip(0.05, 300, seed=seed), strip(0.05, 300, seed=seed + 1)[:, [2, 0, 1]]])
+    R = Rotation.from_rotvec(turn).as_matrix()
+    # Not exact: a turn changes the order of the points, and with it those that are looked at.
+    assert suggest_dx(scale * points @ R.T) == pytest.approx(scale * suggest_dx(points), rel=0.3)
+    assert suggest_dx(scale * points) == pytest.approx(scale * suggest_dx(points), rel=1e-6)
+
+
+def test_dx_of_a_voxel_filtered_cloud_is_no_less_than_its_spacing():
+    grid = 0.05 * np.stack(np.meshgrid(*[np.arange(8)] * 3), axis=-1).reshape(-1, 3)
+    assert suggest_dx(grid) >= 0.05
+    assert suggest_dx(np.array([[0.0, 0, 0], [1, 0, 0]])) == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("points", "error"),
+    [
+        (np.zeros((0, 3)), EmptyCloudError),
+        (np.full((4, 3), np.nan), EmptyCloudError),
+        (np.ones((4, 3)), DegenerateCloudError),
+    ],
+)
+def test_a_cloud_without_extent_has_no_dx(points, error):
+    for find in (suggest_dx, detect_segments):
+        with pytest.raises(error):
+            find(points)
+
+
+def test_segments_choose_dx_from_the_points_and_lines_do_as_the_reference():
+    points = np.concatenate([strip(0.05), strip(0.05, seed=1)[:, [2, 0, 1]] + np.array([0, 0, 3])])
+    chosen, given_dx = detect_segments(points, min_votes=30), detect_segments(points, suggest_dx(points), min_votes=30)
+    np.testing.assert_array_equal(chosen.start, given_dx.start)
+    diagonal = np.linalg.norm(np.ptp(points, axis=0))
+    np.testing.assert_array_equal(detect_lines(points).label, detect_lines(points, diagonal / 64).label)
+
+
+@pytest.mark.parametrize("distance", [-0.1, float("nan")])
+def test_a_merging_distance_below_zero_is_refused(distance):
+    with pytest.raises(SettingsError, match="merge_distance"):
+        detect_segments(strip(0.05), merge_distance=distance)

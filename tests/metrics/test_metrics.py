@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb.datatypes import Segments, Trajectory
-from steelnb.metrics import position_error_m, score_segments, score_trajectory
+from steelnb.metrics import position_error_m, score_segments, score_trajectory, seen_members
 
 
 def line(n, offset=0.0):
@@ -82,3 +82,46 @@ def test_an_empty_map_scores_nothing_found():
     assert score.recall == 0.0
     assert math.isnan(score.precision)
     assert math.isnan(score.offset_median_m)
+
+
+def test_duplicates_lie_beside_a_longer_segment_of_the_same_member():
+    found = segments(
+        ([0, 0.02, 0], [0, 0.02, 3]),
+        ([0, -0.05, 1], [0, -0.05, 2]),  # beside the first
+        ([0, 0, 2.8], [0, 0, 3.9]),  # mostly beyond it
+        ([2, 0, 0], [2, 0, 1]),  # on another member
+        ([0, 0.5, 0], [0, 0.5, 3]),  # wrong
+    )
+    score = score_segments(found, AXES)
+    assert score.right.tolist() == [True, True, True, True, False]
+    assert score.duplicates == 1
+    np.testing.assert_allclose(score.offset_m, [0.02, 0.05, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(score.angle_rad, 0, atol=1e-7)
+
+
+def test_what_is_hidden_need_not_be_found():
+    found = segments(([0, 0, 0], [0, 0, 1.2]))
+    seen = np.ones((3, 200), dtype=bool)
+    assert not score_segments(found, AXES).found[0]
+    seen[0, 100:] = False  # of member 0, 2 m are seen, 1.2 m of them found
+    assert score_segments(found, AXES, seen=seen).found.tolist() == [True, False, False]
+    seen[1] = False
+    assert not score_segments(found, AXES, seen=seen).found[1]
+
+
+def test_the_axis_of_a_seen_member_runs_through_the_middle_of_its_surface():
+    z = np.linspace(1, 3, 201)
+    points = np.concatenate([np.column_stack([0 * z + 0.06, 0 * z, z]), [[2.05, 0.01, 1.0]]])
+    points = points[(points[:, 2] < 1.5) | (points[:, 2] > 2.4) | (points[:, 0] > 1)]
+    member = np.append(np.zeros(len(points) - 1, dtype=int), 1)
+    seen = seen_members(AXES, points, member)
+    np.testing.assert_allclose(seen.axes[0], [[0.06, 0, 1], [0.06, 0, 3]], atol=1e-9)
+    np.testing.assert_allclose(seen.axes[1:], AXES[1:])
+    assert seen.count.tolist() == [len(points) - 1, 1, 0]
+    np.testing.assert_allclose(seen.length_m, [2, 0, 0], atol=1e-9)
+    assert seen.observed().tolist() == [True, False, False]
+    assert seen.observed(count_min=1000).tolist() == [False, False, False]
+    # Parts of 1 cm; the 0.9 m without a point are hidden but for 5 cm at each side.
+    assert seen.seen[0].sum() == pytest.approx(200 - 80, abs=2)
+    assert not seen.seen[0, 60:130].any()
+    assert not seen.seen[1:].any()

@@ -1,0 +1,61 @@
+"""Single views of a tower from along a flight's path, without the flight: what segmentation is tried on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.config import FlightSettings, TofSettings
+from steelnb.datatypes import Array, IntArray
+from steelnb.simulation.paths import heading, waypoints
+from steelnb.simulation.tof import _cast, _scene, measure, rays
+from steelnb.simulation.tower import Tower
+
+
+@dataclass(frozen=True)
+class View:
+    """Returns of one scan in the world frame: ``points (N, 3)`` as measured, ``surface (N, 3)`` where they truly lie,
+    and the ``member (N,)`` each belongs to. ``across (3,)`` is the direction to the right, level."""
+
+    points: Array
+    surface: Array
+    member: IntArray
+    across: Array
+
+
+class Viewer:
+    """A Time-of-Flight camera that can be held anywhere around a tower."""
+
+    def __init__(self, tower: Tower, tof: TofSettings) -> None:
+        self.tower, self.tof = tower, tof
+        self._scene, self._rays = _scene(tower), rays(tof)
+        self._owner = np.append(tower.triangle_member, [-1, -1])  # the ground's two triangles come last
+
+    def view(self, T_world_sensor: Array, noise: np.random.Generator, floor_m: float = 0.3) -> View:
+        """One scan, without the ground and all that is measured below ``floor_m``."""
+        exact, triangle = _cast(self._scene, T_world_sensor[None], self._rays)
+        measured = measure(exact[0], self.tof, noise)
+        returned = np.isfinite(measured)
+        member = self._owner[triangle[0][returned].astype(np.int64)]
+        rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
+        along = self._rays[returned] @ rotation.T
+        points = measured[returned][:, None].astype(np.float64) * along + position
+        surface = exact[0][returned][:, None].astype(np.float64) * along + position
+        kept = (member >= 0) & (points[:, 2] >= floor_m)
+        level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
+        return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
+
+
+def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:
+    """``T_world_sensor (4, 4)`` at a share, 0–1, of the path of a flight, with its heading there.
+
+    ``lean (3,)`` adds yaw, pitch and roll in radians.
+    """
+    corner = waypoints(flight, tower.settings)
+    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
+    position = np.array([np.interp(share * arc[-1], arc, corner[:, axis]) for axis in range(3)])
+    yaw, pitch, roll = np.array([heading(flight, *position[:2]), 0.0, 0.0]) + (0.0 if lean is None else lean)
+    T_world_sensor = np.eye(4)
+    T_world_sensor[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    T_world_sensor[:3, 3] = position
+    return T_world_sensor
