@@ -161,3 +161,26 @@ def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
     assert {path.name for path in (smoke / "accuracy").glob("*.png")} == {
         "fig_accuracy_vertical.png", "fig_accuracy_orbit.png"
     }  # fmt: skip
+
+
+def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):
+    folder = smoke / "segmentation-methods"
+    table = pd.read_csv(folder / "table.csv")
+    assert {"method", "scene", "noise_m", "recall", "precision", "angle_deg", "offset_m"} <= set(table)
+    assert not table.duplicated(["scene", "noise_m", "clutter", "kept", "method", "seed"]).any()
+    methods = {"hough", "ransac-lines", "ransac-planes", "dbscan", "gmm"}
+    for scene, rows in table.groupby("scene"):
+        assert methods <= set(rows["method"]), scene
+    usual = table[(table["scene"] == "frame") & (table["noise_m"] == 0.02) & (table["kept"] == 1)].set_index("method")
+    assert usual["recall"]["hough"] > 0.85
+    assert usual["precision"]["hough"] > 0.95
+    assert usual["recall"]["hough"] > usual["recall"][["ransac-planes", "dbscan", "gmm"]].max()
+    assert usual["angle_deg"]["hough"] < 0.6
+    assert usual["offset_m"]["hough"] < 0.012
+    timing = pd.read_csv(folder / "timing.csv")
+    assert methods <= set(timing["method"])
+    assert (timing["median_ms"] > 0).all()
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["dx_from_points.2_cm.recall_lost"] < metrics["dx_of_reference.2_cm.recall_lost"]
+    names = {"fig_frame.png", "fig_sequence.png", "fig_tower.png", "fig_conditions.png", "fig_tuning.png"}
+    assert {path.name for path in folder.glob("fig_*.png")} == names

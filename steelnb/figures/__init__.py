@@ -12,13 +12,20 @@ from steelnb.figures.clouds import (
 )
 from steelnb.figures.maps import figure_maps
 from steelnb.figures.report import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, REPORT_TIME_RATIO
+from steelnb.figures.segmentation import (
+    USUAL,
+    figure_conditions,
+    figure_found,
+    figure_sequence,
+    figure_tuning,
+)
 from steelnb.figures.style import LABELS
 from steelnb.figures.trajectories import figure_segment_odometry
 from steelnb.figures.world import figure_drift, figure_tower
 
 __all__ = [
-    "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "figure_accuracy",
+    "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL", "figure_accuracy",
     "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
-    "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_maps", "figure_segment_odometry",
-    "figure_tower",
+    "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_found",
+    "figure_maps", "figure_segment_odometry", "figure_sequence", "figure_tower", "figure_tuning",
 ]  # fmt: skip
