@@ -385,15 +385,19 @@ class StructureSettings(Settings):
     tube_m: Positive = 0.06
     min_votes: Annotated[int, Field(ge=2)] = 8
     length_min_m: Positive = 0.3
+    strut_tube_m: Positive = 0.04
     strut_length_min_m: Positive = 0.18
+    strut_hide_m: Positive = 0.045
+    strut_contract_m: Positive = 0.05
     floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.2
     range_max_m: Positive = 6.0
     gap_max_m: NotNegative = 0.3
-    copy_distance_m: Positive = 0.10
+    copy_distance_m: Positive = 0.12
     slack_m: NotNegative = 0.02
     reach_m: NotNegative = 0.2
     same_m: Positive = 0.15
     bend_m: NotNegative = 1.2
+    adjust: bool = True
 
 
 class ExperimentSettings(Settings):

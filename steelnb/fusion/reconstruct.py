@@ -1,7 +1,8 @@
 """The final reconstruction: a whole corrected flight, or a plain cloud → `Structure`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -10,6 +11,7 @@ from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
 from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import sections
+from steelnb.fusion.adjust import adjust
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.ridges import ridge_points
@@ -18,6 +20,9 @@ from steelnb.hough.blocks import segment_structure, within
 from steelnb.mapping import VoxelMap
 from steelnb.mapping.kernels import find, pack
 from steelnb.preprocess import voxel_grid
+
+
+MARGIN = 1.2
 
 
 def reconstruct(
@@ -54,15 +59,17 @@ def reconstruct(
     bars, reason = find_bars(voxels, settings)
     if not len(bars):
         return Structure.empty(reason)
-    # Bars led to their joints show more of themselves, so the second look sees more, and more exactly.
-    for every in (5, 1):
-        some = slice(None, None, every)
-        bars = trim_bends(bars, settings.bend_m)
-        bars, width, sigma, sightings = _look_at_sections(bars, voxels, scans[some], T_world_sensor[some], settings)
-        if every > 1:
-            bars = _tied(bars, width, sigma, sightings, settings).segments
-            bars = merge_pieces(bars, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
-    return _tied(bars, width, sigma, sightings, settings)
+    # The first look is quick and coarse: enough to know the sections, lead bars to joints and adjust the poses.
+    flight = _Flight(scans, T_world_sensor, voxels, settings)
+    bars = trim_bends(bars, settings.bend_m)
+    look = flight.look(bars, T_world_sensor, every=5)
+    bars = _tied(look, settings).segments
+    bars = merge_pieces(bars, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
+    bars = trim_bends(bars, settings.bend_m)
+    if settings.adjust:
+        look = flight.look(bars, T_world_sensor, every=5)
+        T_world_sensor, bars = flight.adjust(look, T_world_sensor)
+    return _tied(flight.look(bars, T_world_sensor, every=1), settings)
 
 
 def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) -> Structure:
@@ -88,13 +95,13 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
         return Structure.empty(reason)
     none = np.full(len(bars), np.nan)
     sigma = bars.radius / np.sqrt(np.maximum(bars.count, 1))
-    return _tied(bars, none, sigma, np.ones(len(bars), dtype=np.int64), settings)
+    return _tied(_Look(bars, np.zeros((0, 2, 3)), none, none, sigma, np.ones(len(bars), dtype=np.int64)), settings)
 
 
 def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points; and why there are none."""
     s = settings
-    points = _ridges(voxels, None, s)
+    points = _ridges(voxels, None, s.contract_m, s.tube_m, s)
     if len(points) < s.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
     bars = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
@@ -102,18 +109,18 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, 
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
     # A short bar between long ones is weak beside them, and its ends lie within their tubes: look at what they leave.
-    means = voxels.means()
-    left = _ridges(voxels, within(means, bars, 1.25 * s.tube_m), s)
+    hidden = within(voxels.means(), bars, s.strut_hide_m)
+    left = _ridges(voxels, hidden, s.strut_contract_m, s.strut_tube_m, s)
     if len(left) >= s.min_votes:
-        more = segment_structure(left, s.tube_m, max(2, s.min_votes - 3), s.strut_length_min_m / s.tube_m)
+        more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m)
         more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
         bars = merge_pieces(_together(bars, more), s.gap_max_m, s.copy_distance_m, s.tube_m)
     return bars, ""
 
 
-def _ridges(voxels: VoxelMap, leave: np.ndarray | None, s: StructureSettings) -> Array:
-    points = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, s.contract_m, leave)
-    return voxel_grid(points, s.tube_m / math.sqrt(3))
+def _ridges(voxels: VoxelMap, leave: np.ndarray | None, contract_m: float, tube_m: float, s: StructureSettings) -> Array:
+    points = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, contract_m, leave)
+    return voxel_grid(points, tube_m / math.sqrt(3))
 
 
 def _together(some: Segments, others: Segments) -> Segments:
@@ -132,39 +139,73 @@ def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float)
     return tied
 
 
-def _look_at_sections(
-    bars: Segments, voxels: VoxelMap, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings
-) -> tuple[Segments, Array, Array, IntArray]:
-    """Go through the scans again, each bar's points apart; bars with their axes moved, widths, sigma, sightings."""
-    grid, _ = voxels.grid()
-    owner = _owners(
-        bars.start, bars.direction, bars.length, voxels.means(), grid.voxel_m, 2.0 * settings.tube_m,
-        0.5 * settings.tube_m, grid.key, grid.slot,
-    )  # fmt: skip
-    across = sections.frames(bars.direction)
-    histogram = sections.empty_histogram(len(bars))
-    sightings = np.zeros(len(bars), dtype=np.int64)
-    for scan, T in zip(scans, T_world_sensor, strict=True):
-        points, _ = _world(_flat(scan.points), T, settings.range_max_m, settings.floor_m)
-        bar = _bars_of(points, owner, grid.voxel_m, grid.key, grid.slot)
-        sightings += np.bincount(bar[bar >= 0], minlength=len(bars)) >= 10
-        sections.look(
-            points, T[:3, 3], bar, bars.start, bars.direction, bars.length, across, 2.5 * settings.tube_m, histogram
+@dataclass(frozen=True)
+class _Look:
+    """Bars after a look at their sections: width NaN and turn of no meaning where there was too little to see."""
+
+    bars: Segments
+    across: Array
+    width: Array
+    turn: Array
+    sigma: Array
+    sightings: IntArray
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """The scans with the poses at which they went into the voxels."""
+
+    scans: Sequence[Scan]
+    T_world_sensor: Array
+    voxels: VoxelMap
+    settings: StructureSettings
+
+    def sights(self, bars: Segments, poses: Array, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
+        """Scans' numbers, points in the world at other ``poses``, and their bars, which the voxels know."""
+        s, (grid, _) = self.settings, self.voxels.grid()
+        owner = _owners(
+            bars.start, bars.direction, bars.length, self.voxels.means(), grid.voxel_m, 2.0 * s.tube_m,
+            0.5 * s.tube_m, grid.key, grid.slot,
+        )  # fmt: skip
+        for k in range(0, len(self.scans), every):
+            points = _flat(self.scans[k].points)[k % pixels :: pixels]
+            placed, bar = _on_bars(
+                points, self.T_world_sensor[k], poses[k], s.range_max_m, s.floor_m, owner, grid.voxel_m, grid.key,
+                grid.slot,
+            )  # fmt: skip
+            yield k, placed, bar
+
+    def look(self, bars: Segments, poses: Array, every: int) -> _Look:
+        """Go through the scans, each bar's points apart; the bars with their axes moved to their centroids."""
+        across, n = sections.frames(bars.direction), len(bars)
+        histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
+        for k, points, bar in self.sights(bars, poses, every, 1):
+            sightings += np.bincount(bar, minlength=n) >= 10
+            sections.look(
+                points, poses[k, :3, 3], bar, bars.start, bars.direction, bars.length, across,
+                MARGIN * self.settings.tube_m, histogram,
+            )  # fmt: skip
+        centre, slope = np.zeros((n, 2)), np.zeros((n, 2))
+        flange, turn, spread = np.zeros(n), np.zeros(n), np.zeros(n)
+        sections.fit_sections(histogram, bars.length, centre, slope, flange, turn, spread)
+        half = 0.5 * bars.length[:, None]
+        start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
+        end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
+        sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
+        return _Look(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, sightings)
+
+    def adjust(self, look: _Look, poses: Array) -> tuple[Array, Segments]:
+        return adjust(
+            look.bars, look.turn, look.width, look.across, poses, lambda T: self.sights(look.bars, T, 1, 4)
         )
-    centre, slope = np.zeros((len(bars), 2)), np.zeros((len(bars), 2))
-    flange, spread = np.zeros(len(bars)), np.zeros(len(bars))
-    sections.fit_sections(histogram, bars.length, centre, slope, flange, spread)
-    half = 0.5 * bars.length[:, None]
-    start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
-    end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
-    sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-    return Segments(start, end, bars.count, bars.radius), flange, sigma, sightings
 
 
-def _tied(bars: Segments, width: Array, sigma: Array, sightings: IntArray, settings: StructureSettings) -> Structure:
-    known = np.where(np.isfinite(width), width, 2 * bars.radius)
-    joint, tie, bars = find_joints(bars, known, settings.slack_m, settings.reach_m, settings.same_m, settings.bend_m)
-    return Structure(bars, width, sightings, sigma, joint, tie)
+def _tied(look: _Look, settings: StructureSettings) -> Structure:
+    known = np.where(np.isfinite(look.width), look.width, 2 * look.bars.radius)
+    joint, tie, bars = find_joints(
+        look.bars, known, settings.slack_m, settings.reach_m, settings.same_m, settings.bend_m
+    )
+    return Structure(bars, look.width, look.sightings, look.sigma, joint, tie)
 
 
 def _flat(points: Array) -> Array:
@@ -227,15 +268,25 @@ def _owners(start, direction, length, mean, voxel, radius, margin, table_key, ta
 
 
 @njit(cache=True)
-def _bars_of(points, owner, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
-    bar = np.full(len(points), -1, np.int64)
+def _on_bars(points, T_map, T, range_max, floor, owner, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
+    """Points of a scan that lie on bars, at the pose ``T``, and their bars; found at the pose ``T_map`` of the map."""
+    placed, bar = np.empty((len(points), 3)), np.empty(len(points), np.int64)
+    n = 0
     inverse = 1.0 / voxel
-    for n in range(len(points)):
-        i, j, k = (
-            np.int64(np.floor(points[n, 0] * inverse)), np.int64(np.floor(points[n, 1] * inverse)),
-            np.int64(np.floor(points[n, 2] * inverse)),
-        )  # fmt: skip
-        slot = find(pack(i, j, k), table_key, table_slot)
-        if slot >= 0:
-            bar[n] = owner[slot]
-    return bar
+    for m in range(len(points)):
+        x, y, z = points[m, 0], points[m, 1], points[m, 2]
+        if not 0.0 < x * x + y * y + z * z <= range_max * range_max:  # NaN too
+            continue
+        height = T_map[2, 0] * x + T_map[2, 1] * y + T_map[2, 2] * z + T_map[2, 3]
+        if height < floor:
+            continue
+        i = np.int64(np.floor((T_map[0, 0] * x + T_map[0, 1] * y + T_map[0, 2] * z + T_map[0, 3]) * inverse))
+        j = np.int64(np.floor((T_map[1, 0] * x + T_map[1, 1] * y + T_map[1, 2] * z + T_map[1, 3]) * inverse))
+        slot = find(pack(i, j, np.int64(np.floor(height * inverse))), table_key, table_slot)
+        if slot < 0 or owner[slot] < 0:
+            continue
+        for k in range(3):
+            placed[n, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+        bar[n] = owner[slot]
+        n += 1
+    return placed[:n], bar[:n]

@@ -82,11 +82,11 @@ def look(points, sensor, bar, start, direction, length, across, margin, histogra
 
 
 @njit(cache=True)
-def fit_sections(histogram, length, centre, slope, flange, spread):  # type: ignore[no-untyped-def]
+def fit_sections(histogram, length, centre, slope, flange, turn, spread):  # type: ignore[no-untyped-def]
     """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``.
 
     Fills ``centre (B, 2)``, the axis across the bar in the middle of its length, ``slope (B, 2)`` metres per metre,
-    ``flange (B,)`` metres and ``spread (B,)``, the standard deviation of the axis; NaN for a bar with too few points.
+    ``flange (B,)`` metres, ``turn (B,)`` radians and ``spread (B,)``, the standard deviation of the axis; NaN for a bar with too few points.
     """
     for b in range(len(length)):
         flange[b] = spread[b] = np.nan
@@ -94,7 +94,7 @@ def fit_sections(histogram, length, centre, slope, flange, spread):  # type: ign
         rows = _outlines(histogram[b])
         if len(cells) < 8 or len(rows) < 1:
             continue
-        _fit(cells, rows, centre[b], slope[b], flange[b : b + 1], spread[b : b + 1])
+        _fit(cells, rows, centre[b], slope[b], flange[b : b + 1], turn[b : b + 1], spread[b : b + 1])
 
 
 @njit(cache=True)
@@ -170,6 +170,40 @@ def _outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
+    """How far towards the viewer the outline is at a place beside its centroid, and its slope; −1e9 where it is not."""
+    front, rise = -1e9, 0.0
+    for i in range(6):
+        j = (i + 1) % 6
+        b0, b1 = -sine * corner[i, 0] + cosine * corner[i, 1], -sine * corner[j, 0] + cosine * corner[j, 1]
+        if (b0 <= beside < b1) or (b1 <= beside < b0):
+            d0, d1 = cosine * corner[i, 0] + sine * corner[i, 1], cosine * corner[j, 0] + sine * corner[j, 1]
+            s = (d1 - d0) / (b1 - b0)
+            if d0 + s * (beside - b0) > front:
+                front, rise = d0 + s * (beside - b0), s
+    return front, rise
+
+
+@njit(cache=True)
+def _nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
+    nearest, edge = 1e9, 0.0
+    for i in range(6):
+        b = -sine * corner[i, 0] + cosine * corner[i, 1]
+        if abs(beside - b) < nearest:
+            nearest, edge = abs(beside - b), b
+    return edge
+
+
+@njit(cache=True)
+def outlines(turn, flange):  # type: ignore[no-untyped-def]
+    """Corners ``(B, 6, 2)`` of angle sections about their centroids."""
+    corner = np.empty((len(turn), 6, 2))
+    for b in range(len(turn)):
+        _outline(turn[b], flange[b], corner[b])
+    return corner
+
+
+@njit(cache=True)
 def _step(cells, rows, corner, place, sloped, normal):  # type: ignore[no-untyped-def]
     """Cost of a section at ``place`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
     normal[:, :] = 0.0
@@ -182,25 +216,14 @@ def _step(cells, rows, corner, place, sloped, normal):  # type: ignore[no-untype
             along = 0.0
         u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
         beside, depth = -sine * u + cosine * v, cosine * u + sine * v
-        front, rise = -1e9, 0.0
-        nearest, edge = 1e9, 0.0
-        for i in range(6):
-            j = (i + 1) % 6
-            b0, b1 = -sine * corner[i, 0] + cosine * corner[i, 1], -sine * corner[j, 0] + cosine * corner[j, 1]
-            if abs(beside - b0) < nearest:
-                nearest, edge = abs(beside - b0), b0
-            if (b0 <= beside < b1) or (b1 <= beside < b0):
-                d0, d1 = cosine * corner[i, 0] + sine * corner[i, 1], cosine * corner[j, 0] + sine * corner[j, 1]
-                s = (d1 - d0) / (b1 - b0)
-                if d0 + s * (beside - b0) > front:
-                    front, rise = d0 + s * (beside - b0), s
+        front, rise = front_face(corner, cosine, sine, beside)
         weight = cells[k, 2]
         if front > -1e8:
             residual = depth - front
             ju, jv = -cosine - rise * sine, -sine + rise * cosine
             weight /= 1.0 + rise * rise
         else:  # beside the section
-            residual = beside - edge
+            residual = beside - _nearest_edge(corner, cosine, sine, beside)
             ju, jv = sine, -cosine
         square = residual * residual
         cost += weight * bound * square / (bound + square)
@@ -250,7 +273,7 @@ def _settle(cells, rows, corner, place, sloped, normal, steps):  # type: ignore[
 
 
 @njit(cache=True)
-def _fit(cells, rows, centre, slope, flange, spread):  # type: ignore[no-untyped-def]
+def _fit(cells, rows, centre, slope, flange, found_turn, spread):  # type: ignore[no-untyped-def]
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
@@ -296,4 +319,5 @@ def _fit(cells, rows, centre, slope, flange, spread):  # type: ignore[no-untyped
     variance = max(uu / weight - u * u - v * v, 0.0)
     centre[0], centre[1] = kept[0] + u - tried[best, 3], kept[1] + v - tried[best, 4]
     slope[0], slope[1] = kept[2], kept[3]
+    found_turn[0] = turn
     flange[0], spread[0] = b, math.sqrt(variance + low / total / max(len(cells), 1))

@@ -1,0 +1,124 @@
+"""Poses and bars together: what is left of the drift, once the sections of the bars are known.
+
+Odometry places each scan against a map that holds the drift of those before it. Here all poses and all axes move at
+once: each point says how far the face of its bar that it hit is from where it should be, along the normal of the face.
+Position and yaw of each pose and place and tilt of each bar are free, roll and pitch are the IMU's. What all may do
+together, a shift and a turn, no scan can tell: in the mean of the first scans the poses stay what they were. Poses see few bars and bars many poses: poses are eliminated first (Schur complement).
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+from steelnb.datatypes import Array, IntArray, Segments
+from steelnb.fusion import sections
+
+SIGMA_M, SIGMA_SHARE = 0.01, 0.01
+"""Standard deviation of a range: 1 cm, and 1 % of the range beyond 1 m."""
+POSE_SIGMA = np.array([0.1, 0.1, 0.1, 0.05])
+"""How far a pose may be off, metres and radians: only holds what no bar holds."""
+BAR_SIGMA = np.array([0.05, 0.05, 0.05, 0.05])
+"""How far a bar may be off, metres, and metres per metre."""
+
+ANCHOR_SCANS = 25
+"""Scans from the beginning that keep the world's frame; the drift has hardly begun in them."""
+
+Sights = Callable[[Array], Iterable[tuple[int, Array, IntArray]]]
+"""Poses ``(K, 4, 4)`` → for each scan its number, points in the world frame and the bars that they lie on or −1."""
+
+
+def adjust(
+    bars: Segments, turn: Array, flange: Array, across: Array, T_world_sensor: Array, sights: Sights, rounds: int = 1
+) -> tuple[Array, Segments]:
+    """Adjusted poses ``(K, 4, 4)`` and bars. Bars without a known section, NaN ``flange (B,)``, stay out and in place.
+
+    ``turn (B,)`` and the frames ``across (B, 2, 3)`` are those of `fusion.sections`.
+    """
+    poses, start, end = T_world_sensor.copy(), bars.start.copy(), bars.end.copy()
+    corner = sections.outlines(turn, np.where(np.isfinite(flange), flange, 0.05))
+    known = np.isfinite(flange)
+    for _ in range(rounds):
+        direction = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
+        length = np.linalg.norm(end - start, axis=1)
+        block, right = np.zeros((len(bars), 4, 4)), np.zeros((len(bars), 4))
+        whole = np.zeros((len(bars) * 4, len(bars) * 4))
+        kept: list[tuple[Array, Array, IntArray, Array]] = []
+        for k, points, bar in sights(poses):
+            matrix, vector, cross = np.zeros((4, 4)), np.zeros(4), np.zeros((len(bars), 4, 4))
+            bar = np.where((bar >= 0) & known[bar], bar, -1)
+            _gather(points, poses[k, :3, 3], bar, start, direction, length, across, corner, matrix, vector, cross,
+                    block, right)  # fmt: skip
+            matrix[np.diag_indices(4)] += POSE_SIGMA**-2.0
+            seen = np.flatnonzero(cross.any(axis=(1, 2)))
+            index = (4 * seen[:, None] + np.arange(4)).ravel()
+            wide = cross[seen].transpose(1, 0, 2).reshape(4, -1)
+            solved = np.linalg.solve(matrix, np.concatenate([wide, vector[:, None]], axis=1))
+            whole[np.ix_(index, index)] -= wide.T @ solved[:, :-1]
+            right.reshape(-1)[index] -= wide.T @ solved[:, -1]
+            kept.append((solved[:, :-1], solved[:, -1], index, np.array([k])))
+        for b in range(len(bars)):
+            whole[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] += block[b] + np.diag(BAR_SIGMA**-2.0)
+        moved = np.linalg.solve(whole, right.reshape(-1))
+        for wide, vector, index, k in kept:
+            step = vector - wide @ moved[index]
+            poses[k[0], :3, 3] += step[:3]
+            poses[k[0], :3, :3] = Rotation.from_rotvec([0, 0, step[3]]).as_matrix() @ poses[k[0], :3, :3]
+        place, tilt = moved.reshape(-1, 4)[:, :2], moved.reshape(-1, 4)[:, 2:]
+        half = 0.5 * length[:, None]
+        start += np.einsum("bk,bkx->bx", place - half * tilt, across)
+        end += np.einsum("bk,bkx->bx", place + half * tilt, across)
+    turned, shift = _back(poses[:ANCHOR_SCANS], T_world_sensor[:ANCHOR_SCANS])
+    poses[:, :3, :3], poses[:, :3, 3] = turned @ poses[:, :3, :3], poses[:, :3, 3] @ turned.T + shift
+    return poses, Segments(start @ turned.T + shift, end @ turned.T + shift, bars.count, bars.radius)
+
+
+def _back(poses: Array, before: Array) -> tuple[Array, Array]:
+    """The rotation about z ``(3, 3)`` and the shift ``(3,)`` that lead poses back to what they were, in the mean."""
+    between = before[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
+    yaw = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1]).mean()
+    turned = Rotation.from_rotvec([0, 0, yaw]).as_matrix()
+    return turned, (before[:, :3, 3] - poses[:, :3, 3] @ turned.T).mean(axis=0)
+
+
+@njit(cache=True)
+def _gather(points, sensor, bar, start, direction, length, across, corner, matrix, vector, cross, block, right):  # type: ignore[no-untyped-def]
+    """Add a scan's points to the normal equations of its pose, of the bars, and between them."""
+    pose, place = np.empty(4), np.empty(4)
+    for i in range(len(points)):
+        b = bar[i]
+        if b < 0:
+            continue
+        x, y, z = points[i, 0] - start[b, 0], points[i, 1] - start[b, 1], points[i, 2] - start[b, 2]
+        t = x * direction[b, 0] + y * direction[b, 1] + z * direction[b, 2]
+        e1, e2 = across[b, 0], across[b, 1]
+        x, y, z = x - t * direction[b, 0], y - t * direction[b, 1], z - t * direction[b, 2]
+        u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
+        cx, cy, cz = sensor[0] - points[i, 0], sensor[1] - points[i, 1], sensor[2] - points[i, 2]
+        p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
+        square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
+        if square < 0.1 * whole or t < 0.0 or t > length[b]:
+            continue
+        distance = np.sqrt(square)
+        cosine, sine = p / distance, q / distance
+        front, rise = sections.front_face(corner[b], cosine, sine, -sine * u + cosine * v)
+        if front < -1e8 or abs(rise) > 2.0:
+            continue
+        residual = cosine * u + sine * v - front
+        sigma = max(SIGMA_M, SIGMA_SHARE * np.sqrt(whole)) * np.sqrt(square / whole)
+        bound = (2.5 * sigma + 0.02) ** 2
+        weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma + 1e-4)
+        gu, gv = cosine + rise * sine, sine - rise * cosine
+        for k in range(3):
+            pose[k] = gu * e1[k] + gv * e2[k]
+        pose[3] = cy * pose[0] - cx * pose[1]  # z × (point − sensor), along the normal
+        tau = t - 0.5 * length[b]
+        place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
+        for k in range(4):
+            for m in range(4):
+                matrix[k, m] += weight * pose[k] * pose[m]
+                cross[b, k, m] += weight * pose[k] * place[m]
+                block[b, k, m] += weight * place[k] * place[m]
+            vector[k] -= weight * pose[k] * residual
+            right[b, k] -= weight * place[k] * residual
