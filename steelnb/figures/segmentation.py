@@ -30,7 +30,7 @@ CONDITIONS = {
     "clutter": ("clutter (% of the points)", 100.0),
     "kept": ("points kept (%)", 100.0),
 }
-RECALL_MIN = 0.03
+RECALL_MIN = 0.05
 """Below this, the errors of the segments that are right are those of one or two."""
 NUMBERS = {
     "recall": ("recall", 1.0),
@@ -77,7 +77,9 @@ def _draw_found(panel: Axes, trial: Trial) -> None:
     panel.scatter(flat[shown, 0], flat[shown, 1], s=0.7, c=POINTS, linewidths=0, rasterized=True)
     missed = scene.members.axes[scene.members.observed() & ~score.found]
     panel.add_collection(
-        LineCollection(list(_project(missed, scene.across)), colors=MISSED, lw=1.3, linestyles=[(0, (2, 1.5))])
+        LineCollection(
+            list(_project(missed, scene.across)), colors=MISSED, lw=1.3, linestyles=[(0, (2, 1.5))], zorder=3
+        )
     )
     bars = _project(np.stack([trial.segments.start, trial.segments.end], axis=1), scene.across)
     for mask, colour in ((score.right, RIGHT), (~score.right, WRONG)):
