@@ -372,10 +372,12 @@ class StructureSettings(Settings):
     """The final reconstruction. Defaults were chosen on the development seeds 11 and 12, on both flights.
 
     Voxels of ``voxel_m`` stay with ``ridge_share`` of the largest weight within ``ridge_radius_m``, and contract to
-    their mean within ``contract_m``. A bar's points lie within ``tube_m`` of it. ``strut_length_min_m`` is the shortest
-    bar that may stand between two others, all others are at least ``length_min_m`` long. Pieces in line, at most
-    ``gap_max_m`` apart, are one bar; bars that mostly run within ``copy_distance_m`` of a stronger one are copies.
-    ``slack_m``, ``reach_m``, ``same_m``, ``bend_m`` are those of `fusion.joints.find_joints`. Points below ``floor_m`` are left out.
+    their mean within ``contract_m``. A bar's points lie within ``tube_m`` of it; it has at least ``min_votes`` of them
+    and ``length_min_m``. Struts, short bars between two others, are looked for among the voxels further than
+    ``strut_hide_m`` from all bars, with bounds of their own. Pieces in line, at most ``gap_max_m`` apart, are one bar;
+    what mostly runs within ``copy_distance_m`` of a stronger bar is a copy of it. ``slack_m``, ``reach_m``, ``same_m``
+    and ``bend_m`` are those of `fusion.joints.find_joints`. ``adjust``: poses too. A bar whose direction has a larger
+    standard deviation than ``tilt_max_rad`` is left out. So are points below ``floor_m`` or beyond ``range_max_m``.
     """
 
     voxel_m: Positive = 0.04
@@ -398,6 +400,7 @@ class StructureSettings(Settings):
     same_m: Positive = 0.15
     bend_m: NotNegative = 1.2
     adjust: bool = True
+    tilt_max_rad: Positive = 0.03
 
 
 class ExperimentSettings(Settings):

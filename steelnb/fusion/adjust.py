@@ -44,7 +44,7 @@ def adjust(
         length = np.linalg.norm(end - start, axis=1)
         block, right = np.zeros((len(bars), 4, 4)), np.zeros((len(bars), 4))
         whole = np.zeros((len(bars) * 4, len(bars) * 4))
-        kept: list[tuple[Array, Array, IntArray, Array]] = []
+        kept: list[tuple[int, Array, Array, IntArray]] = []
         for k, points, bar in sights(poses):
             matrix, vector, cross = np.zeros((4, 4)), np.zeros(4), np.zeros((len(bars), 4, 4))
             bar = np.where((bar >= 0) & known[bar], bar, -1)
@@ -57,14 +57,14 @@ def adjust(
             solved = np.linalg.solve(matrix, np.concatenate([wide, vector[:, None]], axis=1))
             whole[np.ix_(index, index)] -= wide.T @ solved[:, :-1]
             right.reshape(-1)[index] -= wide.T @ solved[:, -1]
-            kept.append((solved[:, :-1], solved[:, -1], index, np.array([k])))
+            kept.append((k, solved[:, :-1], solved[:, -1], index))
         for b in range(len(bars)):
             whole[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] += block[b] + np.diag(BAR_SIGMA**-2.0)
         moved = np.linalg.solve(whole, right.reshape(-1))
-        for wide, vector, index, k in kept:
+        for scan, wide, vector, index in kept:
             step = vector - wide @ moved[index]
-            poses[k[0], :3, 3] += step[:3]
-            poses[k[0], :3, :3] = Rotation.from_rotvec([0, 0, step[3]]).as_matrix() @ poses[k[0], :3, :3]
+            poses[scan, :3, 3] += step[:3]
+            poses[scan, :3, :3] = Rotation.from_rotvec([0, 0, step[3]]).as_matrix() @ poses[scan, :3, :3]
         place, tilt = moved.reshape(-1, 4)[:, :2], moved.reshape(-1, 4)[:, 2:]
         half = 0.5 * length[:, None]
         start += np.einsum("bk,bkx->bx", place - half * tilt, across)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
@@ -20,7 +21,6 @@ from steelnb.hough.blocks import segment_structure, within
 from steelnb.mapping import VoxelMap
 from steelnb.mapping.kernels import find, pack
 from steelnb.preprocess import voxel_grid
-
 
 MARGIN = 1.2
 
@@ -41,35 +41,49 @@ def reconstruct(
     settings: see `StructureSettings`.
 
     The axis of a bar is the line through the centroids of its sections (`fusion.sections`); a bar that was seen too
-    little to tell its section has its axis in the middle of its points, and a width of NaN. Returns a `Structure`,
-    empty where nothing looks like a bar, with the reason. Raises `SettingsError` for poses that do not fit the scans
-    or are not finite, `EmptyCloudError` for scans without any return above the floor.
+    little to tell its section and its direction is left out. With ``adjust``, poses and bars are adjusted together
+    (`fusion.adjust`). Returns a `Structure`, empty where nothing looks like a bar, with the reason. Raises
+    `SettingsError` for poses that do not fit the scans or are not finite, `EmptyCloudError` for scans without any
+    return above the floor.
     """
     settings = settings or StructureSettings()
     T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
     if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
         raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
     T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
+    # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
+    if settings.adjust:
+        flight = _mapped(scans, T_world_sensor, settings, every=3)
+        bars, _ = find_bars(flight.voxels, settings)
+        for _ in range(2 if len(bars) else 0):
+            # Bars led to their joints show more of themselves, so a second look sees more, and more exactly.
+            look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=5)
+            bars = merge_pieces(
+                _tied(look, settings).segments, settings.gap_max_m, settings.copy_distance_m, settings.tube_m
+            )
+        if len(bars):
+            T_world_sensor, _ = flight.adjust(look, T_world_sensor)
+    flight = _mapped(scans, T_world_sensor, settings, every=1)
+    bars, reason = find_bars(flight.voxels, settings)
+    if not len(bars):
+        return Structure.empty(reason)
+    look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=5)
+    bars = merge_pieces(_tied(look, settings).segments, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
+    look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=1, pixels=2)
+    look = look.take(look.tilt <= settings.tilt_max_rad)  # not NaN: seen too little to tell a section
+    if not len(look.bars):
+        return Structure.empty("no bar was seen well enough to tell its direction")
+    return _tied(look, settings)
+
+
+def _mapped(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int) -> "_Flight":
     voxels = VoxelMap(settings.voxel_m)
-    for scan, T in zip(scans, T_world_sensor, strict=True):
-        points, weight = _world(_flat(scan.points), T, settings.range_max_m, settings.floor_m)
+    for k in range(0, len(scans), every):
+        points, weight = _world(_flat(scans[k].points), T_world_sensor[k], settings.range_max_m, settings.floor_m)
         voxels.insert(points, weight)
     if not len(voxels):
         raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
-    bars, reason = find_bars(voxels, settings)
-    if not len(bars):
-        return Structure.empty(reason)
-    # The first look is quick and coarse: enough to know the sections, lead bars to joints and adjust the poses.
-    flight = _Flight(scans, T_world_sensor, voxels, settings)
-    bars = trim_bends(bars, settings.bend_m)
-    look = flight.look(bars, T_world_sensor, every=5)
-    bars = _tied(look, settings).segments
-    bars = merge_pieces(bars, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
-    bars = trim_bends(bars, settings.bend_m)
-    if settings.adjust:
-        look = flight.look(bars, T_world_sensor, every=5)
-        T_world_sensor, bars = flight.adjust(look, T_world_sensor)
-    return _tied(flight.look(bars, T_world_sensor, every=1), settings)
+    return _Flight(scans, T_world_sensor, voxels, settings)
 
 
 def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) -> Structure:
@@ -95,7 +109,9 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
         return Structure.empty(reason)
     none = np.full(len(bars), np.nan)
     sigma = bars.radius / np.sqrt(np.maximum(bars.count, 1))
-    return _tied(_Look(bars, np.zeros((0, 2, 3)), none, none, sigma, np.ones(len(bars), dtype=np.int64)), settings)
+    return _tied(
+        _Look(bars, np.zeros((0, 2, 3)), none, none, sigma, none, np.ones(len(bars), dtype=np.int64)), settings
+    )
 
 
 def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, str]:
@@ -118,7 +134,9 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, 
     return bars, ""
 
 
-def _ridges(voxels: VoxelMap, leave: np.ndarray | None, contract_m: float, tube_m: float, s: StructureSettings) -> Array:
+def _ridges(
+    voxels: VoxelMap, leave: np.ndarray | None, contract_m: float, tube_m: float, s: StructureSettings
+) -> Array:
     points = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, contract_m, leave)
     return voxel_grid(points, tube_m / math.sqrt(3))
 
@@ -148,7 +166,14 @@ class _Look:
     width: Array
     turn: Array
     sigma: Array
+    tilt: Array
     sightings: IntArray
+
+    def take(self, mask: NDArray[np.bool_]) -> "_Look":
+        return _Look(
+            self.bars.take(mask), self.across[mask], self.width[mask], self.turn[mask], self.sigma[mask],
+            self.tilt[mask], self.sightings[mask],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -175,29 +200,27 @@ class _Flight:
             )  # fmt: skip
             yield k, placed, bar
 
-    def look(self, bars: Segments, poses: Array, every: int) -> _Look:
+    def look(self, bars: Segments, poses: Array, every: int, pixels: int = 1) -> _Look:
         """Go through the scans, each bar's points apart; the bars with their axes moved to their centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
-        for k, points, bar in self.sights(bars, poses, every, 1):
-            sightings += np.bincount(bar, minlength=n) >= 10
+        for k, points, bar in self.sights(bars, poses, every, pixels):
+            sightings += np.bincount(bar, minlength=n) >= 10 // pixels
             sections.look(
                 points, poses[k, :3, 3], bar, bars.start, bars.direction, bars.length, across,
                 MARGIN * self.settings.tube_m, histogram,
             )  # fmt: skip
         centre, slope = np.zeros((n, 2)), np.zeros((n, 2))
-        flange, turn, spread = np.zeros(n), np.zeros(n), np.zeros(n)
-        sections.fit_sections(histogram, bars.length, centre, slope, flange, turn, spread)
+        flange, turn, spread, tilt = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        sections.fit_sections(histogram, bars.length, centre, slope, flange, turn, spread, tilt)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        return _Look(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, sightings)
+        return _Look(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
 
     def adjust(self, look: _Look, poses: Array) -> tuple[Array, Segments]:
-        return adjust(
-            look.bars, look.turn, look.width, look.across, poses, lambda T: self.sights(look.bars, T, 1, 4)
-        )
+        return adjust(look.bars, look.turn, look.width, look.across, poses, lambda T: self.sights(look.bars, T, 1, 4))
 
 
 def _tied(look: _Look, settings: StructureSettings) -> Structure:

@@ -82,19 +82,39 @@ def look(points, sensor, bar, start, direction, length, across, margin, histogra
 
 
 @njit(cache=True)
-def fit_sections(histogram, length, centre, slope, flange, turn, spread):  # type: ignore[no-untyped-def]
+def fit_sections(histogram, length, centre, slope, flange, turn, spread, tilt):  # type: ignore[no-untyped-def]
     """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``.
 
     Fills ``centre (B, 2)``, the axis across the bar in the middle of its length, ``slope (B, 2)`` metres per metre,
-    ``flange (B,)`` metres, ``turn (B,)`` radians and ``spread (B,)``, the standard deviation of the axis; NaN for a bar with too few points.
+    ``flange (B,)`` metres, ``turn (B,)`` radians, and ``spread (B,)`` and ``tilt (B,)``, the standard deviations of the
+    axis's place and, in radians, of its direction; NaN for a bar with too few points.
     """
     for b in range(len(length)):
-        flange[b] = spread[b] = np.nan
+        flange[b] = spread[b] = tilt[b] = np.nan
         cells = _cells(histogram[b], length[b])
         rows = _outlines(histogram[b])
         if len(cells) < 8 or len(rows) < 1:
             continue
-        _fit(cells, rows, centre[b], slope[b], flange[b : b + 1], turn[b : b + 1], spread[b : b + 1])
+        _fit(
+            cells,
+            _cells(_as_one(histogram[b]), 0.0),
+            rows,
+            centre[b],
+            slope[b],
+            flange[b : b + 1],
+            turn[b : b + 1],
+            spread[b : b + 1],
+            tilt[b : b + 1],
+        )
+
+
+@njit(cache=True)
+def _as_one(histogram):  # type: ignore[no-untyped-def]
+    """All pieces of a bar as its first: fewer cells, enough to search with."""
+    one = np.zeros_like(histogram)
+    for part in range(PARTS):
+        one[0] += histogram[part]
+    return one
 
 
 @njit(cache=True)
@@ -273,7 +293,7 @@ def _settle(cells, rows, corner, place, sloped, normal, steps):  # type: ignore[
 
 
 @njit(cache=True)
-def _fit(cells, rows, centre, slope, flange, found_turn, spread):  # type: ignore[no-untyped-def]
+def _fit(cells, merged, rows, centre, slope, flange, found_turn, spread, tilt):  # type: ignore[no-untyped-def]
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
@@ -287,12 +307,12 @@ def _fit(cells, rows, centre, slope, flange, found_turn, spread):  # type: ignor
             _outline(turn, FLANGES_M[f], corner)
             place[:] = 0.0
             place[0], place[1] = mean_u, mean_v
-            cost = _settle(cells, rows, corner, place, False, normal, 4)
+            cost = _settle(merged, rows, corner, place, False, normal, 4)
             tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], turn
             tried[n, 3], tried[n, 4] = place[0], place[1]
             n += 1
     best = np.argmin(tried[:, 0])
-    low, b, turn = tried[best, 0], tried[best, 1], tried[best, 2]
+    low, b, turn = np.inf, tried[best, 1], tried[best, 2]
     place[:] = 0.0
     place[0], place[1] = tried[best, 3], tried[best, 4]
     kept = place.copy()
@@ -320,4 +340,9 @@ def _fit(cells, rows, centre, slope, flange, found_turn, spread):  # type: ignor
     centre[0], centre[1] = kept[0] + u - tried[best, 3], kept[1] + v - tried[best, 4]
     slope[0], slope[1] = kept[2], kept[3]
     found_turn[0] = turn
+    # How well the tilt is known, from the residuals as they are.
+    _outline(turn, b, corner)
+    cost = _step(cells, rows, corner, kept, True, normal)
+    inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
+    tilt[0] = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
     flange[0], spread[0] = b, math.sqrt(variance + low / total / max(len(cells), 1))
