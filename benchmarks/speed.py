@@ -1,4 +1,4 @@
-"""Speed and memory of the simulation and of one frame of segment odometry, on one core. Run by hand:
+"""Speed and memory of the simulation and of one frame of every odometry, on one core. Run by hand:
 
     taskset -c 0 .venv/bin/python benchmarks/speed.py > benchmarks/speed.md
 
@@ -11,42 +11,77 @@ import time
 import numpy as np
 
 from steelnb import experiment
-from steelnb.config import SENSORS, TRAJECTORIES, ExperimentSettings
-from steelnb.odometry import SegmentOdometry
+from steelnb.config import SENSORS, TRAJECTORIES, ExperimentSettings, MethodName, SensorName, TrajectoryName
+from steelnb.datatypes import Flight
+from steelnb.noise import drifting
+from steelnb.odometry import CloudOdometry, make_odometry
+from steelnb.preprocess import preprocess_scan
 from steelnb.results import machine
 from steelnb.simulation import build_tower, fly, scan_flight
 
+METHODS: tuple[MethodName, ...] = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best", "combined")
+FLIGHTS = "| flight, sensor | flight, × real time | scans, million rays/s | points a frame |"
+FRAMES = "| flight, sensor | odometry | median (ms) | p95 (ms) | stages, median (ms) | last tenth / first | map (MB) |"
+
+NOTE = """The goals: 50 × real time, 5 million rays/s.
+
+## One frame, under a random walk
+
+*Last tenth / first*: time per point in the last tenth of the 200 s against that in the first, whose frames have fewer
+points than the last."""
+GOALS = """The goals: segments 30 ms; `best` 10 ms, p95 20 ms,
+growth 1.2, 100 MB; `combined` 25 ms."""
+
 
 def main() -> None:
-    tower = build_tower()
+    for method in METHODS:  # imports and compilation, not timed
+        experiment.run(ExperimentSettings.preset(duration_s=3.0, method=method))
     print(f"# Speed on one core\n\n{machine()}. `{__doc__.split('by hand:')[1].split('>')[0].strip()}`\n")
-    print("| flight, sensor | flight, × real time | scans, Mrays/s | frame median (ms) | p95 (ms) | of it Hough (ms) |")
-    print("|---|---|---|---|---|---|")
-    for trajectory in TRAJECTORIES:
-        for sensor in SENSORS:
-            s = ExperimentSettings.preset(trajectory, "random-walk", "least_squares", sensor)
-            if trajectory == TRAJECTORIES[0] and sensor == SENSORS[0]:  # imports and compilation, not timed
-                experiment.run(ExperimentSettings.preset(sensor="report", duration_s=2.0))
-                experiment.run(ExperimentSettings.preset(duration_s=2.0))
-            began = time.perf_counter()
-            truth, _ = fly(tower, s.flight, s.seed)
-            flown = time.perf_counter()
-            scans, _ = scan_flight(tower, truth, experiment.T_DRONE_SENSOR, s.tof, s.seed)
-            scanned = time.perf_counter()
-            odometry = SegmentOdometry(s.preprocess, s.hough, s.fusion, s.odometry, experiment.T_DRONE_SENSOR)
-            poses = truth.at(scans.stamp_s).T_world_drone
-            steps = [odometry.update(scan, T) for scan, T in zip(scans, poses, strict=True)]
-            frame = 1e3 * np.array([sum(step.seconds.values()) for step in steps])
-            hough = 1e3 * np.median([step.seconds["hough"] for step in steps])
-            print(
-                f"| {trajectory}, {sensor} | {s.flight.duration_s / (flown - began):.0f} "
-                f"| {scans.range_m.size / (scanned - flown) / 1e6:.1f} | {np.median(frame):.1f} "
-                f"| {np.percentile(frame, 95):.1f} | {hough:.1f} |",
-                flush=True,
-            )
-            del scans
+    print(f"{FLIGHTS}\n{'|---' * (FLIGHTS.count('|') - 1)}|")
+    frames = [row for t in TRAJECTORIES for sensor in SENSORS for row in measure(t, sensor)]
+    print(f"\n{NOTE}\n\n{FRAMES}\n{'|---' * (FRAMES.count('|') - 1)}|")
+    print("\n".join(frames))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"\nPeak memory of the process: {peak:.2f} GiB. The goals: 50 × real time, 5 million rays/s, 30 ms.")
+    print(f"\nPeak memory of the process: {peak:.2f} GiB. {GOALS}")
+
+
+def measure(trajectory: TrajectoryName, sensor: SensorName) -> list[str]:
+    """Print a row on a flight and its scans; give the rows of its odometries."""
+    s = ExperimentSettings.preset(trajectory, "random-walk", sensor=sensor)
+    tower = build_tower(s.tower)
+    began = time.perf_counter()
+    truth, imu = fly(tower, s.flight, s.seed)
+    flown = time.perf_counter()
+    scans, _ = scan_flight(tower, truth, experiment.T_DRONE_SENSOR, s.tof, s.seed)
+    scanned = time.perf_counter()
+    flight = Flight(scans, drifting(truth, s.noise, s.seed).at(scans.stamp_s), imu, experiment.T_DRONE_SENSOR)
+    rows = []
+    for method in METHODS:
+        case = ExperimentSettings.preset(trajectory, "random-walk", sensor=sensor, method=method)
+        odometry = make_odometry(case, flight.T_drone_sensor)
+        steps = [odometry.update(*frame) for frame in zip(scans, flight.prior.T_world_drone, strict=True)]
+        frame = 1e3 * np.array([sum(step.seconds.values()) for step in steps])
+        points = np.array([
+            len(preprocess_scan(scan, T, flight.T_drone_sensor, case.preprocess))
+            for scan, T in zip(scans[::5], flight.prior.T_world_drone[::5], strict=True)
+        ])  # fmt: skip
+        tenth = len(points) // 10
+        each = np.add.reduceat(frame, np.arange(0, len(frame), 5)) / np.maximum(points, 1)
+        growth = np.median(each[-tenth:]) / np.median(each[1 : tenth + 1])
+        stages = ", ".join(
+            f"{name} {1e3 * np.median([x.seconds[name] for x in steps]):.1f}" for name in steps[0].seconds
+        )
+        size = f"{odometry.map.nbytes / 1e6:.0f}" if isinstance(odometry, CloudOdometry) else ""
+        rows.append(
+            f"| {trajectory}, {sensor} | {method} | {np.median(frame):.1f} | {np.percentile(frame, 95):.1f} | {stages} "
+            f"| {growth:.2f} | {size} |"
+        )
+    print(
+        f"| {trajectory}, {sensor} | {s.flight.duration_s / (flown - began):.0f} "
+        f"| {scans.range_m.size / (scanned - flown) / 1e6:.1f} | {np.median(points):.0f} |",
+        flush=True,
+    )
+    return rows
 
 
 if __name__ == "__main__":

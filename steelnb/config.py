@@ -17,8 +17,10 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 TrajectoryName = Literal["vertical", "orbit"]
 SensorName = Literal["report", "starling2"]
-CorrectionName = Literal["none", "average", "least_squares"]
-CloudMethod = Literal["icp", "icp-3dof", "icp-3dof-dropped", "icp-4dof", "gicp", "gicp-4dof", "vgicp", "best"]
+CorrectionName = Literal["none", "average", "least_squares", "least_squares_yaw"]
+CloudMethod = Literal[
+    "icp", "icp-3dof", "icp-3dof-dropped", "icp-4dof", "gicp", "gicp-4dof", "vgicp", "best", "combined"
+]
 MethodName = CorrectionName | CloudMethod
 
 
@@ -279,9 +281,11 @@ class FusionSettings(Settings):
 
 
 class OdometrySettings(Settings):
-    """Segment odometry. ``gain`` belongs to ``average``, the rest to ``least_squares``.
+    """Segment odometry. ``gain`` belongs to ``average``, ``damping_pairs`` to ``least_squares``, and the priors,
+    ``points_max`` and ``sigma_floor_m`` to ``least_squares_yaw``.
 
-    The defaults of ``least_squares`` were chosen on the development seeds 11 and 12, with both flights and noises.
+    ``near_side`` and ``drift_gain`` are those of `CloudSettings`. The defaults of ``least_squares`` and the preset of
+    ``least_squares_yaw`` were chosen on the development seeds 11 and 12, with both flights and noises.
     """
 
     correction: CorrectionName = "least_squares"
@@ -291,6 +295,12 @@ class OdometrySettings(Settings):
     iterations_max: Annotated[int, Field(ge=1)] = 10
     tolerance_m: Positive = 1e-4
     sightings_min: Annotated[int, Field(ge=1)] = 1
+    sigma_floor_m: Positive = 0.02
+    points_max: Positive = 100.0
+    prior_sigma_m: Positive = 0.05
+    prior_sigma_rad: Positive = 0.02
+    near_side: bool = False
+    drift_gain: Probability = 0.0
 
     @property
     def method(self) -> str:
@@ -300,6 +310,9 @@ class OdometrySettings(Settings):
     @classmethod
     def preset(cls, sensor: SensorName, correction: CorrectionName) -> "OdometrySettings":
         """The correction with the robust scale that suits the sensor."""
+        if correction == "least_squares_yaw":
+            return cls(correction=correction, robust_scale_m=0.07 if sensor == "report" else 0.03, sightings_min=2,
+                       near_side=True, drift_gain=0.05)  # fmt: skip
         return cls(correction=correction, robust_scale_m=0.115 if sensor == "report" else 0.05)
 
 
@@ -334,6 +347,7 @@ class CloudSettings(Settings):
     near_side: bool = False
     drift_gain: Probability = 0.0
     accelerated: bool = False
+    bars_weight: NotNegative = 0.0
     prior_sigma_m: Positive = 1e3
     prior_sigma_rad: Positive = 1e3
     inlier_share_min: Probability = 0.3
@@ -364,6 +378,7 @@ class CloudSettings(Settings):
                 "accelerated": True,
             },
         }  # fmt: skip
+        ours["combined"] = {**ours["best"], "bars_weight": 1.0}
         known = {**report, **ours}
         return cls(method=method, **known[method])
 
@@ -472,7 +487,7 @@ class ExperimentSettings(Settings):
 
 TRAJECTORIES: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 SENSORS: tuple[SensorName, ...] = ("report", "starling2")
-CORRECTIONS: tuple[CorrectionName, ...] = ("none", "average", "least_squares")
+CORRECTIONS: tuple[CorrectionName, ...] = get_args(CorrectionName)
 CLOUD_METHODS: tuple[CloudMethod, ...] = get_args(CloudMethod)
 METHODS: tuple[MethodName, ...] = (*CORRECTIONS, *CLOUD_METHODS)
 

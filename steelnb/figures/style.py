@@ -32,6 +32,8 @@ COLOURS = {
     "gicp-4dof": "#999933",
     "vgicp": "#AA4499",
     "best": "#CC79A7",
+    "least_squares_yaw": "#44AA99",
+    "combined": "#332288",
     "built": "#009E73",
     "true cloud": "#E69F00",
 }
@@ -47,6 +49,8 @@ LABELS = {
     "gicp-4dof": "4-DoF GICP",
     "vgicp": "VGICP",
     "best": "best",
+    "least_squares_yaw": "least squares with yaw",
+    "combined": "combined",
 }
 
 

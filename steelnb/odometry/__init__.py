@@ -6,6 +6,7 @@ from typing import Protocol
 from steelnb.config import CloudSettings, ExperimentSettings, OdometrySettings
 from steelnb.datatypes import Array, OdometryStep, Scan, Segments
 from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.segments import SegmentOdometry
 
 
@@ -29,7 +30,15 @@ def make_odometry(settings: ExperimentSettings, T_drone_sensor: Array) -> Odomet
 
 _MAKERS: dict[type, Callable[[ExperimentSettings, Array], Odometry]] = {
     OdometrySettings: lambda s, T: SegmentOdometry(s.preprocess, s.hough, s.fusion, s.odometry, T),  # type: ignore[arg-type]
-    CloudSettings: lambda s, T: CloudOdometry(s.odometry, s.preprocess, T),  # type: ignore[arg-type]
+    CloudSettings: lambda s, T: _by_clouds(s, s.odometry, T),  # type: ignore[arg-type]
 }
 
-__all__ = ["CloudOdometry", "Odometry", "SegmentOdometry", "make_odometry"]
+
+def _by_clouds(s: ExperimentSettings, clouds: CloudSettings, T_drone_sensor: Array) -> Odometry:
+    if not clouds.bars_weight:
+        return CloudOdometry(clouds, s.preprocess, T_drone_sensor)
+    bars = OdometrySettings.preset(s.sensor, "least_squares_yaw")
+    return CombinedOdometry(clouds, s.preprocess, s.hough, s.fusion, bars, T_drone_sensor)
+
+
+__all__ = ["CloudOdometry", "CombinedOdometry", "Odometry", "SegmentOdometry", "make_odometry"]

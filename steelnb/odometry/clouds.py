@@ -3,17 +3,16 @@
 import time
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from steelnb.config import CloudSettings, PreprocessSettings
 from steelnb.datatypes import Array, OdometryStep, Scan, Segments
 from steelnb.mapping import VoxelMap
-from steelnb.odometry.corrections import check_prior
 from steelnb.odometry.near_side import NearSide
+from steelnb.odometry.prediction import Prediction
 from steelnb.preprocess import preprocess_scan
 from steelnb.preprocess.covariances import neighbour_covariances, regularised
 from steelnb.preprocess.kdtree import build_kdtree
-from steelnb.registration import RegistrationResult, Target, VoxelTarget, align, free_directions, voxel_target
+from steelnb.registration import RegistrationResult, Target, Term, VoxelTarget, align, free_directions, voxel_target
 
 
 class CloudOdometry:
@@ -29,8 +28,7 @@ class CloudOdometry:
         self.preprocess = preprocess or PreprocessSettings(x_max_m=4.0, y_max_m=4.0, z_max_m=4.0)
         self.T_drone_sensor = np.eye(4) if T_drone_sensor is None else T_drone_sensor
         self.map = VoxelMap(self.settings.map_voxel_m, self.settings.remember)
-        self.offset, self.turn = np.zeros(3), np.eye(3)
-        self.offset_rate, self.turn_rate, self.used = np.zeros(3), np.zeros(3), False
+        self.prediction = Prediction(self.settings.drift_gain)
         self.free = free_directions(self.settings.dof)
         s = self.settings
         self.information = np.diag([s.prior_sigma_rad**-2.0] * 3 + [s.prior_sigma_m**-2.0] * 3)
@@ -40,13 +38,12 @@ class CloudOdometry:
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan = scan if isinstance(scan, Scan) else Scan(0.0, scan)
-        check_prior(T_world_drone_prior)
         s, clock = self.settings, [time.perf_counter()]
-        T_init = self._predict(T_world_drone_prior)
+        T_init = self.prediction.pose(T_world_drone_prior)
         points = preprocess_scan(scan, T_init, self.T_drone_sensor, self.preprocess)
         if s.near_side:
             self.near_side.look(scan.points)
-            points = points + self.near_side.shift_m * self._rays(points)[0]
+            points = self.near_side.behind(points, self.T_drone_sensor[:3, 3])
         clock.append(time.perf_counter())
         target, covariance = self._prepare(points, T_init)
         clock.append(time.perf_counter())
@@ -58,35 +55,12 @@ class CloudOdometry:
         if used:
             if s.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
-            self._correct(T_world_drone, T_world_drone_prior)
-        self.used = used
+            self.prediction.correct(T_world_drone, T_world_drone_prior)
+        else:
+            self.prediction.lose()
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds)
-
-    def _predict(self, T_world_drone_prior: Array) -> Array:
-        """The prior with the correction of the last scan, and with its rate where that scan was used.
-
-        An iteration that starts behind stops behind, by the same little in every frame, and the map keeps it: under a
-        constant drift that adds up. While nothing is seen, the rate says nothing either, and the prior stands.
-        """
-        turn, offset = self.turn, self.offset
-        if self.used:
-            turn, offset = Rotation.from_rotvec(self.turn_rate).as_matrix() @ turn, offset + self.offset_rate
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
-        return T
-
-    def _correct(self, T_world_drone: Array, T_world_drone_prior: Array) -> None:
-        """Keep the correction and follow its rate: an alpha-beta filter with alpha = 1, the position from the map."""
-        turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
-        offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
-        if self.used:  # a jump after a gap is no rate
-            gain = self.settings.drift_gain
-            self.offset_rate = self.offset_rate + gain * (offset - self.offset - self.offset_rate)
-            turned = Rotation.from_matrix(turn @ self.turn.T).as_rotvec()
-            self.turn_rate = self.turn_rate + gain * (turned - self.turn_rate)
-        self.turn, self.offset = turn, offset
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.settings
@@ -110,16 +84,12 @@ class CloudOdometry:
         around[:, [0, 3, 5]] += (0.5 * s.sigma_floor_m) ** 2
         return Target(tree, np.zeros((0, 3)), around), self._ray_covariances(points)
 
-    def _rays(self, points: Array) -> tuple[Array, Array]:
-        """Unit vectors ``(N, 3)`` from the sensor to the points, and their distances ``(N,)``; drone frame."""
-        ray = points - self.T_drone_sensor[:3, 3]
-        distance = np.linalg.norm(ray, axis=1)
-        return ray / np.maximum(distance, 1e-9)[:, None], distance
-
     def _ray_covariances(self, points: Array) -> Array:
         """Range noise along each ray, and the floor across it, upper triangles ``(N, 6)`` in the drone frame."""
         s = self.settings
-        ray, distance = self._rays(points)
+        ray = points - self.T_drone_sensor[:3, 3]
+        distance = np.linalg.norm(ray, axis=1)
+        ray = ray / np.maximum(distance, 1e-9)[:, None]
         along = np.maximum(s.sigma_floor_m, s.sigma_relative * distance) ** 2
         across = (0.5 * s.sigma_floor_m) ** 2
         extra = along - across
@@ -143,6 +113,7 @@ class CloudOdometry:
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance, s.robust, s.robust_scale,
             s.iterations_max, s.rotation_epsilon_rad, s.translation_epsilon_m, prior, s.accelerated,
+            self._other_term(points),
         )  # fmt: skip
         self.last = result
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
@@ -153,6 +124,10 @@ class CloudOdometry:
         if jump > s.jump_max_m:
             return T_init, f"jump of {jump:.2f} m", result.inliers
         return result.T_target_source, "", result.inliers
+
+    def _other_term(self, points: Array) -> Term | None:
+        """What else than the cloud is known of the pose of the scan's ``points (N, 3)``; nothing here."""
+        return None
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""

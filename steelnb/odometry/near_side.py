@@ -35,6 +35,12 @@ class NearSide:
         """How far points are to be moved away from the sensor."""
         return SHARE_OF_WIDTH * self.width_m
 
+    def behind(self, points: Array, sensor: Array) -> Array:
+        """Points ``(N, 3)`` moved away from the sensor's position ``(3,)`` by the shift."""
+        ray = points - sensor
+        distance = np.linalg.norm(ray, axis=1, keepdims=True)
+        return np.asarray(points + self.shift_m * ray / np.maximum(distance, 1e-9))
+
     def look(self, image: Array) -> None:
         """Take in an organised scan ``(H, W, 3)`` in the sensor frame."""
         if image.ndim == 3 and min(image.shape[:2]) > 2:

@@ -1,6 +1,7 @@
 """The one solver loop of the ICP family: correspond, linearise, solve in the free directions, until it stands still."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,10 @@ ROBUST = {
     "none": kernels.NONE, "huber": kernels.HUBER, "cauchy": kernels.CAUCHY, "geman_mcclure": kernels.GEMAN_MCCLURE
 }  # fmt: skip
 DOFS = ("xyz", "xyz_yaw", "se3")
+
+
+Term = Callable[[Array, Array], tuple[Array, Array, float]]
+"""(pose ``(4, 4)``, centre of the twist ``(3,)``) → ``H (6, 6)``, ``b (6,)``, loss: what else is known of a pose."""
 
 
 def free_directions(dof: str, gravity: Array | None = None) -> Array:
@@ -56,13 +61,14 @@ def align(
     translation_epsilon_m: float = 1e-3,
     prior_information: Array | None = None,
     accelerated: bool = False,
+    extra: Term | None = None,
 ) -> RegistrationResult:
     """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
 
     A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
     the source. ``prior_information (6, 6)`` pulls the pose to ``T_init`` in directions that the pairs hardly constrain.
     ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
-    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`).
+    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``extra`` adds what else is known.
     A step after which the same pairs fit worse is taken back and damped (Levenberg–Marquardt). Stops when a step turns
     by less than ``rotation_epsilon_rad`` and moves the middle by less than ``translation_epsilon_m``, the criterion of
     small_gicp. Checks nothing; `register` does.
@@ -70,9 +76,10 @@ def align(
     source = np.ascontiguousarray(source, dtype=np.float64)
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
     middle, length_m = middle_and_length(source)
-    problem = _Problem(
-        source, covariance, target, error, robust, float(robust_scale), prior_information, T_init, middle
-    )
+    terms = [] if extra is None else [extra]
+    if prior_information is not None:
+        terms.append(_prior_term(prior_information, T_init, middle))
+    problem = _Problem(source, covariance, target, error, robust, float(robust_scale), terms, middle)
     basis = scaled_basis(free, length_m)
     limit, least = float(max_correspondence_m), pairs_needed(error, free)
     pairs = target.pairs(source, limit)
@@ -105,6 +112,17 @@ def align(
             break
     here = problem.linearise(T, pairs.match, limit, spread=True)
     return judge(T, converged, iterations, here, basis, length_m, RANK[error], reason)
+
+
+def _prior_term(information: Array, T_init: Array, middle: Array) -> Term:
+    """½ ‖(turn from T_init, shift of the centre)‖² in the metric of the prior ``information (6, 6)``."""
+
+    def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
+        turned = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T).as_rotvec()
+        apart = np.append(turned, centre - T_init[:3, :3] @ middle - T_init[:3, 3])
+        return information, information @ apart, 0.5 * float(apart @ information @ apart)
+
+    return term
 
 
 def pairs_needed(error: str, free: Array) -> int:
@@ -166,8 +184,7 @@ class _Problem:
     error: str
     robust: str
     robust_scale: float
-    prior: Array | None
-    T_init: Array
+    terms: list[Term]
     middle: Array
 
     def linearise(
@@ -181,16 +198,13 @@ class _Problem:
             ERRORS[self.error], self.source, self.covariance, t.point, t.normal, t.covariance, match, T,
             T[:3, :3] if turn is None else turn, centre, limit, ROBUST[self.robust], self.robust_scale, H, b, S,
         )  # fmt: skip
-        if self.prior is not None:  # ½ ‖(turn from T_init, shift of the centre)‖² in the metric of the prior
-            apart = np.append(
-                Rotation.from_matrix(T[:3, :3] @ self.T_init[:3, :3].T).as_rotvec(),
-                centre - self.T_init[:3, :3] @ self.middle - self.T_init[:3, 3],
-            )
-            H += self.prior
-            b += self.prior @ apart
-            loss += 0.5 * float(apart @ self.prior @ apart)
+        for term in self.terms:
+            H_term, b_term, loss_term = term(T, centre)
+            H += H_term
+            b += b_term
+            loss += loss_term
             if spread:
-                S += self.prior
+                S += H_term
         return Normal(H, b, centre, loss, inliers, squares, S)
 
     def worse(self, T: Array, T_best: Array, best: Normal, match: IntArray, limit: float) -> bool:

@@ -79,7 +79,7 @@ def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_m
     odometry = CloudOdometry(CloudSettings.preset("best"), settings.preprocess, flight.T_drone_sensor)
     for k in range(5):
         odometry.update(flight.scans[k], flight.prior.T_world_drone[k])
-    before, offset = len(odometry.map), odometry.offset.copy()
+    before, offset = len(odometry.map), odometry.prediction.offset.copy()
     T = flight.prior.T_world_drone[5]
     far = flight.prior.T_world_drone[5].copy()
     far[0, 3] += 40
@@ -108,7 +108,7 @@ def test_a_constant_drift_is_followed_by_its_rate(world):
     behind = run(world, "best", accelerated=False, drift_gain=0.0)[2]
     drift = flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position
     rate = -(drift[-1] - drift[0]) / (len(drift) - 1)
-    np.testing.assert_allclose(odometry.offset_rate, rate, atol=0.25 * np.linalg.norm(rate))
+    np.testing.assert_allclose(odometry.prediction.offset_rate, rate, atol=0.25 * np.linalg.norm(rate))
     assert error[-10:].mean() < behind[-10:].mean()
 
 

@@ -6,7 +6,7 @@ from steelnb.datatypes import Scan, Segments
 from steelnb.errors import SettingsError
 from steelnb.fusion import SegmentMap
 from steelnb.odometry import SegmentOdometry
-from steelnb.odometry.corrections import average, least_squares
+from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
 
 BARS = np.array(
     [
@@ -19,8 +19,12 @@ BARS = np.array(
 
 def seen(offset, bars=BARS, noise_m=0.0, seed=0):
     jitter = np.random.default_rng(seed).normal(scale=noise_m, size=bars.shape)
-    moved = bars + offset + jitter
-    return Segments(moved[:, 0], moved[:, 1], np.full(len(bars), 60), np.full(len(bars), 0.01))
+    shifted = bars + offset + jitter
+    return Segments(shifted[:, 0], shifted[:, 1], np.full(len(bars), 60), np.full(len(bars), 0.01))
+
+
+DRONE = np.array([-3.0, 1.0, 2.0])
+"""Where the drone is: what a yaw turns about."""
 
 
 @pytest.fixture
@@ -32,40 +36,88 @@ def known():
 
 @pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
 def test_least_squares_finds_the_translation(known, offset):
-    correction = least_squares(seen(offset), known, OdometrySettings(damping_pairs=0.0))
+    correction = least_squares(seen(offset), known, OdometrySettings(damping_pairs=0.0), DRONE)
     np.testing.assert_allclose(correction.offset, -np.array(offset), atol=1e-3)
     assert correction.matches == len(BARS)
 
 
 def test_least_squares_ignores_a_bar_that_moved(known):
-    moved = seen([0.05, 0, 0])
-    moved.start[4] += [0, 0.15, 0]
-    moved.end[4] += [0, 0.15, 0]
-    correction = least_squares(moved, known, OdometrySettings(damping_pairs=0.0))
+    one_moved = seen([0.05, 0, 0])
+    one_moved.start[4] += [0, 0.15, 0]
+    one_moved.end[4] += [0, 0.15, 0]
+    correction = least_squares(one_moved, known, OdometrySettings(damping_pairs=0.0), DRONE)
     np.testing.assert_allclose(correction.offset, [-0.05, 0, 0], atol=0.01)
 
 
 def test_least_squares_leaves_a_direction_that_no_bar_constrains(known):
     upright = seen([0.05, 0.04, 0.07], BARS[:2])
-    correction = least_squares(upright, known, OdometrySettings())
+    correction = least_squares(upright, known, OdometrySettings(), DRONE)
     assert abs(correction.offset[2]) < 1e-9
     assert -0.05 < correction.offset[0] < -0.02  # damping holds back
-    free = least_squares(upright, known, OdometrySettings(damping_pairs=1e-6))
+    free = least_squares(upright, known, OdometrySettings(damping_pairs=1e-6), DRONE)
     np.testing.assert_allclose(free.offset, [-0.05, -0.04, 0], atol=2e-3)
+
+
+FREE = OdometrySettings(
+    correction="least_squares_yaw", prior_sigma_m=1e3, prior_sigma_rad=1e3, iterations_max=60, tolerance_m=1e-9
+)
+
+
+@pytest.mark.parametrize(("yaw", "offset"), [(0.02, [0, 0, 0]), (-0.015, [0.03, -0.04, 0.02]), (0, [0, 0.05, 0])])
+def test_yaw_and_translation_are_found_together(known, yaw, offset):
+    away = moved(seen(0), np.append(yaw, offset), DRONE)
+    correction = least_squares_yaw(away, known, FREE, DRONE)
+    back = moved(away, np.append(correction.yaw_rad, correction.offset), DRONE)
+    assert correction.yaw_rad == pytest.approx(-yaw, abs=1e-6)
+    np.testing.assert_allclose(back.start, BARS[:, 0], atol=1e-5)
+    np.testing.assert_allclose(back.end, BARS[:, 1], atol=1e-5)
+
+
+def test_bar_equations_are_the_derivatives_of_their_loss(known):
+    # Gauss–Newton leaves the change of the robust weights out of H, so b is exact and H is that of fixed weights.
+    apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
+    settings = FREE.but(robust_scale_m=0.05)
+    b, step = bar_equations(apart, known, settings, DRONE).b, 1e-6
+    for k, axis in enumerate(np.eye(4)):
+        ahead, behind = (
+            bar_equations(moved(apart, sign * step * axis, DRONE), known, settings, DRONE).loss for sign in (1, -1)
+        )
+        slack = 1e-3 * np.abs(b).max()  # the ends shared slide a little
+        assert (ahead - behind) / (2 * step) == pytest.approx(b[k], abs=slack)
+    near, square = seen([3e-4, -2e-4, 1e-4]), settings.but(robust_scale_m=1e6)
+    here = bar_equations(near, known, square, DRONE)
+    for k, axis in enumerate(np.eye(4)):
+        there = bar_equations(moved(near, step * axis, DRONE), known, square, DRONE)
+        np.testing.assert_allclose((there.b - here.b) / step, here.H[:, k], atol=2e-3 * np.abs(here.H[:, k]).max())
+
+
+def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
+    upright = seen([0.05, 0.04, 0.07], BARS[:2])
+    correction = least_squares_yaw(upright, known, FREE.but(prior_sigma_m=0.05, prior_sigma_rad=0.02), DRONE)
+    assert abs(correction.offset[2]) < 1e-9
+    np.testing.assert_allclose(correction.offset[:2], [-0.05, -0.04], atol=5e-3)
+    assert least_squares_yaw(upright, known, FREE.but(sightings_min=2), DRONE).matches == 0
+
+
+def test_shared_ends_lie_where_both_are():
+    bar = Segments(np.zeros((1, 3)), np.array([[4.0, 0, 0]]), np.array([9]), np.array([0.01]))
+    for start, end, expected in [(-1, 2, (0, 2)), (3, 6, (3, 4)), (3, 1, (3, 1)), (5, 6, (5, 5))]:
+        piece = Segments(np.array([[start, 0.1, 0]]), np.array([[end, 0.1, 0]]), np.array([9]), np.array([0.01]))
+        assert tuple(shared_ends(piece, bar)[0, :, 0]) == pytest.approx(expected)
 
 
 def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
     # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
-    correction = average(seen([0, 0, 0.06]), known, OdometrySettings(correction="average", gain=0.5))
+    correction = average(seen([0, 0, 0.06]), known, OdometrySettings(correction="average", gain=0.5), DRONE)
     d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
     across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)
     np.testing.assert_allclose(correction.offset, -0.5 * across.mean(axis=0), atol=1e-9)
     assert abs(correction.offset[2]) < 0.5 * 0.06 * 0.75
 
 
-@pytest.mark.parametrize("rule", [average, least_squares])
+@pytest.mark.parametrize("rule", [average, least_squares, least_squares_yaw])
 def test_no_match_gives_no_correction(known, rule):
-    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, OdometrySettings())
+    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, OdometrySettings(), DRONE)
     assert correction.matches == 0
     np.testing.assert_array_equal(correction.offset, 0)
 
