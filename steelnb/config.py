@@ -415,7 +415,29 @@ class StructureSettings(Settings):
     same_m: Positive = 0.15
     bend_m: NotNegative = 1.2
     adjust: bool = True
+
+    @classmethod
+    def for_cloud(cls, tube_m: float) -> "StructureSettings":
+        """For a plain cloud whose bars' points lie within ``tube_m``: every length in proportion, and no floor."""
+        scale = tube_m / cls.model_fields["tube_m"].default
+        lengths = [name for name in cls.model_fields if name.endswith("_m") and name not in ("floor_m", "range_max_m")]
+        return cls(floor_m=-1e6, **{name: scale * cls.model_fields[name].default for name in lengths})
+
     tilt_max_rad: Positive = 0.03
+
+
+class Tolerance(Settings):
+    """How two structures are compared. Up to ``offset_m``, ``angle_deg`` and ``end_m`` a bar has not moved, and up to
+    ``joint_m`` a joint; up to ``match_…`` it has, and beyond them it is another one: missing in one and extra in the
+    other."""
+
+    offset_m: NotNegative = 0.01
+    angle_deg: NotNegative = 0.5
+    end_m: NotNegative = 0.03
+    joint_m: NotNegative = 0.02
+    match_offset_m: Positive = 0.30
+    match_angle_deg: Positive = 10.0
+    match_joint_m: Positive = 0.30
 
 
 class ExperimentSettings(Settings):

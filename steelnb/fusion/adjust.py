@@ -3,7 +3,8 @@
 Odometry places each scan against a map that holds the drift of those before it. Here all poses and all axes move at
 once: each point says how far the face of its bar that it hit is from where it should be, along the normal of the face.
 Position and yaw of each pose and place and tilt of each bar are free, roll and pitch are the IMU's. What all may do
-together, a shift and a turn, no scan can tell: in the mean of the first scans the poses stay what they were. Poses see few bars and bars many poses: poses are eliminated first (Schur complement).
+together, a shift and a turn, no scan can tell: in the mean of the first scans the poses stay what they were. Poses
+see few bars and bars many poses, so the poses are eliminated first (Schur complement).
 """
 
 from collections.abc import Callable, Iterable

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
@@ -23,6 +24,9 @@ from steelnb.mapping.kernels import find, pack
 from steelnb.preprocess import voxel_grid
 
 MARGIN = 1.2
+"""Of the ends of a bar, in tubes: points this near to them do not tell its section."""
+DIMENSION_MAX = 1.6
+"""Between that of bars and that of surfaces."""
 
 
 def reconstruct(
@@ -131,7 +135,27 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, 
         more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m)
         more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
         bars = merge_pieces(_together(bars, more), s.gap_max_m, s.copy_distance_m, s.tube_m)
+    # Lines can be laid through any cloud. A bar in the thick of others look solid, but not most of a structure.
+    thin = _dimension(points, bars, 2 * s.tube_m) < DIMENSION_MAX
+    if bars.length[thin].sum() < 0.5 * bars.length.sum():
+        return Segments.empty(), f"most of {len(bars)} lines run in surfaces or in solid stuff"
     return bars, ""
+
+
+def _dimension(points: Array, bars: Segments, radius_m: float) -> Array:
+    """Of how many dimensions the points around each bar are ``(B,)``, in the median along it.
+
+    1 along bars, also where bars cross; 2 in a surface, 3 in a volume: by how much more points are in spheres of twice
+    the radius (correlation dimension, Grassberger and Procaccia 1983).
+    """
+    tree = cKDTree(points)
+    dimension = np.zeros(len(bars))
+    for b in range(len(bars)):
+        share = np.linspace(0, 1, max(3, int(bars.length[b] / radius_m)))[:, None]
+        at = bars.start[b] + share * (bars.end[b] - bars.start[b])
+        inner, outer = (tree.query_ball_point(at, r, return_length=True) for r in (radius_m, 2 * radius_m))
+        dimension[b] = np.median(np.log2(np.maximum(outer, 1) / np.maximum(inner, 1)))
+    return dimension
 
 
 def _ridges(
