@@ -25,6 +25,7 @@ from steelnb.preprocess import voxel_grid
 
 MARGIN = 1.2
 """Of the ends of a bar, in tubes: points this near to them do not tell its section."""
+CHUNK = 1 << 17
 DIMENSION_MAX = 1.6
 """Between that of bars and that of surfaces."""
 
@@ -105,7 +106,9 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
     if bad or not len(points):
         raise EmptyCloudError(f"cloud of {len(points)} points, {bad} of them not finite: expected some, all finite")
     voxels = VoxelMap(settings.voxel_m)
-    voxels.insert(points[points[:, 2] >= settings.floor_m])
+    for first in range(0, len(points), CHUNK):  # the map makes room for all points of a call
+        some = points[first : first + CHUNK]
+        voxels.insert(some[some[:, 2] >= settings.floor_m])
     if not len(voxels):
         raise EmptyCloudError(f"cloud without a point above the floor at {settings.floor_m} m")
     bars, reason = find_bars(voxels, settings)
