@@ -15,12 +15,14 @@ import typer
 
 import steelnb
 from steelnb import reproduce as notebooks
+from steelnb.config import Tolerance
 from steelnb.errors import SettingsError, SteelnbError
-from steelnb.fusion.compare import Tolerance
 from steelnb.project import Project, parse_parameter
 
 LINE_PERIOD_S = 30.0
 INTERRUPTED = 130
+
+TOLERANCE = Tolerance()
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=steelnb.__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Experiments; default: all. See `list`.")]
@@ -158,19 +160,19 @@ def structure(
         Path | None, typer.Option("--to", help="Write A to this file: .json, .csv, .dxf, .glb, .ply, .graphml or .ifc.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Let --to overwrite.")] = False,
-    offset: Annotated[float, typer.Option(help="Metres up to which an axis has not moved.")] = Tolerance.offset_m,
-    angle: Annotated[float, typer.Option(help="Degrees up to which it has not turned.")] = Tolerance.angle_deg,
-    end: Annotated[float, typer.Option(help="Metres up to which its ends have not moved.")] = Tolerance.end_m,
-    joint: Annotated[float, typer.Option(help="Metres up to which a joint has not moved.")] = Tolerance.joint_m,
+    offset: Annotated[float, typer.Option(help="Metres up to which an axis has not moved.")] = TOLERANCE.offset_m,
+    angle: Annotated[float, typer.Option(help="Degrees up to which it has not turned.")] = TOLERANCE.angle_deg,
+    end: Annotated[float, typer.Option(help="Metres up to which its ends have not moved.")] = TOLERANCE.end_m,
+    joint: Annotated[float, typer.Option(help="Metres up to which a joint has not moved.")] = TOLERANCE.joint_m,
     match_offset: Annotated[
         float, typer.Option(help="Metres beyond which a bar is another bar.")
-    ] = Tolerance.match_offset_m,
+    ] = TOLERANCE.match_offset_m,
     match_angle: Annotated[
         float, typer.Option(help="Degrees beyond which it is another bar.")
-    ] = Tolerance.match_angle_deg,
+    ] = TOLERANCE.match_angle_deg,
     match_joint: Annotated[
         float, typer.Option(help="Metres beyond which a joint is another joint.")
-    ] = Tolerance.match_joint_m,
+    ] = TOLERANCE.match_joint_m,
 ) -> None:
     """Say what a structure holds; compare it with another (exit 1 if they differ); or convert it with --to."""
     from steelnb import structure as structures
@@ -180,7 +182,10 @@ def structure(
     if second is not None and to is not None:
         raise SettingsError("--to: expected one structure to convert, not two")
     if second is not None:
-        limit = Tolerance(offset, angle, end, joint, match_offset, match_angle, match_joint)
+        limit = Tolerance(
+            offset_m=offset, angle_deg=angle, end_m=end, joint_m=joint, match_offset_m=match_offset,
+            match_angle_deg=match_angle, match_joint_m=match_joint,
+        )  # fmt: skip
         report = structures.compare_files(first, second, output, limit)
         print("\n".join(report.summary))
         raise typer.Exit(0 if report.comparison.equal else 1)

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from steelnb.config import Tolerance
 from steelnb.datatypes import Array, IntArray
 from steelnb.exports import GROUPS, export_structure, orientation, read_structure
-from steelnb.fusion.compare import Comparison, Mask, Tolerance, compare
+from steelnb.fusion.compare import Comparison, Mask, compare
 from steelnb.fusion.structure import Structure
 from steelnb.recordings import new_folder
 

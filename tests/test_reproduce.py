@@ -187,12 +187,10 @@ def test_fresh_run_merges_parts(finished: Path) -> None:
     assert not (finished / "notebooks" / "tiny.ipynb").read_text().count("output_type"), "the notebook was written to"
 
 
-def test_second_run_is_fast_and_says_so(project: Path) -> None:
+def test_second_run_imports_nothing_heavy_and_says_so(project: Path) -> None:
     before = contents(project, cache=True)
-    started = time.monotonic()
     command = "import sys, steelnb.cli as cli; code = cli.main(['reproduce']); print(code, *sys.modules)"
     shown = subprocess.run([sys.executable, "-c", command], cwd=project, capture_output=True, text=True, check=True)
-    assert time.monotonic() - started < 5
     line, modules = shown.stdout.splitlines()
     assert line == "everything is up to date"
     assert not {"numba", "open3d", "papermill", "pandas", "matplotlib", "numpy"} & set(modules.split())

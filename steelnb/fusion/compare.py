@@ -1,39 +1,18 @@
 """Two structures → what is missing, extra and moved from the first to the second."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from steelnb.config import Tolerance
 from steelnb.datatypes import Array, IntArray, Segments
-from steelnb.errors import SettingsError
 from steelnb.fusion.structure import Structure
 
 Mask = NDArray[np.bool_]
 OVERLAP = 0.5
 """Two bars can be one and the same if they share this much of the longer one's length."""
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Up to ``offset_m``, ``angle_deg`` and ``end_m`` a bar has not moved, and up to ``joint_m`` a joint; up to
-    ``match_…`` it has, and beyond them it is another one: missing in one structure and extra in the other."""
-
-    offset_m: float = 0.01
-    angle_deg: float = 0.5
-    end_m: float = 0.03
-    joint_m: float = 0.02
-    match_offset_m: float = 0.30
-    match_angle_deg: float = 10.0
-    match_joint_m: float = 0.30
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            least = "above 0" if field.name.startswith("match") else "of 0 or more"
-            if not np.isfinite(value) or value < 0 or (value == 0 and least == "above 0"):
-                raise SettingsError(f"{field.name} = {value}: expected a number {least}")
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steelnb.config import Tolerance
 from steelnb.datatypes import Segments
 from steelnb.errors import SettingsError
-from steelnb.fusion.compare import Tolerance, compare, deviation
+from steelnb.fusion.compare import compare, deviation
 from steelnb.fusion.structure import Structure
+
+EXACT = Tolerance(offset_m=0.0, angle_deg=0.0, end_m=0.0, joint_m=0.0)
 
 
 def made(bars, joint=(), tie=()) -> Structure:
@@ -55,7 +58,7 @@ def ladder(steps: int = 6) -> Structure:
 
 
 def test_a_structure_equals_itself() -> None:
-    found = compare(ladder(), ladder(), Tolerance(0, 0, 0, 0))
+    found = compare(ladder(), ladder(), EXACT)
     assert found.equal
     np.testing.assert_array_equal(found.bar, np.repeat(np.arange(8)[:, None], 2, axis=1))
     np.testing.assert_array_equal(found.joint, np.repeat(np.arange(12)[:, None], 2, axis=1))
@@ -64,7 +67,7 @@ def test_a_structure_equals_itself() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_neither_order_nor_sense_matters(seed: int) -> None:
     other, bar_to, joint_to = shuffled(ladder(), seed)
-    found = compare(ladder(), other, Tolerance(0, 0, 0, 0))
+    found = compare(ladder(), other, EXACT)
     assert found.equal
     np.testing.assert_array_equal(found.bar[:, 1], bar_to[found.bar[:, 0]])
     np.testing.assert_array_equal(found.joint[:, 1], joint_to[found.joint[:, 0]])
