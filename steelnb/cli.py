@@ -141,11 +141,12 @@ def segment(
         float | None, typer.Option(help="Radius of a bar's tube of points in metres; default: from the point spacing.")
     ] = None,
     min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
+    structure: Annotated[bool, typer.Option(help="Write structure.json too: bars tied at joints.")] = True,
 ) -> None:
-    """Find the straight bars in a point cloud."""
+    """Find the straight bars in a point cloud, and the joints that tie them."""
     from steelnb.segment import segment_file
 
-    result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
+    result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes, structure=structure)
     print("\n".join(result.summary))
 
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from steelnb.fusion.structure import Structure
+
 PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 ABSOLUTE_FLOOR = 1e-12
@@ -40,14 +42,16 @@ def write_results(
     metrics: Mapping[str, float],
     figures: Mapping[str, "Figure"],
     timing: "DataFrame | None" = None,
+    structures: "Mapping[str, Structure] | None" = None,
     provenance: Mapping[str, Any],
 ) -> None:
     """Write what a notebook found into the folder ``results_dir``; write nothing if that is empty.
 
     ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
     fig_<name>.png, ``timing`` timing.csv with the machine's description, ``provenance`` (settings, seeds; no times,
-    hosts or paths) provenance.json, to which versions and the hash of the lock are added. The same values give the same
-    bytes. Files are written beside and then renamed. Raises `OutputError`, and ValueError for a metric not finite.
+    hosts or paths) provenance.json, to which versions and the hash of the lock are added, and each structure
+    structure_<name>.json and .glb (no .glb for one without bars). The same values give the same bytes. Files are
+    written beside and then renamed. Raises `OutputError`, and ValueError for a metric not finite.
     """
     if not str(results_dir):
         return
@@ -62,6 +66,11 @@ def write_results(
         for name, figure in figures.items():
             # Matplotlib would note its own version in the file.
             figure.savefig(folder / f"fig_{name.removeprefix('fig_')}.png", dpi=150, metadata={"Software": None})
+        for name, structure in (structures or {}).items():
+            from steelnb.exports import export_structure
+
+            for ending in ("json", "glb") if len(structure) else ("json",):
+                export_structure(structure, folder / f"structure_{name}.{ending}")
 
 
 def _finite(name: str, value: Any) -> int | float:
@@ -136,7 +145,12 @@ def beside(target: Path) -> Iterator[Path]:
 def result_files(folder: Path) -> list[Path]:
     """The files in a folder that `write_results` or `merge` wrote, sorted by name."""
     names = [folder / name for name in ("metrics.json", "provenance.json", "table.csv", "timing.csv")]
-    return sorted([path for path in names if path.is_file()] + list(folder.glob("fig_*.png")))
+    return sorted([path for path in names if path.is_file()] + pictures(folder))
+
+
+def pictures(folder: Path) -> list[Path]:
+    """The figures and structures in a folder."""
+    return [path for pattern in ("fig_*.png", "structure_*.json", "structure_*.glb") for path in folder.glob(pattern)]
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -150,8 +164,8 @@ def digests(folder: Path) -> dict[str, str]:
 def merge(parts: Mapping[str, Path], target: Path, about: Mapping[str, Any]) -> None:
     """Make one result of the results of the parts (name → folder, in order). Raises `OutputError`.
 
-    Tables are joined, metrics are prefixed ``<part>.`` and figures suffixed ``_<part>``, and ``about`` is added to
-    provenance.json. The single part of an experiment has an empty name and leaves no prefix.
+    Tables are joined, metrics are prefixed ``<part>.``, figures and structures suffixed ``_<part>``, and ``about`` is
+    added to provenance.json. The single part of an experiment has an empty name and leaves no prefix.
     """
     metrics: dict[str, Any] = {}
     provenance: dict[str, Any] = {}
@@ -160,8 +174,8 @@ def merge(parts: Mapping[str, Path], target: Path, about: Mapping[str, Any]) -> 
             values = json.loads((source / "metrics.json").read_text(encoding="utf-8"))
             metrics.update({f"{name}.{key}" if name else key: value for key, value in values.items()})
             provenance[name or "all"] = json.loads((source / "provenance.json").read_text(encoding="utf-8"))
-            for figure in source.glob("fig_*.png"):
-                shutil.copyfile(figure, folder / (f"{figure.stem}_{name}.png" if name else figure.name))
+            for path in pictures(source):
+                shutil.copyfile(path, folder / (f"{path.stem}_{name}{path.suffix}" if name else path.name))
         for file in ("table.csv", "timing.csv"):
             tables = [source / file for source in parts.values() if (source / file).is_file()]
             if tables:

@@ -2,15 +2,18 @@
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, Segments
 from steelnb.errors import SettingsError
-from steelnb.exports.members import GROUPS, orientation
+from steelnb.exports import GROUPS, export_structure, orientation
+from steelnb.fusion.reconstruct import reconstruct_cloud
+from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.preprocess import voxel_grid
 from steelnb.recordings import Cloud, new_folder, read_cloud, write_segments
@@ -23,12 +26,14 @@ STRAIGHT = 0.7
 class SegmentReport:
     """What `segment_file` found.
 
-    ``segments`` in the coordinates of the file; ``explained`` is the share of the file's distinct points that lie
-    within ``dx_m`` of a segment, ``explained_filtered`` that of the voxel-filtered points; ``summary`` is a text.
+    ``segments`` and ``structure`` (None where none was asked for) in the coordinates of the file; ``explained`` is the
+    share of the file's distinct points that lie within ``dx_m`` of a segment, ``explained_filtered`` that of the
+    voxel-filtered points; ``summary`` is a text.
     """
 
     folder: Path
     segments: Segments
+    structure: Structure | None
     voxel_m: float
     dx_m: float
     explained: float
@@ -44,12 +49,15 @@ def segment_file(
     voxel_m: float | None = None,
     dx_m: float | None = None,
     min_votes: int | None = None,
+    structure: bool = True,
 ) -> SegmentReport:
     """Find the bars in the cloud of a file and write them to the folder ``output``, default ``<stem>_segments`` here.
 
     ``dx_m`` is the radius of the tube that holds a bar's points (default: `tube_radius`), ``voxel_m`` the edge of the
     voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
-    filtered points of a bar, and the least number by which those in its tube outweigh those around it.
+    filtered points of a bar, and the least number by which those in its tube outweigh those around it. With
+    ``structure``, the final reconstruction, its lengths in proportion to dx, goes to ``structure.json``: bars, joints,
+    and which joint ties which bars; a cloud without bars gives an empty one, with the reason.
 
     Raises the errors of `steelnb.recordings.read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
     """
@@ -74,6 +82,7 @@ def segment_file(
             "explained": explained, "explained_filtered": filtered,
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
+        built = _structure(cloud, dx, folder, path.name) if structure else None
         from steelnb.figures.segments import figure_segments
 
         title = f"{path.name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
@@ -87,9 +96,32 @@ def segment_file(
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
         *_summary_of_segments(segments, groups),
-        f"written   {target}/: segments.csv, .json, .obj, .ply, .png",
+        *([_summary_of_structure(built)] if built is not None else []),
+        f"written   {target}/: segments.csv, .json, .obj, .ply, .png{'; structure.json' if structure else ''}",
     )
-    return SegmentReport(target, segments, voxel, dx, explained, filtered, seconds, summary)
+    return SegmentReport(target, segments, built, voxel, dx, explained, filtered, seconds, summary)
+
+
+def _structure(cloud: Cloud, dx_m: float, folder: Path, source: str) -> Structure:
+    """Bars and joints of a cloud in the coordinates of its file, written to ``structure.json``."""
+    settings = StructureSettings.for_cloud(dx_m)
+    try:
+        found = reconstruct_cloud(cloud.points, settings)
+    except SettingsError as fault:  # so fine a dx that the cloud's voxels cannot be numbered
+        found = Structure.empty(str(fault))
+    s = found.segments
+    segments = Segments(s.start + cloud.origin, s.end + cloud.origin, s.count, s.radius)
+    placed = replace(found, segments=segments, joint=found.joint + cloud.origin)
+    about = {"source": source, "settings": settings.model_dump(), "reason": found.reason}
+    export_structure(placed, folder / "structure.json", about=about)
+    return placed
+
+
+def _summary_of_structure(structure: Structure) -> str:
+    if not len(structure):
+        return f"structure empty: {structure.reason}"
+    pieces = structure.graph().number_of_edges()
+    return f"structure {len(structure)} bars, {len(structure.joint)} joints, {pieces} pieces of bars between joints"
 
 
 def point_spacing(points: Array) -> float:

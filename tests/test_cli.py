@@ -162,10 +162,11 @@ def test_segment_is_wired(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     give_segment(monkeypatch, segment_file)
     assert cli.main(["segment", "a.ply"]) == 0
     assert capsys.readouterr().out == "points  9\nsegments  2\n"
-    assert cli.main(["segment", "a.ply", "-o", "out", "--voxel", "0.1", "--dx", "0.2", "--min-votes", "5"]) == 0
+    given = ["-o", "out", "--voxel", "0.1", "--dx", "0.2", "--min-votes", "5", "--no-structure"]
+    assert cli.main(["segment", "a.ply", *given]) == 0
     assert calls == [
-        (Path("a.ply"), None, {"voxel_m": None, "dx_m": None, "min_votes": None}),
-        (Path("a.ply"), Path("out"), {"voxel_m": 0.1, "dx_m": 0.2, "min_votes": 5}),
+        (Path("a.ply"), None, {"voxel_m": None, "dx_m": None, "min_votes": None, "structure": True}),
+        (Path("a.ply"), Path("out"), {"voxel_m": 0.1, "dx_m": 0.2, "min_votes": 5, "structure": False}),
     ]
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from steelnb import reproduce
+from steelnb.exports import read_structure
 from steelnb.project import find_root
 
 ROOT = Path(__file__).parents[1]
@@ -184,3 +185,37 @@ def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):
     assert metrics["dx_from_points.2_cm.recall_lost"] < metrics["dx_of_reference.2_cm.recall_lost"]
     names = {"fig_frame.png", "fig_sequence.png", "fig_tower.png", "fig_conditions.png", "fig_tuning.png"}
     assert {path.name for path in folder.glob("fig_*.png")} == names
+
+
+def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
+    folder = smoke / "structure"
+    table = pd.read_csv(folder / "table.csv")
+    assert set(table["trajectory"]) == {"vertical", "orbit"}
+    assert not table.duplicated(["trajectory", "poses", "method"]).any()
+    assert len(table) == 2 * 3 * 2
+    rows = table.set_index(["trajectory", "poses", "method"])
+    for trajectory in ("vertical", "orbit"):
+        exact, fixed = (rows.loc[(trajectory, poses, "final")] for poses in ("true", "corrected"))
+        assert exact["recall"] > 0.5, trajectory
+        assert exact["precision"] > 0.85, trajectory
+        assert fixed["offset_median_m"] < 0.03, trajectory
+        structure = read_structure(folder / f"structure_corrected_{trajectory}.json")
+        assert len(structure) == fixed["bars"]
+        assert len(structure.joint) == fixed["joints"]
+        for figure in ("3_4", "errors", "recall", "near_side"):
+            assert (folder / f"fig_{figure}_{trajectory}.png").stat().st_size > 30_000
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert abs(metrics["vertical.near_side.section fitted.all.median_m"]) < 0.005
+    assert len(pd.read_csv(folder / "timing.csv")) == len(table)
+
+
+def test_the_notebook_of_the_structure_over_seeds_flies_towers_of_other_sections(smoke):
+    folder = smoke / "structure-accuracy"
+    table = pd.read_csv(folder / "table.csv")
+    assert set(table["tower"]) == {"light"}
+    assert set(table["method"]) == {"final", "incremental"}
+    final = table[table["method"] == "final"]
+    assert (final["precision"] > 0.8).all()
+    assert (final["recall"] > 0.4).all()
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["vertical.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])

@@ -14,11 +14,12 @@ import steelnb.figures.segments
 from steelnb import segment
 from steelnb.datatypes import Segments
 from steelnb.errors import EmptyCloudError, FileMissingError, OutputError, SettingsError, SteelnbError
+from steelnb.exports import read_structure
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.preprocess import voxel_grid
 from steelnb.segment import point_spacing, segment_file, tube_radius
 
-FILES = {"segments.csv", "segments.json", "segments.obj", "segments.ply", "segments.png"}
+FILES = {"segments.csv", "segments.json", "segments.obj", "segments.ply", "segments.png", "structure.json"}
 UTM = np.array([299100.0, 2801400.0, 1900.0])
 
 
@@ -301,3 +302,34 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
         assert report.explained == 1.0
     if shape in ("two", "scatter"):
         assert report.explained < 0.2
+
+
+def test_the_structure_of_a_cloud_ties_its_bars_at_joints_in_the_coordinates_of_the_file(tmp_path: Path) -> None:
+    bars = lattice() + UTM
+    path = tmp_path / "tower.csv"
+    np.savetxt(path, scanned(bars, 100, 0.07, 0.01), delimiter=",", fmt="%.3f")
+    report = segment_file(path, tmp_path / "out")
+    assert report.structure is not None
+    written = read_structure(tmp_path / "out" / "structure.json")
+    np.testing.assert_array_equal(written.joint, report.structure.joint)
+    right, seen = score(written.segments, bars, 0.1)
+    assert right > 0.95
+    assert seen > 0.95
+    # Corners of every level, and the crossings of the diagonals of each face and panel.
+    corners = np.unique(np.round(bars.reshape(-1, 3), 6), axis=0)
+    away = cKDTree(written.joint).query(corners)[0]
+    assert (away < 0.1).mean() > 0.9
+    assert any(line.startswith("structure ") and "joints" in line for line in report.summary)
+
+
+def test_a_cloud_without_bars_has_an_empty_structure_that_says_why(tmp_path: Path) -> None:
+    path = tmp_path / "noise.csv"
+    np.savetxt(path, np.random.default_rng(0).uniform(0, 9, (300, 3)), delimiter=",")
+    report = segment_file(path, tmp_path / "out")
+    assert report.structure is not None
+    assert len(report.structure) == len(read_structure(tmp_path / "out" / "structure.json")) == 0
+    assert [line for line in report.summary if line.startswith("structure empty: ")]
+    assert segment_file(path, tmp_path / "fine", dx_m=1e-7, voxel_m=1e-7).structure is not None
+    plain = segment_file(path, tmp_path / "plain", structure=False)
+    assert plain.structure is None
+    assert not (tmp_path / "plain" / "structure.json").exists()

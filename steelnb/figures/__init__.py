@@ -19,6 +19,13 @@ from steelnb.figures.segmentation import (
     figure_sequence,
     figure_tuning,
 )
+from steelnb.figures.structure import (
+    figure_near_side,
+    figure_recall,
+    figure_structure_errors,
+    figure_structure_goals,
+    figure_structures,
+)
 from steelnb.figures.style import LABELS
 from steelnb.figures.trajectories import figure_segment_odometry
 from steelnb.figures.world import figure_drift, figure_tower
@@ -27,5 +34,6 @@ __all__ = [
     "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL", "figure_accuracy",
     "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
     "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_found",
-    "figure_maps", "figure_segment_odometry", "figure_sequence", "figure_tower", "figure_tuning",
+    "figure_maps", "figure_near_side", "figure_recall", "figure_segment_odometry", "figure_sequence",
+    "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower", "figure_tuning",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.config import FusionSettings
 from steelnb.datatypes import Array, IntArray, Segments
@@ -19,6 +20,8 @@ class SegmentMap:
     def __init__(self, settings: FusionSettings | None = None) -> None:
         self.settings = settings or FusionSettings()
         self.sightings = np.zeros(0, dtype=np.int64)
+        self.inserts = 0
+        self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last seen
         self._count = np.zeros(0)
         self._sum = np.zeros((0, 3))
         self._outer = np.zeros((0, 3, 3))
@@ -49,11 +52,23 @@ class SegmentMap:
         np.add.at(self._outer, target, outer)
         np.add.at(self._square, target, square)
         np.add.at(self.sightings, target, 1)
+        self.inserts += 1
+        self._last[target] = self.inserts
         self._refit(np.unique(target), new, target)
         return self._merge(target)
 
+    def prune(self, sightings_min: int, inserts: int) -> int:
+        """Drop the bars seen fewer than ``sightings_min`` times and not in the last ``inserts``; returns how many.
+
+        Called now and then, it bounds the memory by the bars that are there. The indices of later bars change.
+        """
+        keep = (self.sightings >= sightings_min) | (self._last > self.inserts - inserts)
+        self._keep(keep)
+        return int(np.count_nonzero(~keep))
+
     def _grow(self, by: int) -> None:
         self.sightings = np.append(self.sightings, np.zeros(by, dtype=np.int64))
+        self._last = np.append(self._last, np.zeros(by, dtype=np.int64))
         self._count = np.append(self._count, np.zeros(by))
         self._sum = np.concatenate([self._sum, np.zeros((by, 3))])
         self._outer = np.concatenate([self._outer, np.zeros((by, 3, 3))])
@@ -103,10 +118,14 @@ class SegmentMap:
         one = self._segments.take(np.array([b]))
         for moments in (self._count, self._sum, self._outer, self._square, self.sightings):
             moments[a] += moments[b]
+        self._last[a] = max(self._last[a], self._last[b])
         self._refit(np.array([a]), one, np.array([a]))
-        keep = np.arange(len(self)) != b
+        self._keep(np.arange(len(self)) != b)
+
+    def _keep(self, keep: NDArray[np.bool_]) -> None:
         self._count, self._sum, self._outer = self._count[keep], self._sum[keep], self._outer[keep]
         self._square, self.sightings = self._square[keep], self.sightings[keep]
+        self._last = self._last[keep]
         self._segments = self._segments.take(keep)
 
 
