@@ -205,7 +205,10 @@ def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
         for figure in ("3_4", "errors", "recall", "near_side"):
             assert (folder / f"fig_{figure}_{trajectory}.png").stat().st_size > 30_000
     metrics = json.loads((folder / "metrics.json").read_text())
-    assert abs(metrics["vertical.near_side.section fitted.all.median_m"]) < 0.005
+    middle, fitted = (
+        metrics[f"vertical.near_side.{axis}.all.median_m"] for axis in ("middle of points", "section fitted")
+    )
+    assert abs(fitted) < 0.6 * middle
     assert len(pd.read_csv(folder / "timing.csv")) == len(table)
 
 

@@ -96,9 +96,11 @@ def figure_recall(table: pd.DataFrame, observed_from: int = 100) -> Figure:
         panel = figure.add_subplot()
         for (poses, method), rows in table.groupby(["poses", "method"], sort=False):
             middle = np.sqrt(rows["points_from"] * rows["points_to"])
+            true, final = poses == "true", method == "final"
             panel.plot(
-                middle, 100 * rows["recall"], color=POSES[str(poses)], linestyle="-" if method == "final" else "--",
-                marker="o" if method == "final" else "s", markersize=5, label=f"{POSE_LABELS[str(poses)]}, {method}",
+                middle, 100 * rows["recall"], color=POSES[str(poses)], linestyle="-" if final else "--",
+                marker="o" if final else "s", markersize=9 if true else 5, mfc="none" if true else None,
+                zorder=2 if true else 3, label=f"{POSE_LABELS[str(poses)]}, {method}",
             )  # fmt: skip
         first = table.drop_duplicates(["points_from", "points_to"])
         middle = np.sqrt(first["points_from"] * first["points_to"])
@@ -107,7 +109,7 @@ def figure_recall(table: pd.DataFrame, observed_from: int = 100) -> Figure:
         panel.annotate("members:", (0, 107), (-6, 0), ("axes fraction", "data"), "offset points", ha="right",
                        va="center", fontsize=10, color="#555555", annotation_clip=False)  # fmt: skip
         panel.axvline(observed_from, color="#555555", linestyle=":", linewidth=1.2)
-        panel.annotate("called observed from here on", (observed_from, 93), (4, 0), textcoords="offset points",
+        panel.annotate("observed\nfrom here on", (observed_from, 86), (4, 0), textcoords="offset points",
                        fontsize=10, color="#555555")  # fmt: skip
         panel.set_xscale("log")
         panel.set(xlabel="points seen of a member in the flight", ylabel="members found (%)", ylim=(0, 112))
@@ -135,9 +137,9 @@ def figure_near_side(bias: pd.DataFrame) -> Figure:
                 spread = 0.13 * np.sin(2.4 * np.arange(len(value)))  # the golden angle: dots side by side, no chance
                 panel.plot(k + side + spread, np.clip(value, -4, 6), "o", color=colour, markersize=3.5, alpha=0.55)
                 panel.plot([k + side - 0.17, k + side + 0.17], [np.median(value)] * 2, color="#000000", linewidth=2.5)
-                panel.annotate(f"{np.median(value):+.1f}", (k + side, 5.6), ha="center", fontsize=11, color=colour)
+                panel.annotate(f"{np.median(value):+.1f}", (k + side, 6.5), ha="center", fontsize=11, color=colour)
         panel.set_xticks(range(len(kinds)), [f"{kind}\n{1000 * flange:.0f} mm" for kind, flange in kinds.items()])
-        panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 6.2), xlabel="kind of member, width of its flanges")
+        panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 7.2), xlabel="kind of member, width of its flanges")
         panel.set_ylabel("axis nearer to the sensor than the true one (cm)")
         panel.grid(axis="x", visible=False)
         keys = [Line2D([], [], color=colour, marker="o", ls="") for colour in AXES.values()]
