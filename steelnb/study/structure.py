@@ -157,7 +157,11 @@ def rebuild(
     settings: StructureSettings | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> list[Rebuilt]:
-    """The structure from each of the flight's poses by each method of `BUILDS`, scored. Raises `SettingsError`."""
+    """The structure from each of the flight's poses by each method of `BUILDS`, scored. Raises `SettingsError`.
+
+    The drifting poses are taken as they are: the final reconstruction does not adjust them.
+    """
+    given = settings or StructureSettings()
     runs = []
     for name in method:
         _known("structure_method", name, BUILDS)
@@ -166,7 +170,8 @@ def rebuild(
         began = time.perf_counter()
         if name == "final":
             flight = source.flight
-            structure = reconstruct(flight.scans, source.poses[poses], flight.T_drone_sensor, settings)
+            chosen = given.but(adjust=False) if poses == "raw" else given
+            structure = reconstruct(flight.scans, source.poses[poses], flight.T_drone_sensor, chosen)
         else:
             structure = _frame_by_frame(source, poses)
         seconds = time.perf_counter() - began
