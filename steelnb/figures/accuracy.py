@@ -21,7 +21,10 @@ def figure_accuracy(table: pd.DataFrame, goal_m: float, worst_m: float) -> Figur
             spread = np.linspace(-0.15, 0.15, len(error))
             panel.plot(k + spread, error, "o", color=COLOURS.get(method, "#0072B2"), markersize=6, alpha=0.8)
             panel.plot([k - 0.25, k + 0.25], [error.mean()] * 2, color=COLOURS["truth"], linewidth=2)
-            panel.annotate(f"{error.mean():.1f}", (k + 0.27, error.mean()), va="center", fontsize=10)
+            panel.annotate(
+                f"{error.mean():.1f}", (k + 0.27, error.mean()), va="center", fontsize=10,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+            )  # fmt: skip
         panel.axhline(
             100 * goal_m, color=COLOURS["report"], linestyle="--", label=f"goal for the mean, {100 * goal_m:g} cm"
         )
