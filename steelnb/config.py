@@ -415,6 +415,7 @@ class StructureSettings(Settings):
     same_m: Positive = 0.15
     bend_m: NotNegative = 1.2
     adjust: bool = True
+    tilt_max_rad: Positive = 0.03
 
     @classmethod
     def for_cloud(cls, tube_m: float) -> "StructureSettings":
@@ -422,8 +423,6 @@ class StructureSettings(Settings):
         scale = tube_m / cls.model_fields["tube_m"].default
         lengths = [name for name in cls.model_fields if name.endswith("_m") and name not in ("floor_m", "range_max_m")]
         return cls(floor_m=-1e6, **{name: scale * cls.model_fields[name].default for name in lengths})
-
-    tilt_max_rad: Positive = 0.03
 
 
 class Tolerance(Settings):

@@ -82,7 +82,7 @@ def test_conversion(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["a.json", "--to", "a.step"], "expected one of .json, .csv, .dxf, .glb, .ply, .graphml, .ifc"),
         (["a.json", "b.json", "--to", "a.dxf"], "expected one structure to convert"),
         (["a.json", "-o", "out"], "expected two structures to compare"),
-        (["a.json", "b.json", "--angle", "-1"], "angle_deg = -1.0: expected a number of 0 or more"),
+        (["a.json", "b.json", "--angle", "-1"], "angle_deg = -1.0: input should be greater than or equal to 0"),
         (["a.json", "b.json", "-o", "a.json"], "a.json"),
     ],
 )
