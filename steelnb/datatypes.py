@@ -4,7 +4,7 @@ Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N,
 for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,6 +116,12 @@ class Segments:
     @staticmethod
     def empty() -> "Segments":
         return Segments(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0))
+
+    @staticmethod
+    def joined(parts: "Iterable[Segments]") -> "Segments":
+        """All segments of at least one part, in order."""
+        columns = zip(*((part.start, part.end, part.count, part.radius) for part in parts), strict=True)
+        return Segments(*(np.concatenate(column) for column in columns))
 
     @property
     def length(self) -> Array:

@@ -24,8 +24,7 @@ def insert_batch(bars: SegmentMap, frames: Sequence[Segments]) -> None:
     """
     frames = [frame for frame in frames if len(frame)]
     if frames:
-        names = ("start", "end", "count", "radius")
-        new = Segments(*(np.concatenate([getattr(frame, name) for frame in frames]) for name in names))
+        new = Segments.joined(frames)
         keys = np.column_stack([new.start, new.end, new.count, new.radius])
         bars.insert(new.take(np.lexsort(keys.T)))
 

@@ -137,7 +137,7 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, 
     if len(left) >= s.min_votes:
         more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m)
         more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
-        bars = merge_pieces(_together(bars, more), s.gap_max_m, s.copy_distance_m, s.tube_m)
+        bars = merge_pieces(Segments.joined((bars, more)), s.gap_max_m, s.copy_distance_m, s.tube_m)
     # Lines can be laid through any cloud. A bar in the thick of others look solid, but not most of a structure.
     thin = _dimension(points, bars, 2 * s.tube_m) < DIMENSION_MAX
     if bars.length[thin].sum() < 0.5 * bars.length.sum():
@@ -166,11 +166,6 @@ def _ridges(
 ) -> Array:
     points = ridge_points(voxels, s.ridge_radius_m, s.ridge_share, contract_m, leave)
     return voxel_grid(points, tube_m / math.sqrt(3))
-
-
-def _together(some: Segments, others: Segments) -> Segments:
-    names = ("start", "end", "count", "radius")
-    return Segments(*(np.concatenate([getattr(each, name) for each in (some, others)]) for name in names))
 
 
 def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:

@@ -94,8 +94,7 @@ def _propose(points: Array, dx: float, min_votes: int, length_min: float) -> Seg
                         length_min=(length_min - 1) * dx,
                     )
                 )  # fmt: skip
-    names = ("start", "end", "count", "radius")
-    return Segments(*(np.concatenate([getattr(some, name) for some in found]) for name in names))
+    return Segments.joined(found)
 
 
 @njit(cache=True)

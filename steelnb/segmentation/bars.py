@@ -67,7 +67,7 @@ def in_passes(find: Callable[[Array], Segments], points: Array, dx: float, setti
     left = points[nearest_bar(points, first, SHADOW * dx, dx) < 0]
     if len(left) < settings.points_min or np.linalg.norm(np.ptp(left, axis=0)) <= 2 * dx:
         return first
-    return join(first, find(left))
+    return Segments.joined((first, find(left)))
 
 
 def refine(points: Array, bars: Segments, dx: float, settings: SegmentationSettings) -> Segments:
@@ -90,12 +90,6 @@ def refine(points: Array, bars: Segments, dx: float, settings: SegmentationSetti
         bars = Segments(*sort(px, py, pz, order, piece, *bounds, 0.0 if left else settings.length_min_m))
     around = _count_around(px, py, pz, bars.start, bars.direction, bars.length, 2 * REACH * dx)
     return bars.take((bars.count >= settings.points_min) & (bars.count >= OWN_SHARE_MIN * around))
-
-
-def join(*some: Segments) -> Segments:
-    """All segments of some, in order."""
-    names = ("start", "end", "count", "radius")
-    return Segments(*(np.concatenate([getattr(part, name) for part in some]) for name in names))
 
 
 def nearest_bar(points: Array, bars: Segments, distance: float, beyond: float) -> IntArray:
