@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.datatypes import Array
+from steelnb.datatypes import Array, IntArray
 from steelnb.mapping import VoxelMap
-from steelnb.mapping.kernels import find, pack
+from steelnb.mapping.kernels import EMPTY, pack
 
 
 def ridge_points(
@@ -25,60 +25,103 @@ def ridge_points(
     if leave is not None:
         weight[leave] = 0.0
     index = np.floor(mean / grid.voxel_m).astype(np.int64)
-    stay = _ridge(index, weight, _offsets(radius_m, grid.voxel_m), share_min, grid.key, grid.slot)
+    centre = pack(index[:, 0], index[:, 1], index[:, 2])
+    order = np.argsort(centre, kind="stable")
+    used = np.flatnonzero(grid.key != EMPTY)
+    used = used[np.argsort(grid.key[used], kind="stable")]
+    name, slot = grid.key[used], grid.slot[used]
+    stay = np.zeros(len(weight), dtype=bool)
+    columns = _columns(_offsets(radius_m, grid.voxel_m))
+    stay[order] = _ridge(centre[order], weight[order], name, weight[slot], *columns[:2], share_min)
     kept = np.where(stay, weight, 0.0)
-    near = _offsets(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m)
-    moved = _contract(index, mean, kept, near, contract_m, grid.key, grid.slot)
+    columns = _columns(_offsets(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m))
+    moved = mean.copy()
+    moved[order] = _contract(
+        centre[order], mean[order], kept[order], name, mean[slot], kept[slot], *columns, contract_m
+    )  # fmt: skip
     return np.asarray(moved[stay])
 
 
-def _offsets(radius_m: float, voxel_m: float) -> np.ndarray:
+def _offsets(radius_m: float, voxel_m: float) -> IntArray:
     """Steps ``(K, 3)`` to the voxels whose middles lie within a radius, nearest first."""
     reach = int(radius_m / voxel_m)
     steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = np.linalg.norm(steps, axis=1)
     order = np.argsort(distance, kind="stable")
-    return steps[order][distance[order] * voxel_m <= radius_m + 1e-9]
+    return np.asarray(steps[order][distance[order] * voxel_m <= radius_m + 1e-9], dtype=np.int64)
+
+
+def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Steps sorted by column: the voxels above each other, whose names (`pack`) follow each other.
+
+    For each of C columns, nearest first: the name of its middle less that of the centre ``(C,)``, and how far it
+    reaches up and down ``(C,)``; and the place of each of its voxels in ``steps`` ``(C, 2 · reach + 1)``.
+    """
+    level = steps[steps[:, 2] == 0]
+    height = np.array([steps[(steps[:, :2] == at[:2]).all(axis=1), 2].max() for at in level])
+    place = {tuple(step): k for k, step in enumerate(steps.tolist())}
+    rank = np.zeros((len(level), 2 * int(height.max()) + 1), dtype=np.int64)
+    for c, (i, j, _) in enumerate(level.tolist()):
+        for k in range(-int(height[c]), int(height[c]) + 1):
+            rank[c, k + height[c]] = place[i, j, k]
+    return pack(level[:, 0], level[:, 1], level[:, 2]) - pack(0, 0, 0), height, rank
 
 
 @njit(cache=True)
-def _ridge(index, weight, offsets, share_min, table_key, table_slot):  # type: ignore[no-untyped-def]
+def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
+    """Which centres stay. Centres and voxels are both sorted by name, so what is near moves on with the centres: no
+    voxel is searched for, and memory is read in order."""
     stay = weight > 0.0
-    for n in range(len(weight)):
+    at = np.zeros(len(column), np.int64)
+    for n in range(len(centre)):
         if not stay[n]:
             continue
         bound = weight[n] / share_min
-        for k in range(1, len(offsets)):
-            other = find(
-                pack(index[n, 0] + offsets[k, 0], index[n, 1] + offsets[k, 1], index[n, 2] + offsets[k, 2]),
-                table_key, table_slot,
-            )  # fmt: skip
-            if other >= 0 and weight[other] > bound:
-                stay[n] = False
+        for c in range(len(column)):
+            low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
+            p = at[c]
+            while p < len(name) and name[p] < low:
+                p += 1
+            at[c] = p
+            while p < len(name) and name[p] <= high:
+                if heavy[p] > bound:
+                    stay[n] = False
+                    break
+                p += 1
+            if not stay[n]:
                 break
     return stay
 
 
 @njit(cache=True)
-def _contract(index, mean, kept, offsets, radius, table_key, table_slot):  # type: ignore[no-untyped-def]
+def _contract(centre, mean, kept, name, others, weight, column, height, rank, radius):  # type: ignore[no-untyped-def]
     moved = mean.copy()
-    for n in range(len(kept)):
+    at = np.zeros(len(column), np.int64)
+    found = np.empty(rank.max() + 1, np.int64)
+    for n in range(len(centre)):
         if kept[n] == 0.0:
             continue
+        found[:] = -1
+        for c in range(len(column)):
+            low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
+            p = at[c]
+            while p < len(name) and name[p] < low:
+                p += 1
+            at[c] = p
+            while p < len(name) and name[p] <= high:
+                found[rank[c, name[p] - low]] = p
+                p += 1
         total = x = y = z = 0.0
-        for k in range(len(offsets)):
-            other = find(
-                pack(index[n, 0] + offsets[k, 0], index[n, 1] + offsets[k, 1], index[n, 2] + offsets[k, 2]),
-                table_key, table_slot,
-            )  # fmt: skip
-            if other < 0 or kept[other] == 0.0:
+        for k in range(len(found)):  # nearest first, so that the sum does not depend on the voxels' names
+            p = found[k]
+            if p < 0 or weight[p] == 0.0:
                 continue
-            dx, dy, dz = mean[other, 0] - mean[n, 0], mean[other, 1] - mean[n, 1], mean[other, 2] - mean[n, 2]
+            dx, dy, dz = others[p, 0] - mean[n, 0], others[p, 1] - mean[n, 1], others[p, 2] - mean[n, 2]
             if dx * dx + dy * dy + dz * dz <= radius * radius:
-                w = kept[other]
+                w = weight[p]
                 total += w
-                x += w * mean[other, 0]
-                y += w * mean[other, 1]
-                z += w * mean[other, 2]
+                x += w * others[p, 0]
+                y += w * others[p, 1]
+                z += w * others[p, 2]
         moved[n, 0], moved[n, 1], moved[n, 2] = x / total, y / total, z / total
     return moved

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from steelnb.datatypes import Array, Segments
 from steelnb.hough import detect_segments
+from steelnb.hough.cubes import sort_into_cubes, walk
 from steelnb.hough.kernels import fit_line
 
 BLOCK = 12.0
@@ -29,6 +30,8 @@ sheets, but bars whose points scatter by dx leave some there too: on ten surveye
 points that 0.75 explains. At 0.5 a third of a tower jittered by 1 m passes for bars, at 0.75 a twentieth."""
 SHADOW = 1.25
 """Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
+GROUP = 256
+"""Proposals whose largest score is kept, so that finding the strongest does not look at all of them."""
 
 
 def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH) -> Segments:
@@ -45,19 +48,18 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: 
 
     Returns `Segments`, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
-    points = points[np.argsort(points[:, 2], kind="stable")]  # so that the points near a proposal are one slice
-    px, py, pz = np.ascontiguousarray(points.T)
+    points = points[np.argsort(points[:, 2], kind="stable")]
     proposed = _propose(points, dx, min_votes, length_min)
     start, direction, length = proposed.start, proposed.direction, proposed.length
-    pairs = _pairs(px, py, pz, start, direction, length, dx, np.zeros((0, 3), dtype=np.int32))
-    pair = np.empty((pairs, 3), dtype=np.int32)
-    _pairs(px, py, pz, start, direction, length, dx, pair)
-    pair = pair[np.argsort(pair[:, 1], kind="stable")]
-    first_pair = np.searchsorted(pair[:, 1], np.arange(len(points) + 1))
+    cubes = sort_into_cubes(points, 2 * dx)
+    first_pair = np.zeros(len(points) + 2, dtype=np.int64)
+    pair = np.empty(_pairs(cubes, start, direction, length, dx, first_pair, np.zeros(0, dtype=np.int32)), np.int32)
+    first_pair = np.cumsum(first_pair)
+    _pairs(cubes, start, direction, length, dx, first_pair, pair)
     ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
     radius = np.zeros(len(proposed))
     found = _choose(
-        px, py, pz, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
+        cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
     )  # fmt: skip
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
@@ -65,11 +67,8 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: 
 def within(points: Array, segments: Segments, distance: float) -> NDArray[np.bool_]:
     """Which of the points ``(N, 3)`` lie within ``distance`` metres of a segment, its ends included."""
     near = np.zeros(len(points), dtype=np.bool_)
-    order = np.argsort(points[:, 2], kind="stable")
-    px, py, pz = np.ascontiguousarray(points[order].T)
-    hit = np.zeros(len(points), dtype=np.bool_)
-    _mark(px, py, pz, segments.start, segments.direction, segments.length, distance, hit)
-    near[order] = hit
+    cubes = sort_into_cubes(np.asarray(points), distance)
+    near[cubes.order] = _mark(cubes, segments.start, segments.direction, segments.length, distance)
     return near
 
 
@@ -98,68 +97,93 @@ def _propose(points: Array, dx: float, min_votes: int, length_min: float) -> Seg
 
 
 @njit(cache=True)
-def _mark(px, py, pz, start, direction, length, distance, hit):  # type: ignore[no-untyped-def]
+def _mark(cubes, start, direction, length, distance):  # type: ignore[no-untyped-def]
+    hit = np.zeros(len(cubes.px), dtype=np.bool_)
+    seen, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        end_z = sz + length[k] * uz
-        first = np.searchsorted(pz, min(sz, end_z) - distance)
-        for i in range(first, np.searchsorted(pz, max(sz, end_z) + distance)):
-            x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], seen, k, near)):
+            i = near[c]
+            x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
             x, y, z = x - t * ux, y - t * uy, z - t * uz
             if x * x + y * y + z * z <= distance * distance:
                 hit[i] = True
+    return hit
 
 
 @njit(cache=True)
-def _pairs(px, py, pz, start, direction, length, dx, pair):  # type: ignore[no-untyped-def]
-    """Write (proposal, point, 1 inside or 0 in the ring) for each point within 2 dx of a proposal; return how many."""
+def _pairs(cubes, start, direction, length, dx, first, pair):  # type: ignore[no-untyped-def]
+    """Find the points within 2 dx of each proposal; return how many pairs there are.
+
+    Counts those of point i in ``first[i + 2]`` if ``pair`` is empty. Otherwise ``first[i + 1]`` is where the pairs of
+    point i begin in ``pair``, and moves on to where they end: twice the proposal, and 1 more inside than in the ring.
+    """
     n = 0
+    seen, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        end_z = sz + length[k] * uz
-        first = np.searchsorted(pz, min(sz, end_z) - 2 * dx)
-        for i in range(first, np.searchsorted(pz, max(sz, end_z) + 2 * dx)):
-            x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], seen, k, near)):
+            i = near[c]
+            x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = x * ux + y * uy + z * uz
             distance2 = x * x + y * y + z * z - t * t
             if 0.0 <= t <= length[k] and distance2 <= 4.0 * dx * dx:
-                if n < len(pair):
-                    pair[n, 0], pair[n, 1], pair[n, 2] = k, i, distance2 <= dx * dx
                 n += 1
+                if len(pair) == 0:
+                    first[i + 2] += 1
+                else:
+                    pair[first[i + 1]] = 2 * k + (distance2 <= dx * dx)
+                    first[i + 1] += 1
     return n
 
 
 @njit(cache=True)
+def _strongest(score, stale, most):  # type: ignore[no-untyped-def]
+    """The first of the largest scores. ``most`` holds the largest of each `GROUP`, renewed where it is ``stale``."""
+    for group in range(len(most)):
+        if stale[group]:
+            most[group] = score[group * GROUP : (group + 1) * GROUP].max()
+            stale[group] = False
+    first = np.argmax(most) * GROUP
+    return first + np.argmax(score[first : first + GROUP])
+
+
+@njit(cache=True)
 def _choose(  # type: ignore[no-untyped-def]
-    px, py, pz, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius
+    cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius
 ):
     """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
+    px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
     for k in range(len(pair)):
-        score[pair[k, 0]] += weight[pair[k, 2]]
+        score[pair[k] >> 1] += weight[pair[k] & 1]
+    groups = (len(length) + GROUP - 1) // GROUP
+    stale, most = np.ones(groups, dtype=np.bool_), np.empty(groups)
     free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
+    seen = np.zeros(len(cubes.first), np.int64)  # the last one counts the walks
     found = 0
     while len(score) > 0:
-        best = np.argmax(score)
+        best = _strongest(score, stale, most)
         if score[best] < min_votes:
             break
         score[best] = -np.inf
+        stale[best // GROUP] = True
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
         low, high, m = 0.0, length[best], 0
         for _ in range(8):
             before = m
-            m = _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run)
+            m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
             if m < min_votes or m == before:
                 break
             _, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
             low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m)
         if m < min_votes:
             continue
-        low, high, excess = _stretch(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx)
-        m = _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run)
+        low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)
+        m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
         kept = 0
         for k in range(m):
             t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
@@ -177,14 +201,23 @@ def _choose(  # type: ignore[no-untyped-def]
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for i in range(len(px)):
+        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+            i = near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
             if free[i] and low <= t <= high and x * x + y * y + z * z - t * t <= (SHADOW * dx) ** 2:
                 free[i] = False
                 for k in range(first_pair[i], first_pair[i + 1]):
-                    score[pair[k, 0]] -= weight[pair[k, 2]]
+                    score[pair[k] >> 1] -= weight[pair[k] & 1]
+                    stale[(pair[k] >> 1) // GROUP] = True
     return found
+
+
+@njit(cache=True)
+def _around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):  # type: ignore[no-untyped-def]
+    """`walk` with a mark of its own: the last of ``seen`` counts them."""
+    seen[-1] += 1
+    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, seen, seen[-1], near)
 
 
 @njit(cache=True)
@@ -198,39 +231,51 @@ def _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def _run(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx, near, along, run):  # type: ignore[no-untyped-def]
-    """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number."""
-    n = 0
-    for i in range(len(px)):
-        x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
-        t = x * ux + y * uy + z * uz
-        if free[i] and x * x + y * y + z * z - t * t <= dx * dx:
-            near[n], along[n] = i, t
-            n += 1
-    order = np.argsort(along[:n])
-    m = first = 0
-    overlap = 0.0
-    for k in range(1, n + 1):
-        if k < n and along[order[k]] - along[order[k - 1]] <= GAP * dx:
-            continue
-        shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
-        if shared > overlap:  # of several runs, the one that shares most with the proposal
-            overlap, m = shared, k - first
-            for j in range(m):
-                run[j] = near[order[first + j]]
-        first = k
-    return m
+def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run):  # type: ignore[no-untyped-def]
+    """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number.
+
+    The points are looked for a few gaps beyond ``low`` and ``high``; twice as far if the run comes near to where the
+    search ended.
+    """
+    beyond = 4.0 * GAP * dx
+    while True:
+        n = 0
+        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, seen, near)):
+            i = near[c]
+            x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
+            t = x * ux + y * uy + z * uz
+            inside = low - beyond <= t <= high + beyond
+            if free[i] and inside and x * x + y * y + z * z - t * t <= dx * dx:
+                near[n], along[n] = i, t
+                n += 1
+        order = np.argsort(along[:n])
+        m = first = 0
+        overlap, reach = 0.0, 0.0
+        for k in range(1, n + 1):
+            if k < n and along[order[k]] - along[order[k - 1]] <= GAP * dx:
+                continue
+            shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
+            if shared > overlap:  # of several runs, the one that shares most with the proposal
+                overlap, m = shared, k - first
+                reach = max(along[order[k - 1]] - high, low - along[order[first]])
+                for j in range(m):
+                    run[j] = near[order[first + j]]
+            first = k
+        if m == 0 or reach + GAP * dx < beyond:
+            return m
+        beyond *= 2.0
 
 
 @njit(cache=True)
-def _stretch(px, py, pz, free, ax, ay, az, ux, uy, uz, low, high, dx):  # type: ignore[no-untyped-def]
+def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):  # type: ignore[no-untyped-def]
     """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
 
     Kadane's maximum-sum stretch over slices one dx long.
     """
     slices = np.zeros(int((high - low) / dx) + 1)
-    for i in range(len(px)):
-        x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
+    for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+        i = near[c]
+        x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
         t = x * ux + y * uy + z * uz
         distance2 = x * x + y * y + z * z - t * t
         if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:

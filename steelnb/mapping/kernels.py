@@ -11,8 +11,11 @@ REACH = 1 << BITS
 
 @njit(cache=True)
 def _place(key, mask):  # type: ignore[no-untyped-def]
+    # A product's bits depend only on the lower bits of its factors, and the first index of a voxel is in the highest of
+    # its key: without the second product, voxels in a row along x share a place, and a search goes through all of them.
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64((h >> np.uint64(20)) & np.uint64(mask))
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64((h >> np.uint64(32)) & np.uint64(mask))
 
 
 @njit(cache=True)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb.errors import SettingsError
-from steelnb.mapping import VoxelMap
+from steelnb.mapping import VoxelMap, kernels
 from steelnb.preprocess import voxel_grid
 from steelnb.preprocess.covariances import full
 from tests import naive
@@ -150,3 +150,11 @@ def test_an_empty_scan_changes_nothing():
     voxels.update_shapes(np.zeros(0, dtype=np.int64))
     assert len(voxels) == 0
     assert voxels.means().shape == (0, 3)
+
+
+@pytest.mark.parametrize("step", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (512, 0, 0), (0, 512, 0), (0, 0, 512), (1, 1, 1)])
+def test_voxels_in_a_row_spread_over_the_table(step):
+    # A tower beside the next, and the next: their voxels differ in one index only.
+    keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
+    places = {kernels._place(key, (1 << 12) - 1) for key in keys}
+    assert len(places) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # as many as at random, and a tenth less

@@ -1,0 +1,87 @@
+"""Points sorted into cubes: what lies near a stretch of a line is found by walking along it, however many there are."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from steelnb.datatypes import Array, IntArray
+from steelnb.mapping.kernels import REACH, find, pack, rehash
+
+EDGE = 1.25
+"""Of a cube in distances. A point is at most half a step and the distance away from the nearest step of a walk, so
+√(¼ + 1/EDGE²) < 1 edge: the 27 cubes around a step hold it."""
+
+
+class Cubes(NamedTuple):
+    """N points in C cubes of edge ``edge``, counted from ``low (3,)``; no point lies beyond ``high (3,)``.
+
+    ``order (N,)``: the points, cube by cube; ``px, py, pz (N,)``: their coordinates in that order; ``first (C + 1,)``:
+    where each cube begins. ``key`` and ``slot`` are a hash table of the cubes (`steelnb.mapping.kernels`).
+    """
+
+    low: Array
+    high: Array
+    edge: float
+    order: IntArray
+    px: Array
+    py: Array
+    pz: Array
+    first: IntArray
+    key: IntArray
+    slot: IntArray
+
+
+def sort_into_cubes(points: Array, distance: float) -> Cubes:
+    """Cubes of points ``(N, 3)``, finite metres, for walks that look as far as ``distance`` (`walk`)."""
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    edge = max(EDGE * distance, 2.0 * float((high - low).max()) / REACH)  # so that the cubes can be numbered
+    cube = np.floor((points - low) / edge).astype(np.int64)
+    name = pack(cube[:, 0], cube[:, 1], cube[:, 2])
+    order = np.argsort(name, kind="stable")
+    first = np.append(np.flatnonzero(np.diff(name[order], prepend=-1)), len(points))
+    size = 4
+    while size < 2 * len(first):
+        size *= 2
+    key, slot = np.full(size, -1, dtype=np.int64), np.zeros(size, dtype=np.int64)
+    rehash(name[order[first[:-1]]], key, slot)
+    px, py, pz = np.ascontiguousarray(points[order].T)
+    return Cubes(low, high, edge, order, px, py, pz, first, key, slot)
+
+
+@njit(cache=True)
+def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, seen, mark, near):  # type: ignore[no-untyped-def]
+    """Write the places of the points near a line from ``begin`` to ``end`` on it, once each; return their number.
+
+    Near: no point is left out that is within the distance of `sort_into_cubes` of the stretch, ends included; most of
+    those written are further away. ``seen (C,)`` holds the ``mark`` of the walk that last came to each cube.
+    """
+    # No further than the box of the points, else a line that is long beside the cubes takes forever.
+    a, u = (ax, ay, az), (ux, uy, uz)
+    for c in range(3):
+        low, high = cubes.low[c] - cubes.edge - a[c], cubes.high[c] + cubes.edge - a[c]
+        if abs(u[c]) > 1e-12:
+            one, other = low / u[c], high / u[c]
+            begin, end = max(begin, min(one, other)), min(end, max(one, other))
+        elif low > 0.0 or high < 0.0:
+            return 0
+    if begin > end:
+        return 0
+    n = 0
+    steps = int((end - begin) / cubes.edge) + 1
+    for k in range(steps + 1):
+        t = begin + (end - begin) * k / steps
+        i0 = int(np.floor((ax + t * ux - cubes.low[0]) / cubes.edge))
+        j0 = int(np.floor((ay + t * uy - cubes.low[1]) / cubes.edge))
+        k0 = int(np.floor((az + t * uz - cubes.low[2]) / cubes.edge))
+        for i in range(i0 - 1, i0 + 2):
+            for j in range(j0 - 1, j0 + 2):
+                for m in range(k0 - 1, k0 + 2):
+                    cube = find(pack(i, j, m), cubes.key, cubes.slot)
+                    if cube < 0 or seen[cube] == mark:
+                        continue
+                    seen[cube] = mark
+                    for place in range(cubes.first[cube], cubes.first[cube + 1]):
+                        near[n] = place
+                        n += 1
+    return n
