@@ -9,7 +9,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
 
-.PHONY: help setup reproduce smoke test lint check lab lock clean
+.PHONY: help setup reproduce study smoke test lint check lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -30,6 +30,9 @@ $(READY): environment.lock pyproject.toml
 
 reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/
 	@$(BIN)/steelnb reproduce
+
+study: $(READY)  ## run what is missing of notebooks/study.toml into results/study/ (80 minutes on two cores)
+	@$(BIN)/steelnb study
 
 smoke: $(READY)  ## the same with short flights, into results-smoke/
 	@$(BIN)/steelnb reproduce --budget smoke

@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
     if code == INTERRUPTED:  # Typer catches KeyboardInterrupt itself
         return _complain(
-            "interrupted; nothing is half-written, and a next reproduce resumes where this one stopped",
+            "interrupted; nothing is half-written, and the next call resumes where this one stopped",
             code=INTERRUPTED,
         )
     return int(code or 0)
@@ -114,22 +114,86 @@ def check(
     jobs: Jobs = 2,
     rerun: Annotated[bool, typer.Option(help="Run again, or compare the results as they lie there.")] = True,
 ) -> None:
-    """Run the notebooks again and compare, metric by metric, with the committed results. Exit 1 on a difference."""
+    """Run the notebooks, and a sample of the study, again and compare with what is committed. Exit 1 on a difference.
+
+    The identifier `study` names the study.
+    """
+    named = [name for name in ids or [] if name != "study"]
+    report = sample = None
     with _shown() as on_progress:
-        report = notebooks.check(ids or [], budget, jobs, rerun=rerun, on_progress=on_progress)
+        if named or not ids:
+            report = notebooks.check(named, budget, jobs, rerun=rerun, on_progress=on_progress)
+        if rerun and budget == "full" and ("study" in (ids or []) or _has_study(ids)):
+            from steelnb import studies
+
+            sample = studies.check("study" in (ids or []), jobs, on_progress)
     settings = Project().check
     for pattern, reason in settings.exceptions.items():
         print(f"exception: {pattern}: {reason}")
-    for difference in report.differences:
-        kind = f"excused ({difference.reason})" if difference.reason else "DIFFERS"
-        where = f" {difference.where}" if difference.where else ""
-        print(f"{kind}: {difference.name}{where}: committed {difference.committed}, now {difference.now}")
-    count = sum(not difference.reason for difference in report.differences)
+    count = 0
+    for each in filter(None, (report, sample)):
+        for difference in each.differences:
+            kind = f"excused ({difference.reason})" if difference.reason else "DIFFERS"
+            where = f" {difference.where}" if difference.where else ""
+            print(f"{kind}: {difference.name}{where}: committed {difference.committed}, now {difference.now}")
+        fresh = sum(not difference.reason for difference in each.differences)
+        if fresh:
+            print(f"{fresh} differences; the new results are in {_short(each.folder)}/")
+        count += fresh
     if count:
-        print(f"{count} differences; the new results are in {_short(report.folder)}/")
         raise typer.Exit(1)
-    agreed = f"{report.metrics} metrics of {report.experiments} experiments agree"
-    print(f"{agreed}, and their tables, to {settings.relative_tolerance:g} relative")
+    if report:
+        agreed = f"{report.metrics} metrics of {report.experiments} experiments agree"
+        print(f"{agreed}, and their tables, to {settings.relative_tolerance:g} relative")
+    if sample:
+        print(f"{sample.metrics} values of a sample of the study agree to {settings.relative_tolerance:g} relative")
+
+
+def _has_study(ids: list[str] | None) -> bool:
+    """Whether a call without names finds a study to compare with; told without importing what runs one."""
+    return not ids and (Project().root / "results" / "study" / "runs.parquet").is_file()
+
+
+@app.command()
+def study(
+    path: Annotated[Path | None, typer.Argument(metavar="[STUDY.toml]", help="Default: notebooks/study.toml.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster of yours, such as tcp://HOST:8786.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it would take, and run nothing.")] = False,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the table; default: results/study.")] = None,
+) -> None:
+    """Run many seeds, flights, noises, sensors and methods; only those not run yet. Exit 1 if some failed."""
+    from steelnb import studies
+
+    if dry_run:
+        forecast = studies.forecast(path, out, workers, scheduler)
+        for note in forecast.notes:
+            print(f"steelnb: warning: {note}", file=sys.stderr)
+        size = forecast.worker_bytes / 1e9
+        known = f"measured on {forecast.known} runs" if forecast.known else "by a rule of thumb"
+        time_text = f"{_duration(forecast.seconds)} on {forecast.workers} workers, {known}"
+        print(f"{forecast.runs} runs on {forecast.flights} flights, {forecast.kept} of them done")
+        print(f"{forecast.runs - forecast.kept} to run: {time_text}")
+        print(f"{size:.1f} GB a worker, {size * forecast.workers:.1f} GB in all")
+        return
+    with _shown() as on_progress:
+        report = studies.run(path, out, workers, scheduler, on_progress)
+    for note in report.notes:
+        print(f"steelnb: warning: {note}", file=sys.stderr)
+    fresh = report.runs - report.kept
+    print(f"{_short(report.folder)}/runs.parquet written: {report.runs} runs, {fresh} of them run now")
+    if report.failed:
+        print(
+            f"{len(report.failed)} runs failed; the next call tries them again, and their tracebacks are in the table"
+        )
+        raise typer.Exit(1)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(math.ceil(seconds), 60)
+    return f"{minutes} min {rest:02d} s"
 
 
 @app.command()

@@ -67,3 +67,7 @@ class EmptyStructureError(SteelnbError):
 
 class MissingExtraError(SteelnbError):
     """An optional library that is asked for and not installed."""
+
+
+class SchedulerError(SteelnbError):
+    """A Dask scheduler that does not answer, has no workers, or went away during a study."""

@@ -228,6 +228,11 @@ def compare(
     for index, (row_before, row_after) in enumerate(zip(rows_before, rows_after, strict=False), start=1):
         for column in dict.fromkeys([*columns_before, *columns_after]):
             pairs.append((column, f"row {index}", row_before.get(column), row_after.get(column)))
+    return differing(experiment, pairs, settings)
+
+
+def differing(experiment: str, pairs: Iterable[tuple[str, str, Any, Any]], settings: CheckSettings) -> list[Difference]:
+    """The differences among values given as (name, where, committed, now), None for a missing one."""
     found = []
     for name, where, old, new in pairs:
         if not _agree(old, new, settings.relative_tolerance):
@@ -248,12 +253,17 @@ def _agree(before: Any, after: Any, tolerance: float) -> bool:
 
 def committed_text(root: Path, path: str) -> str:
     """The text of a file of the project in the last commit, else in the tree. Raises `FileMissingError`."""
+    return committed_bytes(root, path).decode()
+
+
+def committed_bytes(root: Path, path: str) -> bytes:
+    """The content of a file of the project in the last commit, else in the tree. Raises `FileMissingError`."""
     with contextlib.suppress(OSError):
         shown = subprocess.run(["git", "show", f"HEAD:./{path}"], cwd=root, capture_output=True, check=False)
         if shown.returncode == 0:
-            return shown.stdout.decode()
+            return shown.stdout
     try:
-        return (root / path).read_text(encoding="utf-8")
+        return (root / path).read_bytes()
     except OSError:
         raise FileMissingError(f"{root / path}: nothing to compare with; run `steelnb reproduce` first") from None
 
