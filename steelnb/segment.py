@@ -112,7 +112,7 @@ def _structure(cloud: Cloud, dx_m: float, folder: Path, source: str) -> Structur
     s = found.segments
     segments = Segments(s.start + cloud.origin, s.end + cloud.origin, s.count, s.radius)
     placed = replace(found, segments=segments, joint=found.joint + cloud.origin)
-    about = {"source": source, "settings": settings.model_dump(), "reason": found.reason}
+    about = {"source": source, "settings": settings.model_dump()}
     export_structure(placed, folder / "structure.json", about=about)
     return placed
 

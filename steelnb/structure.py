@@ -110,6 +110,7 @@ def _described(name: str, structure: Structure) -> tuple[str, ...]:
     return (
         f"{name}: {len(structure)} bars ({', '.join(shares)}), {length.sum():.1f} m; {len(structure.joint)} joints, "
         f"{graph.number_of_edges()} pieces of bars between them",
+        *([f"empty     {structure.reason}"] if structure.reason else []),
     )
 
 

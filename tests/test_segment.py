@@ -328,7 +328,8 @@ def test_a_cloud_without_bars_has_an_empty_structure_that_says_why(tmp_path: Pat
     report = segment_file(path, tmp_path / "out")
     assert report.structure is not None
     assert len(report.structure) == len(read_structure(tmp_path / "out" / "structure.json")) == 0
-    assert [line for line in report.summary if line.startswith("structure empty: ")]
+    assert f"structure empty: {report.structure.reason}" in report.summary
+    assert read_structure(tmp_path / "out" / "structure.json").reason == report.structure.reason != ""
     assert segment_file(path, tmp_path / "fine", dx_m=1e-7, voxel_m=1e-7).structure is not None
     plain = segment_file(path, tmp_path / "plain", structure=False)
     assert plain.structure is None

@@ -34,6 +34,16 @@ def test_one_structure_is_described(files: Path, capsys: pytest.CaptureFixture[s
     assert out.startswith("a.json: 3 bars (1 near vertical, 1 inclined, 1 near horizontal), 9.8 m; 3 joints, 3 pieces")
 
 
+def test_an_empty_structure_says_why(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export_structure(Structure.empty("7 points: too few"), "empty.json")
+    assert cli.main(["structure", "empty.json"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith("empty.json: 0 bars")
+    assert out[1:] == ["empty     7 points: too few"]
+    assert cli.main(["structure", "empty.json", "a.json"]) == 1
+    assert "empty     7 points: too few" in capsys.readouterr().out
+
+
 def test_equal_structures_exit_0(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["structure", "a.json", "a.json"]) == 0
     assert "result    equal within the tolerances" in capsys.readouterr().out

@@ -1,7 +1,8 @@
-"""`Structure` ↔ JSON, the one format that is read back. ``structure-1.schema.json`` beside this file describes it.
+"""`Structure` ↔ JSON, the one format that is read back. ``structure-2.schema.json`` beside this file describes it.
 
 Every number survives a round trip exactly. Reading is strict: an unknown key, a missing unit or a tie to a bar that is
-not there is an error, since a model that was read wrongly looks like one that was read rightly.
+not there is an error, since a model that was read wrongly looks like one that was read rightly. So a new key is a new
+version: version 1 had no ``reason``, and is still read.
 """
 
 import json
@@ -17,7 +18,7 @@ from steelnb.errors import FileContentError, FileMissingError, NonFiniteError, U
 from steelnb.exports.members import Extras, checked
 from steelnb.fusion.structure import Structure
 
-FORMAT, VERSION = "steelnb structure", 1
+FORMAT, VERSION = "steelnb structure", 2
 SCHEMA = Path(__file__).with_name(f"structure-{VERSION}.schema.json")
 
 Point = Annotated[tuple[float, float, float], Field(description="x, y, z in the world frame, metres")]
@@ -62,10 +63,11 @@ class Document(_Part):
     """Bars and joints of a structure, and which joint ties which bars."""
 
     format: Literal["steelnb structure"]
-    version: Literal[1]
+    version: Literal[2]
     units: Units
     frame: Frame
     about: dict[str, Any] = Field(default={}, description="where the structure comes from; free")
+    reason: str = Field(description="why there are no bars; empty if there are")
     bars: list[Bar]
     joints: list[Joint]
     ties: list[Tie] = Field(description="one for each bar that a joint ties")
@@ -87,6 +89,7 @@ def write_json(structure: Structure, path: Path, extras: Extras) -> None:
     head = {
         "format": FORMAT, "version": VERSION, "units": {"length": "metre"},
         "frame": {"name": "world", "up": "z", "handedness": "right"}, "about": dict(extras.about),
+        "reason": structure.reason,
     }  # fmt: skip
     lists = {
         "bars": [dict(zip(columns, map(_known, row), strict=True)) for row in rows],
@@ -117,8 +120,11 @@ def read_structure(path: Path | str) -> Structure:
         found = raw.get("format") if isinstance(raw, dict) else type(raw).__name__
         raise FileContentError(f"{path}: format = {found!r}; expected {FORMAT!r}")
     version = raw.get("version")
-    if version != VERSION:
-        raise VersionError(f"{path}: version = {version!r}; expected {VERSION}")
+    if version == 1 and "reason" not in raw:
+        raw |= {"version": VERSION, "reason": ""}
+        text = json.dumps(raw).encode()
+    elif version != VERSION:
+        raise VersionError(f"{path}: version = {version!r}; expected {VERSION}, or 1 without a reason")
     if raw.get("units") != {"length": "metre"}:
         raise UnitsError(f"{path}: units = {raw.get('units')!r}; expected {{'length': 'metre'}}")
     try:
@@ -143,6 +149,7 @@ def _structure(document: Document) -> Structure:
         sigma_m=np.array([bar.sigma_m for bar in bars], dtype=float),
         joint=_points([joint.position_m for joint in document.joints]),
         tie=np.array([(tie.joint, tie.bar) for tie in document.ties], dtype=np.int64).reshape(-1, 2),
+        reason=document.reason,
     )
 
 

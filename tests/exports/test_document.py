@@ -35,9 +35,10 @@ def assert_same(a: Structure, b: Structure) -> None:
         np.testing.assert_array_equal(mine, other)  # NaN equals NaN here, and nothing is rounded
         assert mine.dtype == other.dtype
         assert mine.shape == other.shape
+    assert a.reason == b.reason
 
 
-@pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty()])
+@pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty("no “bar”")])
 def test_round_trip_is_exact_and_fits_the_schema(structure: Structure, tmp_path: Path) -> None:
     (path,) = export_structure(structure, tmp_path / "a.json", about={"source": "made up"})
     assert_same(read_structure(path), structure)
@@ -65,6 +66,11 @@ def test_the_order_of_ties_is_kept(tmp_path: Path) -> None:
     assert_same(read_structure(tmp_path / "a.json"), mixed)
 
 
+def test_version_1_had_no_reason_and_is_still_read(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: (c.update(version=1), c.pop("reason")))
+    assert_same(read_structure(path), frame())
+
+
 def test_the_shipped_schema_is_the_readers() -> None:
     jsonschema.Draft202012Validator.check_schema(schema())
     assert json.loads(SCHEMA.read_text()) == schema()
@@ -80,7 +86,10 @@ def changed(tmp_path: Path, change) -> Path:
 
 
 CASES = {
-    "another version": (lambda c: c.update(version=2), VersionError, "version = 2; expected 1"),
+    "a later version": (lambda c: c.update(version=3), VersionError, "version = 3; expected 2"),
+    "a reason in version 1": (lambda c: c.update(version=1), VersionError, "version = 1; expected 2"),
+    "version in words": (lambda c: c.update(version="2"), VersionError, "version = '2'; expected 2"),
+    "no reason": (lambda c: c.pop("reason"), FileContentError, "reason: field required"),
     "no version": (lambda c: c.pop("version"), VersionError, "version = None"),
     "no units": (lambda c: c.pop("units"), UnitsError, "units = None"),
     "feet": (lambda c: c.update(units={"length": "foot"}), UnitsError, "foot"),
