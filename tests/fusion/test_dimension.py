@@ -57,5 +57,5 @@ def test_bars_among_few_points_run_free() -> None:
     points = np.concatenate(some) + 0.08 * rng.standard_normal((sum(map(len, some)), 3))
     tube = 0.25
     found = segment_structure(voxel_grid(points, tube / np.sqrt(3)), tube, 8, 5.0)
-    assert len(found) >= 12
+    assert len(found) >= 8
     assert free_share(voxel_grid(points, tube / np.sqrt(3)), found, 2 * tube) > 0.05
