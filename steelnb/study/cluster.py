@@ -74,28 +74,40 @@ def run_study(
     if not missing:
         return []
     with connected(workers, scheduler, len(by_flight(missing))) as client:
-        return _Study(client, missing, store, machine, on_advance or (lambda advance: None)).run()
+        return Study(client, missing, store, machine, on_advance).run()
 
 
-class _Study:
+class Study:
+    """Some runs on the workers of a client, none of them in the store yet; see `run_study`."""
+
     def __init__(
-        self, client: "Client", runs: Sequence[Run], store: Store, machine: str, on_advance: OnAdvance
+        self,
+        client: "Client",
+        runs: Sequence[Run],
+        store: Store,
+        machine: str = "",
+        on_advance: OnAdvance | None = None,
     ) -> None:
-        self.client, self.store, self.machine, self.on_advance = client, store, machine, on_advance
+        self.client, self.store, self.machine = client, store, machine
+        self.on_advance = on_advance or (lambda advance: None)
         self.waiting = deque(by_flight(runs))
         self.left = {flight[0].flight: len(flight) for flight in self.waiting}
         self.landed: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self.open: dict[Any, tuple[Future, Run]] = {}
-        self.costs = Costs(store.rows)
-        self.expected_s = {run.key: self.costs.run_s(run) for run in runs}
+        costs = Costs(store.rows)
+        self.expected_s = {
+            run.key: costs.run_s(run) + costs.flight_s(run) / len(flight) for flight in self.waiting for run in flight
+        }
         self.total, self.total_s = len(runs), sum(self.expected_s.values())
         self.done_s, self.done, self.failed = 0.0, 0, list[dict[str, Any]]()
         self.begin_s = time.monotonic()
+        self._counted, self._counted_s = 0, -PERIOD_S
 
     def run(self) -> list[dict[str, Any]]:
+        """Run them all; gives the rows of those that failed."""
         flying = 0
         while self.waiting or self.open:
-            workers = len(self.client.scheduler_info(n_workers=-1)["workers"])
+            workers = self._workers()
             while self.waiting and flying <= max(workers, 1):
                 self._submit(self.waiting.popleft())
                 flying += 1
@@ -106,6 +118,14 @@ class _Study:
                 flying -= self.left[run.flight] == 0
                 self._count(run, row, workers)
         return self.failed
+
+    def _workers(self) -> int:
+        """How many workers there are; they come and go."""
+        if time.monotonic() - self._counted_s >= PERIOD_S:
+            with _lost("in the middle of the study", self.done):
+                self._counted = len(self.client.scheduler_info(n_workers=-1)["workers"])
+            self._counted_s = time.monotonic()
+        return self._counted
 
     def _submit(self, flight: list[Run]) -> None:
         """A task for the flight, and one for each run on it; results of an earlier attempt are not asked for."""
@@ -173,35 +193,34 @@ def connected(workers: int | None, scheduler: str | None, flights: int) -> "Iter
     if workers is not None and scheduler is not None:
         raise SettingsError(f"workers = {workers}: a cluster has the workers that it has; leave out one of the two")
     import dask
+    from distributed import Client, LocalCluster
 
-    quiet = {"distributed": "critical", "distributed.client": "critical", "tornado": "critical", "asyncio": "critical"}
-    with dask.config.set({"logging": quiet, "distributed.comm.timeouts.connect": f"{ANSWER_S:g}s"}):
-        from distributed import Client, LocalCluster
-
-        for name in quiet:  # imported before, perhaps
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        with contextlib.ExitStack() as stack:
-            if scheduler is None:
-                cluster = LocalCluster(
-                    n_workers=local_workers(workers, flights), threads_per_worker=1, processes=True,
-                    host="127.0.0.1", dashboard_address=None, worker_dashboard_address=None,
-                )  # fmt: skip
-                client = stack.enter_context(Client(stack.enter_context(cluster)))
-            else:
-                try:
-                    client = stack.enter_context(Client(scheduler, timeout=ANSWER_S))
-                except (OSError, ValueError, ImportError) as fault:
-                    reason = " ".join(str(fault).split())[:200]
-                    raise SchedulerError(
-                        f"scheduler {scheduler}: no answer ({reason}); expected a Dask scheduler, e.g. tcp://HOST:8786"
-                    ) from None
+    # What Dask has to tell is told here, in one line; its own words would come from every process.
+    for name in ("distributed", "distributed.client", "distributed.nanny", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    quiet = {"distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical"}
+    quiet["distributed.comm.timeouts.connect"] = f"{ANSWER_S:g}s"
+    with dask.config.set(quiet), contextlib.ExitStack() as stack:
+        if scheduler is None:
+            cluster = LocalCluster(
+                n_workers=local_workers(workers, flights), threads_per_worker=1, processes=True,
+                host="127.0.0.1", dashboard_address=None, worker_dashboard_address=None,
+            )  # fmt: skip
+            client = stack.enter_context(Client(stack.enter_context(cluster)))
+        else:
             try:
-                client.wait_for_workers(1, timeout=30 if scheduler is None else ANSWER_S)
-            except TimeoutError:
+                client = stack.enter_context(Client(scheduler, timeout=ANSWER_S))
+            except (OSError, ValueError, ImportError) as fault:
+                reason = " ".join(str(fault).split())[:200]
                 raise SchedulerError(
-                    f"scheduler {scheduler or 'of this machine'}: no worker within {ANSWER_S:g} s; start at least one"
+                    f"scheduler {scheduler}: no answer ({reason}); expected a Dask scheduler, e.g. tcp://HOST:8786"
                 ) from None
-            yield client
+        try:
+            client.wait_for_workers(1, timeout=ANSWER_S)
+        except TimeoutError:
+            where = scheduler or "of this machine"
+            raise SchedulerError(f"scheduler {where}: no worker within {ANSWER_S:g} s; start at least one") from None
+        yield client
 
 
 def local_workers(workers: int | None, flights: int) -> int:
@@ -222,7 +241,7 @@ def _lost(when: str, done: int) -> Iterator[None]:
 
     try:
         yield
-    except (CommClosedError, concurrent.futures.CancelledError, TimeoutError, RuntimeError) as fault:
+    except (CommClosedError, concurrent.futures.CancelledError, TimeoutError, OSError, RuntimeError) as fault:
         raise SchedulerError(_away(f"{when} ({type(fault).__name__})", done)) from None
 
 

@@ -10,12 +10,12 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import Field, field_validator
 
 import steelnb
-from steelnb.config import ExperimentSettings, MethodName, Positive, SensorName, Settings, TrajectoryName
+from steelnb.config import METHODS, ExperimentSettings, MethodName, Positive, SensorName, Settings, TrajectoryName
 from steelnb.errors import FileMissingError, SettingsError
 
 ROOTS = ("steelnb.experiment", "steelnb.study.row")
@@ -35,7 +35,7 @@ class Block(Settings):
     trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
     noises: Annotated[list[str], Field(min_length=1)]
     sensors: Annotated[list[SensorName], Field(min_length=1)]
-    methods: Annotated[list[MethodName], Field(min_length=1)]
+    methods: Annotated[list[str], Field(min_length=1)]
     duration_s: Positive = 200.0
     blind_s: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
     overrides: Annotated[list[dict[str, Any]], Field(min_length=1)] = [{}]  # noqa: RUF012
@@ -50,14 +50,23 @@ class Block(Settings):
             raise ValueError("expected a list of whole numbers or a range such as '101-130'")
         return list(range(int(found[1]), int(found[2]) + 1))
 
+    @field_validator("methods")
+    @classmethod
+    def _known(cls, value: list[str]) -> list[str]:
+        unknown = [name for name in value if name not in METHODS]
+        if unknown:
+            raise ValueError(f"unknown method {unknown[0]!r}; expected one of {', '.join(map(repr, METHODS))}")
+        return value
+
     def settings(self) -> Iterable[tuple[ExperimentSettings, str]]:
         """The settings of each run and, as text, what overrides them. Raises `SettingsError`."""
         axes = (self.sensors, self.trajectories, self.seeds, self.noises, self.overrides, self.methods)
         for sensor, trajectory, seed, noise, changes, method in itertools.product(*axes):
             given = {**changes, **({"tof.blind_s": self.blind_s} if self.blind_s else {})}
             settings = ExperimentSettings.preset(
-                trajectory, noise, sensor=sensor, seed=seed, duration_s=self.duration_s, overrides=given, method=method
-            )
+                trajectory, noise, sensor=sensor, seed=seed, duration_s=self.duration_s, overrides=given,
+                method=cast(MethodName, method),
+            )  # fmt: skip
             yield settings, ", ".join(f"{name}={value}" for name, value in sorted(changes.items()))
 
 

@@ -198,9 +198,11 @@ def write_table(table: "pa.Table", path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
+    # What comes from a file has marks in its schema that a fresh table has not.
+    schema = pa.schema([(name, _kind(name)) for name in table.column_names])
     content = pa.BufferOutputStream()
     parquet.write_table(
-        table.combine_chunks(), content, compression="zstd", compression_level=9, write_page_checksum=True
+        table.cast(schema).combine_chunks(), content, compression="zstd", compression_level=9, write_page_checksum=True
     )
     fresh = path.with_name(f".{path.name}.new")
     with _told(path):
