@@ -49,8 +49,8 @@ lint: $(READY)
 check: $(READY)  ## run everything again in a scratch folder and compare with the committed results
 	@$(BIN)/steelnb check
 
-lab: $(READY)  ## open JupyterLab on notebooks/
-	@$(BIN)/jupyter lab --notebook-dir=notebooks
+lab: $(READY)  ## open JupyterLab on the notebook to explore
+	@$(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
 lock:  ## write environment.lock anew from pyproject.toml (needs uv)
 	uv lock --quiet --upgrade --python $(PYTHON)

@@ -12,6 +12,7 @@ from steelnb.figures.clouds import (
 )
 from steelnb.figures.maps import figure_maps
 from steelnb.figures.report import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, REPORT_TIME_RATIO
+from steelnb.figures.scene import HEIGHT_PX, figure_flight, figure_scene
 from steelnb.figures.segmentation import (
     USUAL,
     figure_conditions,
@@ -31,9 +32,10 @@ from steelnb.figures.trajectories import figure_segment_odometry
 from steelnb.figures.world import figure_drift, figure_tower
 
 __all__ = [
-    "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL", "figure_accuracy",
+    "HEIGHT_PX", "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL", "figure_accuracy",
     "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
-    "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_found",
-    "figure_maps", "figure_near_side", "figure_recall", "figure_segment_odometry", "figure_sequence",
-    "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower", "figure_tuning",
+    "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_flight",
+    "figure_found", "figure_maps", "figure_near_side", "figure_recall", "figure_scene", "figure_segment_odometry",
+    "figure_sequence", "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower",
+    "figure_tuning",
 ]  # fmt: skip

@@ -1,0 +1,94 @@
+"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from steelnb.worker import environment, kill_marked
+
+ROOT = Path(__file__).parents[2]
+FOR_PAGE_MS = 60_000
+FOR_FLIGHT_MS = 120_000  # kernels are compiled where the cache is empty
+DRAWN = ".js-plotly-plot canvas"
+# What Plotly keeps of the curves: their values say more than pixels.
+ERRORS = "() => Array.from(document.querySelector('.js-plotly-plot')?._fullData?.at(-1).y ?? [])"
+CHANGED = f"before => {{ const now = ({ERRORS})(); return now.length && now.join() !== before.join(); }}"
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[str]:
+    """The address of a JupyterLab on a copy of the notebook, with nobody's settings; ended with all its kernels."""
+    (tmp_path / "notebooks").mkdir()
+    for name in ("00_explore.ipynb", "experiments.toml"):
+        shutil.copy(ROOT / "notebooks" / name, tmp_path / "notebooks")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    mark = f"lab-{os.getpid()}-{time.time_ns()}:"
+    seen = {name: value for name, value in environment(tmp_path, mark).items() if name != "STEELNB_PROGRESS_FILE"}
+    command = [sys.executable, "-m", "jupyterlab", "--no-browser", f"--port={port}", "--ServerApp.port_retries=0"]
+    command += [f"--notebook-dir={tmp_path}", "--IdentityProvider.token=", "--allow-root"]
+    with (tmp_path / "log.txt").open("wb") as log:
+        process = subprocess.Popen(command, cwd=tmp_path, env=seen, stdout=log, stderr=log, start_new_session=True)
+    address = f"http://127.0.0.1:{port}"
+    try:
+        for _ in range(600):
+            assert process.poll() is None, (tmp_path / "log.txt").read_text()
+            try:
+                urllib.request.urlopen(f"{address}/api", timeout=5).close()
+                break
+            except OSError:
+                time.sleep(0.1)
+        yield address
+    finally:
+        kill_marked(mark)
+        process.wait()
+
+
+@pytest.fixture
+def page(chromium: Browser, lab: str) -> Iterator[Page]:
+    """A page of that JupyterLab; whatever it asks of another host is refused."""
+    with chromium.new_context(viewport={"width": 1400, "height": 1000}) as context:
+        context.route(
+            lambda address: not address.startswith((lab, lab.replace("http", "ws"), "data:", "blob:")),
+            lambda route: route.abort(),
+        )
+        yield context.new_page()
+
+
+def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: Page, lab: str) -> None:
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(f"{lab}/lab/tree/notebooks/00_explore.ipynb?reset")
+    page.wait_for_selector(".jp-Notebook", timeout=FOR_PAGE_MS)
+    page.wait_for_selector("text=| Idle", timeout=FOR_PAGE_MS)  # before that, Run All runs nothing
+    page.get_by_role("menuitem", name="Run", exact=True).click()
+    page.locator("li[data-command='runmenu:run-all']").click()
+    canvas = page.wait_for_selector(DRAWN, timeout=FOR_FLIGHT_MS)
+    assert canvas is not None
+    assert page.locator("[data-mime-type='application/vnd.jupyter.error']").count() == 0
+    assert page.locator("[data-mime-type='application/vnd.jupyter.stderr']").count() == 0
+
+    page.locator(".js-plotly-plot").scroll_into_view_if_needed()
+    before, sentence = page.evaluate(ERRORS), page.locator(".jp-RenderedMarkdown", has_text="root mean square").last
+    assert len(before) == 100
+    text = sentence.inner_text()
+    page.locator(".jupyter-widgets.widget-slider", has_text="level ×").locator(".noUi-handle").focus()
+    page.keyboard.press("PageUp")
+    page.wait_for_function(CHANGED, arg=before, timeout=FOR_FLIGHT_MS)
+    after = page.evaluate(ERRORS)
+    assert len(after) == 100
+    assert not np.allclose(after, before, atol=1e-6)
+    assert sentence.inner_text() != text
+    assert page.locator(DRAWN).count() > 0
+    assert errors == []
