@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from steelnb.datatypes import Segments
-from steelnb.fusion.dimension import dimensions, free_share
+from steelnb.fusion.dimension import dimensions, free_share, stands_out
 from steelnb.hough.blocks import segment_structure
 from steelnb.preprocess import voxel_grid
+from steelnb.segment import tube_radius
+from tests.test_segment import lattice, scanned, thinned
 
 
 def line(start, end) -> Segments:
@@ -46,16 +48,19 @@ def test_lines_through_a_cloud_without_bars_do_not_run_free(name: str, density: 
     found = segment_structure(thinned, tube, 8, 5.0)
     assert len(found) > 10
     assert free_share(thinned, found, 2 * tube) < 0.05
+    assert not stands_out(thinned, tube, 8, 5.0)
 
 
-def test_bars_among_few_points_run_free() -> None:
-    # A ladder whose rungs are four tubes apart.
-    rng = np.random.default_rng(4)
-    ends = [((0, 0, 0), (0, 0, 12)), ((2, 0, 0), (2, 0, 12))]
-    ends += [((0, 0, z), (2, 0, z + 1)) for z in range(12)]
-    some = [np.linspace(a, b, int(8 * np.linalg.norm(np.subtract(b, a)))) for a, b in ends]
-    points = np.concatenate(some) + 0.08 * rng.standard_normal((sum(map(len, some)), 3))
-    tube = 0.25
-    found = segment_structure(voxel_grid(points, tube / np.sqrt(3)), tube, 8, 5.0)
-    assert len(found) >= 8
-    assert free_share(voxel_grid(points, tube / np.sqrt(3)), found, 2 * tube) > 0.05
+@pytest.mark.parametrize("panels", [5, 10])
+def test_bars_stand_out_where_they_are_few_tubes_apart(panels: int) -> None:
+    # Like a drone's LiDAR sees a tower from afar.
+    rng = np.random.default_rng(3)
+    points = thinned(scanned(lattice(15, 4, 2, panels), 120, 0.1, 0.08), 0.2)
+    tube = tube_radius(points)
+    grid = voxel_grid(points, tube / np.sqrt(3))
+    found = segment_structure(grid, tube, 8, 5.0)
+    assert free_share(grid, found, 2 * tube) < 0.5
+    assert stands_out(grid, tube, 8, 5.0)
+    spread = points + rng.uniform(-1, 1, points.shape)
+    assert not stands_out(voxel_grid(spread, tube / np.sqrt(3)), tube, 8, 5.0)
+    assert not stands_out(grid[:20], tube, 8, 5.0)
