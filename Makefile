@@ -49,6 +49,9 @@ lint: $(READY)
 check: $(READY)  ## run everything again in a scratch folder and compare with the committed results
 	@$(BIN)/steelnb check
 
+gallery: $(READY)  ## every notebook as executed, as pages to read offline: gallery/index.html
+	@$(BIN)/steelnb gallery
+
 lab: $(READY)  ## open JupyterLab on the notebook to explore
 	@$(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
@@ -58,5 +61,5 @@ lock:  ## write environment.lock anew from pyproject.toml (needs uv)
 	rm uv.lock
 
 clean:  ## remove the environment and every cache; results stay
-	rm -rf $(VENV) .cache results-smoke .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .cache results-smoke gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -197,6 +197,25 @@ def _duration(seconds: float) -> str:
 
 
 @app.command()
+def gallery(
+    ids: Ids = None,
+    budget: Budget = "full",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", "--out", help="Folder for the pages; default: gallery.")
+    ] = None,
+    jobs: Jobs = 2,
+) -> None:
+    """Run what is not up to date, and make pages of all notebooks that need nothing but a browser."""
+    from steelnb.gallery import make
+
+    with _shown() as on_progress:
+        report = make(ids or [], budget, output, jobs, on_progress=on_progress)
+    for name in report.missing:
+        print(f"{name}: no page, since it takes long: `steelnb reproduce {name}` runs it")
+    print(f"{_short(report.index)} written, and {len(report.pages)} pages behind it")
+
+
+@app.command()
 def segment(
     cloud: Annotated[Path, typer.Argument(help="PLY, PCD, XYZ, TXT, CSV, PTS or ASC file.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the segments.")] = None,

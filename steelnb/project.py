@@ -34,12 +34,14 @@ PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters
 class Experiment(Settings):
     """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
 
-    One that is ``apart`` is too long for every day: at the full budget it runs only when it is named.
+    ``about`` is a sentence for the gallery, which without one takes the notebook's first. One that is ``apart`` is too
+    long for every day: at the full budget it runs only when it is named.
     """
 
     id: str
     notebook: str
     title: str
+    about: str = ""
     figures: str = ""
     matrix: dict[str, list[Any]] = Field(default_factory=dict)
     full: dict[str, Any]

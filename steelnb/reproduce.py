@@ -1,8 +1,9 @@
 """Run the notebooks, each in a process of its own, keep what is up to date, and compare with what is committed.
 
 Below ``.cache/reproduce/`` of the project lie, for each kind of run (full, smoke, custom, check): ``parts/``, the
-results of every part with the key they belong to, from which an interrupted run resumes; ``notebooks/`` as executed, to
-read a failure in; and ``written.json``, the digests of what was put into the result folders.
+results of every part and its notebook as executed, with the key they belong to, from which an interrupted run resumes
+and a gallery is made; ``notebooks/`` as executed, to read a failure in; and ``written.json``, the digests of what was
+put into the result folders.
 """
 
 import contextlib
@@ -36,10 +37,11 @@ from steelnb.results import (
 )
 from steelnb.worker import TICK_S, environment, kill_marked, read_json, write_json
 
-__all__ = ["Progress", "Report", "State", "Status", "check", "run", "states", "write_results"]
+__all__ = ["Progress", "Report", "State", "Status", "check", "executed", "run", "states", "write_results"]
 
 COMPARED = ("metrics.json", "table.csv")
 REQUIRED = (*COMPARED, "provenance.json")
+EXECUTED = "executed.ipynb"
 
 
 class NotebooksFailedError(NotebookError):
@@ -174,6 +176,19 @@ def states(root: Path | None = None) -> list[State]:
         for experiment in project.select()
     ]
     return [State(plan.experiment, len(plan.parts), runner.state(plan)) for plan in plans]
+
+
+def executed(ids: Iterable[str] = (), budget: str = "full", root: Path | None = None) -> list[tuple[Part, Path | None]]:
+    """Every part of the experiments named (default: all), with its notebook as executed, None where it is not up to
+    date. Raises `SteelnbError`."""
+    project = Project(root)
+    runner = _Runner(project, budget)
+    found: list[tuple[Part, Path | None]] = []
+    for experiment in project.select(ids):
+        for part in project.parts(experiment, budget):
+            path = runner.store(part) / EXECUTED
+            found.append((part, path if runner.record(part).get("key") == part.key and path.is_file() else None))
+    return found
 
 
 @dataclass(frozen=True)
@@ -340,6 +355,7 @@ class _Runner:
             key = self.project.key(part.notebook, part.parameters)
         if key != part.key:  # edited meanwhile: nobody can tell what ran, so it belongs to no key
             key, note = "", "; notebook or code was edited meanwhile, so the next call runs it again"
+        shutil.copyfile(executed, job.folder / "part" / EXECUTED)
         write_json(job.folder / "part" / "record.json", {"key": key, "seconds": round(job.elapsed_s, 3)})
         shutil.rmtree(self.store(part), ignore_errors=True)
         self.store(part).parent.mkdir(parents=True, exist_ok=True)

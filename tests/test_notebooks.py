@@ -35,6 +35,13 @@ def smoke(tmp_path_factory):
     return folder
 
 
+def test_the_notebook_to_explore_flies_and_corrects(smoke):
+    table = pd.read_csv(smoke / "explore" / "table.csv")
+    assert len(table) == 1
+    assert (table["ate_rmse_m"] < 0.5 * table["raw_ate_rmse_m"]).all()
+    assert (smoke / "explore" / "fig_flight.png").stat().st_size > 50_000
+
+
 def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
     table = pd.read_csv(smoke / "world-and-noise" / "table.csv")
     assert set(table["noise"]) == {"random-walk", "constant-drift", "yaw-random-walk"}
