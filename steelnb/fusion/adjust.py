@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.datatypes import Array, IntArray, Segments
 from steelnb.fusion import sections
+from steelnb.preprocess.ranges import SIGMA_M, SIGMA_SHARE
 
-SIGMA_M, SIGMA_SHARE = 0.01, 0.01
-"""Standard deviation of a range: 1 cm, and 1 % of the range beyond 1 m."""
 POSE_SIGMA = np.array([0.1, 0.1, 0.1, 0.05])
 """How far a pose may be off, metres and radians: only holds what no bar holds."""
 BAR_SIGMA = np.array([0.05, 0.05, 0.05, 0.05])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.datatypes import Segments
+from steelnb.datatypes import Array, Segments
 
 IN_LINE_RAD = math.radians(4)
 COPY_RAD = math.radians(15)
@@ -13,18 +13,23 @@ COPY_SHARE = 0.6
 SAMPLES = 9
 
 
-def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float) -> Segments:
+def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float, width_m: Array | None = None) -> Segments:
     """Join bars in line, up to ``gap_m`` apart and ``aside_m`` beside each other; drop copies; strongest first.
 
-    A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that. A joined bar has the
+    A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that. Where the widths of
+    bars are known ``(B,)``, NaN where not, a wide one has wider bounds: points of an angle section lie as far from its
+    centroid as 0.8 of its flange, and the middles of what two looks saw of it half a flange apart. A joined bar has the
     moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
     """
+    width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
     while len(bars):
-        bars = bars.take(np.argsort(-bars.count, kind="stable"))
-        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy_m, aside_m)
+        order = np.argsort(-bars.count, kind="stable")
+        bars, width = bars.take(order), width[order]
+        copy, aside = np.maximum(copy_m, 0.8 * width), np.maximum(aside_m, 0.5 * width)
+        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy, aside)
         if (fate == np.arange(len(bars))).all():
             break
-        bars = _joined(bars, fate)
+        bars, width = _joined(bars, fate), width[fate == np.arange(len(bars))]
     return bars
 
 
@@ -65,7 +70,8 @@ def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyp
             if fate[i] != i:
                 continue
             apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
-            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + gap + copy:
+            near_by = copy[i]
+            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + gap + near_by:
                 continue
             cosine = abs((direction[i] * direction[j]).sum())
             if cosine < math.cos(COPY_RAD):
@@ -78,7 +84,7 @@ def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyp
                 t = (r * direction[i]).sum()
                 low, high = min(low, t), max(high, t)
                 distance = math.sqrt(max((r * r).sum() - t * t, 0.0))
-                if distance <= copy and -copy <= t <= length[i] + copy:
+                if distance <= near_by and -near_by <= t <= length[i] + near_by:
                     near += 1
             if near >= COPY_SHARE * SAMPLES:
                 fate[j] = -1
@@ -92,7 +98,7 @@ def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyp
             r = start[i] + t * direction[i] - start[j]
             s = (r * direction[j]).sum()
             beside = math.sqrt(max((r * r).sum() - s * s, 0.0))
-            if beside <= aside:
+            if beside <= aside[i]:
                 fate[j] = i
                 taken[i] = taken[j] = True
                 break

@@ -5,27 +5,28 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
 from steelnb.errors import EmptyCloudError, SettingsError
-from steelnb.fusion import sections
+from steelnb.fusion import sections, sights
 from steelnb.fusion.adjust import adjust
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.ridges import ridge_points
+from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.mapping import VoxelMap
-from steelnb.mapping.kernels import find, pack
-from steelnb.preprocess import voxel_grid
+from steelnb.preprocess import smooth_ranges, voxel_grid
 
 MARGIN = 1.2
 """Of the ends of a bar, in tubes: points this near to them do not tell its section."""
 CHUNK = 1 << 17
+GRIDS = 4
+"""Of blocks in which bars are proposed. On flights eight find no more."""
 DIMENSION_MAX = 1.6
 """Between that of bars and that of surfaces."""
 
@@ -59,21 +60,17 @@ def reconstruct(
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
         flight = _mapped(scans, T_world_sensor, settings, every=3)
-        bars, _ = find_bars(flight.voxels, settings)
+        bars, _ = find_bars(flight.voxels, settings, grids=1)
         for _ in range(2 if len(bars) else 0):
             # Bars led to their joints show more of themselves, so a second look sees more, and more exactly.
-            look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=5)
-            bars = merge_pieces(
-                _tied(look, settings).segments, settings.gap_max_m, settings.copy_distance_m, settings.tube_m
-            )
+            look, bars = flight.look_again(bars, T_world_sensor)
         if len(bars):
             T_world_sensor, _ = flight.adjust(look, T_world_sensor)
     flight = _mapped(scans, T_world_sensor, settings, every=1)
     bars, reason = find_bars(flight.voxels, settings)
     if not len(bars):
         return Structure.empty(reason)
-    look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=5)
-    bars = merge_pieces(_tied(look, settings).segments, settings.gap_max_m, settings.copy_distance_m, settings.tube_m)
+    _, bars = flight.look_again(bars, T_world_sensor)
     look = flight.look(trim_bends(bars, settings.bend_m), T_world_sensor, every=1, pixels=2)
     look = look.take(look.tilt <= settings.tilt_max_rad)  # not NaN: seen too little to tell a section
     if not len(look.bars):
@@ -84,7 +81,10 @@ def reconstruct(
 def _mapped(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int) -> "_Flight":
     voxels = VoxelMap(settings.voxel_m)
     for k in range(0, len(scans), every):
-        points, weight = _world(_flat(scans[k].points), T_world_sensor[k], settings.range_max_m, settings.floor_m)
+        image = scans[k].points
+        if image.ndim == 3:
+            image = smooth_ranges(image)  # half the voxels, and thin bars stand out at twice the distance
+        points, weight = sights.world(_flat(image), T_world_sensor[k], settings.range_max_m, settings.floor_m)
         voxels.insert(points, weight)
     if not len(voxels):
         raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
@@ -121,13 +121,13 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
     )
 
 
-def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, str]:
+def find_bars(voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points; and why there are none."""
     s = settings
     points = _ridges(voxels, None, s.contract_m, s.tube_m, s)
     if len(points) < s.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    bars = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
+    bars = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m, grids)
     bars = merge_pieces(bars, s.gap_max_m, s.copy_distance_m, s.tube_m)
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
@@ -135,7 +135,7 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings) -> tuple[Segments, 
     hidden = within(voxels.means(), bars, s.strut_hide_m)
     left = _ridges(voxels, hidden, s.strut_contract_m, s.strut_tube_m, s)
     if len(left) >= s.min_votes:
-        more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m)
+        more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m, grids)
         more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
         bars = merge_pieces(Segments.joined((bars, more)), s.gap_max_m, s.copy_distance_m, s.tube_m)
     # Lines can be laid through any cloud. A bar in the thick of others look solid, but not most of a structure.
@@ -210,13 +210,12 @@ class _Flight:
     def sights(self, bars: Segments, poses: Array, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
         """Scans' numbers, points in the world at other ``poses``, and their bars, which the voxels know."""
         s, (grid, _) = self.settings, self.voxels.grid()
-        owner = _owners(
-            bars.start, bars.direction, bars.length, self.voxels.means(), grid.voxel_m, 2.0 * s.tube_m,
-            0.5 * s.tube_m, grid.key, grid.slot,
-        )  # fmt: skip
+        owner = sights.owners(
+            bars.start, bars.direction, bars.length, self.voxels.means(), 2.0 * s.tube_m, 0.5 * s.tube_m
+        )
         for k in range(0, len(self.scans), every):
             points = _flat(self.scans[k].points)[k % pixels :: pixels]
-            placed, bar = _on_bars(
+            placed, bar = sights.on_bars(
                 points, self.T_world_sensor[k], poses[k], s.range_max_m, s.floor_m, owner, grid.voxel_m, grid.key,
                 grid.slot,
             )  # fmt: skip
@@ -234,12 +233,17 @@ class _Flight:
             )  # fmt: skip
         centre, slope = np.zeros((n, 2)), np.zeros((n, 2))
         flange, turn, spread, tilt = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        sections.fit_sections(histogram, bars.length, centre, slope, flange, turn, spread, tilt)
+        fit_sections(histogram, bars.length, centre, slope, flange, turn, spread, tilt)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
         return _Look(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
+
+    def look_again(self, bars: Segments, poses: Array) -> tuple[_Look, Segments]:
+        """A quick look at bars cut at bends; and those bars tied at joints, their pieces and copies merged."""
+        s, look = self.settings, self.look(trim_bends(bars, self.settings.bend_m), poses, every=5)
+        return look, merge_pieces(_tied(look, s).segments, s.gap_max_m, s.copy_distance_m, s.tube_m, look.width)
 
     def adjust(self, look: _Look, poses: Array) -> tuple[Array, Segments]:
         return adjust(look.bars, look.turn, look.width, look.across, poses, lambda T: self.sights(look.bars, T, 1, 4))
@@ -255,83 +259,3 @@ def _tied(look: _Look, settings: StructureSettings) -> Structure:
 
 def _flat(points: Array) -> Array:
     return np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
-
-
-@njit(cache=True)
-def _world(points, T, range_max, floor):  # type: ignore[no-untyped-def]
-    """Points ``(N, 3)`` of a scan in the world frame and their weights, 1/range²; no NaN, nothing below the floor."""
-    placed, weight = np.empty((len(points), 3)), np.empty(len(points))
-    n = 0
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        square = x * x + y * y + z * z
-        if not 0.0 < square <= range_max * range_max:  # NaN too
-            continue
-        height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        if height < floor:
-            continue
-        placed[n, 0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-        placed[n, 1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-        placed[n, 2] = height
-        weight[n] = 1.0 / square
-        n += 1
-    return placed[:n], weight[:n]
-
-
-@njit(cache=True)
-def _owners(start, direction, length, mean, voxel, radius, margin, table_key, table_slot):  # type: ignore[no-untyped-def]
-    """The bar of each voxel: the nearest within ``radius``, or −1 where another is nearly as near (``margin``)."""
-    owner = np.full(len(mean), -1, np.int64)
-    first, second = np.full(len(mean), np.inf), np.full(len(mean), np.inf)
-    last = np.full(len(mean), -1, np.int64)
-    reach = int(radius / voxel) + 1
-    for b in range(len(length)):
-        steps = int(length[b] / voxel) + 1
-        for k in range(steps + 1):
-            at = start[b] + length[b] * k / steps * direction[b]
-            i0, j0, k0 = int(np.floor(at[0] / voxel)), int(np.floor(at[1] / voxel)), int(np.floor(at[2] / voxel))
-            for i in range(i0 - reach, i0 + reach + 1):
-                for j in range(j0 - reach, j0 + reach + 1):
-                    for m in range(k0 - reach, k0 + reach + 1):
-                        slot = find(pack(i, j, m), table_key, table_slot)
-                        if slot < 0 or last[slot] == b:
-                            continue
-                        last[slot] = b
-                        r = mean[slot] - start[b]
-                        t = min(max((r * direction[b]).sum(), 0.0), length[b])
-                        r = r - t * direction[b]
-                        distance = math.sqrt((r * r).sum())
-                        if distance < first[slot]:
-                            first[slot], second[slot] = distance, first[slot]
-                            owner[slot] = b
-                        elif distance < second[slot]:
-                            second[slot] = distance
-    for slot in range(len(owner)):
-        if first[slot] > radius or second[slot] - first[slot] < margin:
-            owner[slot] = -1
-    return owner
-
-
-@njit(cache=True)
-def _on_bars(points, T_map, T, range_max, floor, owner, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
-    """Points of a scan that lie on bars, at the pose ``T``, and their bars; found at the pose ``T_map`` of the map."""
-    placed, bar = np.empty((len(points), 3)), np.empty(len(points), np.int64)
-    n = 0
-    inverse = 1.0 / voxel
-    for m in range(len(points)):
-        x, y, z = points[m, 0], points[m, 1], points[m, 2]
-        if not 0.0 < x * x + y * y + z * z <= range_max * range_max:  # NaN too
-            continue
-        height = T_map[2, 0] * x + T_map[2, 1] * y + T_map[2, 2] * z + T_map[2, 3]
-        if height < floor:
-            continue
-        i = np.int64(np.floor((T_map[0, 0] * x + T_map[0, 1] * y + T_map[0, 2] * z + T_map[0, 3]) * inverse))
-        j = np.int64(np.floor((T_map[1, 0] * x + T_map[1, 1] * y + T_map[1, 2] * z + T_map[1, 3]) * inverse))
-        slot = find(pack(i, j, np.int64(np.floor(height * inverse))), table_key, table_slot)
-        if slot < 0 or owner[slot] < 0:
-            continue
-        for k in range(3):
-            placed[n, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
-        bar[n] = owner[slot]
-        n += 1
-    return placed[:n], bar[:n]

@@ -9,6 +9,7 @@ grown through the whole cloud and its points are taken away, which lowers all ot
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -30,11 +31,15 @@ sheets, but bars whose points scatter by dx leave some there too: on ten surveye
 points that 0.75 explains. At 0.5 a third of a tower jittered by 1 m passes for bars, at 0.75 a twentieth."""
 SHADOW = 1.25
 """Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
+SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
+"""Of the grids of blocks, in halves of a block."""
 GROUP = 256
 """Proposals whose largest score is kept, so that finding the strongest does not look at all of them."""
 
 
-def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH) -> Segments:
+def segment_structure(
+    points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH, grids: int = len(SHIFTS)
+) -> Segments:
     """Find the bars in the cloud of a whole structure.
 
     Parameters
@@ -43,13 +48,14 @@ def segment_structure(points: Array, dx: float, min_votes: int = 8, length_min: 
     dx: radius of the tube that holds a bar's points, metres.
     min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
     length_min: of a segment, in dx.
+    grids: of blocks, 1 to 8, shifted against each other; each proposes most bars again, and takes as long.
 
     Surfaces (ground, walls) come out as stripes side by side: crop them first.
 
     Returns `Segments`, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
-    proposed = _propose(points, dx, min_votes, length_min)
+    proposed = _propose(points, dx, min_votes, length_min, SHIFTS[:grids])
     start, direction, length = proposed.start, proposed.direction, proposed.length
     cubes = sort_into_cubes(points, 2 * dx)
     first_pair = np.zeros(len(points) + 2, dtype=np.int64)
@@ -72,16 +78,18 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
     return near
 
 
-def _propose(points: Array, dx: float, min_votes: int, length_min: float) -> Segments:
-    """Segments of each block, of eight grids of blocks that are shifted by half a block against each other."""
+def _propose(
+    points: Array, dx: float, min_votes: int, length_min: float, shifts: Sequence[tuple[int, int, int]]
+) -> Segments:
+    """Segments of each block, of grids of blocks that are shifted by half a block against each other."""
     edge = BLOCK * dx
     low = points.min(axis=0)
     found = [Segments.empty()]
-    for shift in np.ndindex(2, 2, 2):
+    for shift in shifts:
         cell = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
-        _, block = np.unique(cell, axis=0, return_inverse=True)
-        order = np.argsort(block.ravel(), kind="stable")
-        bounds = np.flatnonzero(np.diff(block.ravel()[order], prepend=-1, append=-1))
+        block = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
+        order = np.argsort(block, kind="stable")
+        bounds = np.flatnonzero(np.diff(block[order], prepend=-1, append=-1))
         for first, last in itertools.pairwise(bounds):
             some = points[order[first:last]]
             # Bounds looser than the final ones: a block may hold only part of a bar.

@@ -9,6 +9,7 @@ from steelnb.fusion import sections
 from steelnb.fusion.joints import find_joints, nearest_point, trim_bends
 from steelnb.fusion.merging import combined, merge_pieces
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
+from steelnb.fusion.section_fit import fit_sections
 from steelnb.metrics.structure import reference, score_structure
 from steelnb.simulation.visibility import see
 
@@ -94,6 +95,16 @@ def test_pieces_join_copies_go_and_neighbours_stay():
     assert len(merge_pieces(Segments.empty(), 0.3, 0.12, 0.06)) == 0
 
 
+def test_a_wide_bar_has_wide_copies_and_pieces():
+    leg, copy, beside = [[0, 0, 0], [0, 0, 3]], [[0.13, 0, 0.5], [0.13, 0, 1.5]], [[0.3, 0, 0], [0.3, 0, 3]]
+    piece = [[0.08, 0, 3.1], [0.08, 0, 5]]
+    bars, width = bars_of(leg, beside, piece, copy), np.array([0.18, np.nan, 0.18, 0.1])
+    assert len(merge_pieces(bars, 0.3, 0.12, 0.06)) == 4
+    merged = merge_pieces(bars, 0.3, 0.12, 0.06, width)
+    assert sorted(np.round(merged.length, 1)) == [3.0, 5.0]
+    assert len(merge_pieces(bars.take(np.array([3, 1, 2, 0])), 0.3, 0.12, 0.06, width[[3, 1, 2, 0]])) == 2
+
+
 def test_bars_are_led_to_what_they_meet_first():
     post, strut = [[0, 0, 0], [0, 0, 4]], [[0.15, 0, 1], [2, 0, 1]]
     beyond = [[-0.1, -1, 1.0], [-0.1, 1, 1.0]]  # the strut would reach this one behind the post, but for the post
@@ -138,7 +149,7 @@ def test_the_axis_of_an_angle_section_is_found_from_what_is_seen(flange, turn):
             eye = point + 3.0 * towards @ across[0]
             sections.look(point[None], eye, np.zeros(1, int), start, direction, length, across, 0.05, histogram)
     centre, slope, found = np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((4, 1))
-    sections.fit_sections(histogram, length, centre, slope, *found)
+    fit_sections(histogram, length, centre, slope, *found)
     assert np.linalg.norm(centre[0] - off) < 0.005
     assert found[0, 0] == pytest.approx(flange, rel=0.12)
     assert np.abs(slope).max() < 0.006
