@@ -100,7 +100,7 @@ class Study:
         }
         self.total, self.total_s = len(runs), sum(self.expected_s.values())
         self.done_s, self.done, self.failed = 0.0, 0, list[dict[str, Any]]()
-        self.begin_s = time.monotonic()
+        self.first_s, self.first_done_s = 0.0, 0.0
         self._counted, self._counted_s = 0, -PERIOD_S
 
     def run(self) -> list[dict[str, Any]]:
@@ -117,6 +117,8 @@ class Study:
                 self.left[run.flight] -= 1
                 flying -= self.left[run.flight] == 0
                 self._count(run, row, workers)
+            if batch and not self.first_done_s:
+                self.first_s, self.first_done_s = time.monotonic(), self.done_s
         return self.failed
 
     def _workers(self) -> int:
@@ -172,16 +174,15 @@ class Study:
             self._tell(workers, f"{run.label}: failed: {row['error'].splitlines()[-1]}")
 
     def _tell(self, workers: int, event: str = "") -> None:
-        elapsed_s = time.monotonic() - self.begin_s
+        left_s, since_s = self.total_s - self.done_s, self.done_s - self.first_done_s
+        # Counted from the first runs on, which come late, after imports and compilation; until a few more have ended,
+        # what is expected is the better guess.
+        pace = 1 / max(workers, 1)
+        if self.first_done_s and since_s > 0.02 * self.total_s:
+            pace = (time.monotonic() - self.first_s) / since_s
+        remaining_s = left_s * pace if workers else None
         fraction = self.done_s / self.total_s
-        # The first runs come late, after imports and flights; until then, what is expected is the better guess.
-        left_s = self.total_s - self.done_s
-        pace = elapsed_s / self.done_s if self.done_s > 0.02 * self.total_s else 1 / max(workers, 1)
-        self.on_advance(
-            Advance(
-                self.done, len(self.failed), self.total, workers, fraction, left_s * pace if workers else None, event
-            )
-        )
+        self.on_advance(Advance(self.done, len(self.failed), self.total, workers, fraction, remaining_s, event))
 
 
 @contextlib.contextmanager

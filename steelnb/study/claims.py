@@ -1,0 +1,274 @@
+"""Claims that a number can answer: from the runs of a study to an estimate, its interval over seeds, and a verdict."""
+
+import itertools
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from steelnb.config import Settings
+from steelnb.datatypes import Array
+from steelnb.errors import FileMissingError, SettingsError
+from steelnb.study.plan import CASE
+
+RESAMPLES = 9999
+CONFIDENCE = 0.95
+HOLDS, FAILS, ONLY_WHEN = "holds", "does not hold", "holds only when"
+USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 200.0, "variant": "", "blind": ""}
+"""What runs a claim is about, unless its ``where`` says otherwise."""
+SLIP_M = 0.25
+"""An error that grows by more than this within a second, while the scan has pairs, has locked onto something else."""
+DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
+    "raw_at_180_s_m": lambda runs: [
+        np.interp(180.0, time, error) if time[-1] >= 179.0 else np.nan
+        for time, error in zip(runs["curve_time_s"], runs["curve_raw_m"], strict=True)
+    ],
+    "slipped": lambda runs: (runs["slip_m"] > SLIP_M).astype(float),
+}
+Chosen = dict[str, str | float | list[str]]
+
+
+class Claim(Settings):
+    """One table of the claims' file.
+
+    ``metric`` of the runs ``where``, in each cell of ``by`` and for each seed, goes into a number by ``form``: its
+    ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, or its rank
+    ``correlation`` over the seeds with the metric that ``b`` names. The claim is that the number lies ``below`` or
+    ``above`` the ``threshold``, or ``between`` two of them.
+    """
+
+    section: str
+    claim: str
+    metric: str
+    form: Literal["level", "difference", "ratio", "correlation"] = "difference"
+    comparison: Literal["below", "above", "between"]
+    threshold: Annotated[list[float], Field(min_length=1, max_length=2)]
+    where: Chosen = Field(default_factory=dict)
+    a: Chosen = Field(default_factory=dict)
+    b: Chosen = Field(default_factory=dict)
+    by: Annotated[list[str], Field(min_length=1)] = ["trajectory", "noise"]  # noqa: RUF012
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Claim":
+        for name in (*self.by, *self.where, *self.a, *self.b):
+            if name not in CASE and (name != "metric" or name in (*self.by, *self.where, *self.a)):
+                raise ValueError(f"unknown column {name!r}; expected one of {', '.join(CASE)}")
+        if len(self.threshold) != (2 if self.comparison == "between" else 1):
+            raise ValueError(f"threshold = {self.threshold}: expected two numbers for 'between', else one")
+        if (self.form == "level") == bool(self.b) or (self.form == "correlation" and "metric" not in self.b):
+            raise ValueError("b: a level has none, a difference or ratio names runs, a correlation a metric")
+        return self
+
+    def satisfied(self, low: float, high: float) -> bool:
+        """Whether all of an interval is as claimed."""
+        if self.comparison == "between":
+            return self.threshold[0] <= low and high <= self.threshold[1]
+        return high < self.threshold[0] if self.comparison == "below" else low > self.threshold[0]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the runs say of a claim: its number with the interval, over how many seeds, the verdict and its condition.
+
+    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high`` and ``holds``.
+    """
+
+    id: str
+    claim: Claim
+    estimate: float
+    low: float
+    high: float
+    n_seeds: int
+    verdict: str
+    condition: str
+    cells: pd.DataFrame
+
+
+def read_claims(path: Path) -> dict[str, Claim]:
+    """The claims of a file, by name. Raises `FileMissingError` or `SettingsError`."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise FileMissingError(f"{path}: {fault.strerror}; expected a file of claims") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+    claims = {}
+    for name, table in tables.items():
+        try:
+            claims[name] = Claim(**table)
+        except (SettingsError, TypeError) as fault:
+            raise SettingsError(f"{path}: [{name}]: {fault}") from None
+    return claims
+
+
+def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
+    """A verdict on each claim. Raises `SettingsError` where a claim has no runs."""
+    return [judge(name, claim, runs) for name, claim in claims.items()]
+
+
+def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
+    """Estimate what a claim is about over the seeds of some runs, overall and in each cell.
+
+    A claim holds where all of the interval is as claimed; it holds only when some cells do and others do not. A cell in
+    which fewer than two seeds have a number says nothing. Raises `SettingsError`.
+    """
+    good = runs[runs["status"] == "ok"]
+    first = _select(name, good, {**USUAL, **claim.where, **claim.a})
+    cells = list(dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)))
+    sides = []
+    for cell in cells:
+        at = dict(zip(claim.by, cell, strict=True))
+        here = first[np.logical_and.reduce([first[column] == value for column, value in at.items()])]
+        pair = [_by_seed(name, here, claim.metric)]
+        if claim.form != "level":
+            other = {key: value for key, value in claim.b.items() if key != "metric"}
+            there = _select(name, good, {**USUAL, **claim.where, **claim.a, **at, **other})
+            pair.append(_by_seed(name, there, str(claim.b.get("metric", claim.metric))))
+        sides.append(pd.concat(pair, axis=1, keys=range(len(pair))))
+    seeds = sorted(set().union(*(side.index for side in sides)))
+    values = np.array([side.reindex(seeds).to_numpy() for side in sides]).transpose(1, 0, 2)  # (seed, cell, side)
+    values[~np.isfinite(values).all(axis=2)] = np.nan
+    kept = [c for c in range(len(cells)) if np.isfinite(values[:, c, 0]).sum() >= 2]
+    if not kept:
+        raise SettingsError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
+    rows = []
+    for c in kept:
+        estimate, low, high = interval(claim.form, values[:, [c]])
+        rows.append((*map(str, cells[c]), estimate, low, high, claim.satisfied(low, high)))
+    table = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "holds"])
+    estimate, low, high = interval(claim.form, values[:, kept])
+    n_seeds = int(np.count_nonzero(np.isfinite(values[:, kept, 0]).any(axis=1)))
+    word = HOLDS if table["holds"].all() else ONLY_WHEN if table["holds"].any() else FAILS
+    condition = describe(table, claim.by) if word == ONLY_WHEN else ""
+    return Verdict(name, claim, estimate, low, high, n_seeds, word, condition, table)
+
+
+def interval(form: str, values: Array) -> tuple[float, float, float]:
+    """Estimate of ``values (seed, cell, side)`` with its 95 % interval by a bootstrap over the seeds.
+
+    Seeds are drawn with all their cells and both sides, so that differences stay paired. Bias-corrected and accelerated
+    (Efron 1987); percentiles where all seeds are so alike that this is not defined. Always the same draws.
+    """
+    from scipy import stats
+
+    has = np.any(np.all(np.isfinite(values), axis=2), axis=1)
+    values = values[has]
+    data: np.ndarray
+    statistic: Callable[..., Any]
+    numbers = _numbers(form, values)
+    if numbers is not None:  # one a seed, whose mean is the estimate
+        estimate = float(numbers.mean())
+        if np.ptp(numbers) < 1e-12:
+            return estimate, estimate, estimate
+        data, statistic, resamples = numbers, np.mean, RESAMPLES
+    else:
+        estimate = _correlation(values)
+        data, statistic, resamples = np.arange(len(values)), lambda index: _correlation(values[index]), RESAMPLES // 10
+    for method in ("BCa", "percentile"):
+        found = stats.bootstrap(
+            (data,), statistic, n_resamples=resamples, confidence_level=CONFIDENCE, method=method,
+            vectorized=numbers is not None, rng=np.random.default_rng(0),
+        ).confidence_interval  # fmt: skip
+        if np.isfinite([found.low, found.high]).all():
+            break
+    return estimate, float(found.low), float(found.high)
+
+
+def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
+    """One row a claim, as the README shows them."""
+    return pd.DataFrame(
+        {
+            "claim": each.claim.claim,
+            "section": each.claim.section,
+            "metric": f"{each.claim.metric}, {each.claim.form}",
+            "estimate": each.estimate,
+            "low": each.low,
+            "high": each.high,
+            "n_seeds": each.n_seeds,
+            "verdict": each.verdict,
+            "condition": each.condition,
+        }
+        for each in verdicts
+    )
+
+
+def verdict_metrics(verdicts: Sequence[Verdict]) -> dict[str, float]:
+    """The finite numbers of all verdicts in one flat map, ``<name>.<estimate, low, high, n_seeds, …>``."""
+    found = {
+        f"{each.id}.{name}": float(value)
+        for each in verdicts
+        for name, value in (
+            ("estimate", each.estimate), ("low", each.low), ("high", each.high), ("n_seeds", each.n_seeds),
+            ("cells_holding", each.cells["holds"].mean()),
+        )
+    }  # fmt: skip
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
+def describe(cells: pd.DataFrame, by: Sequence[str]) -> str:
+    """In which cells a claim holds, by the fewest columns that tell them from the others."""
+    holding = cells[cells["holds"]]
+    for count in range(1, len(by)):
+        for columns in itertools.combinations(by, count):
+            names = list(columns)
+            inside = cells[names].merge(holding[names].drop_duplicates(), on=names)
+            if len(inside) == len(holding):
+                return _listed(holding[names].drop_duplicates())
+    return _listed(holding[list(by)])
+
+
+def _listed(rows: pd.DataFrame) -> str:
+    texts = [", ".join(value for value in row if value) or "as preset" for row in rows.itertuples(index=False)]
+    return "; ".join(texts)
+
+
+def _numbers(form: str, values: Array) -> Array | None:
+    """The number of each seed ``(N,)``, a mean over its cells; None for a form that has none of a single seed."""
+    if form == "correlation":
+        return None
+    each = values[..., 0]
+    if form == "difference":
+        each = values[..., 0] - values[..., 1]
+    elif form == "ratio":
+        each = values[..., 0] / values[..., 1]
+    return np.asarray(np.nanmean(each, axis=1))
+
+
+def _correlation(values: Array) -> float:
+    """Spearman's rank correlation between the two sides over the seeds, a mean over the cells; 0 where a side is
+    constant."""
+    from scipy import stats
+
+    found = []
+    for cell in range(values.shape[1]):
+        pair = values[np.isfinite(values[:, cell]).all(axis=1), cell]
+        ranks = [stats.rankdata(pair[:, side]) for side in (0, 1)]
+        alike = len(pair) < 2 or np.ptp(ranks[0]) == 0 or np.ptp(ranks[1]) == 0
+        found.append(0.0 if alike else float(np.corrcoef(*ranks)[0, 1]))
+    return float(np.mean(found))
+
+
+def _select(name: str, runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
+    """The runs with some values, or one of some, in each column. Raises `SettingsError` if there are none."""
+    for column, value in chosen.items():
+        wanted = value if isinstance(value, list) else [value]
+        runs = runs[runs[column].isin(wanted)]
+        if runs.empty:
+            raise SettingsError(f"[{name}]: no runs with {column} = {value!r}; expected a value that the study has")
+    return runs
+
+
+def _by_seed(name: str, runs: pd.DataFrame, metric: str) -> pd.Series:
+    """A metric by seed, a mean where a seed has several runs. Raises `SettingsError` for an unknown one."""
+    if metric in DERIVED:
+        values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
+    elif metric in runs and pd.api.types.is_numeric_dtype(runs[metric]):
+        values = pd.Series(runs[metric].to_numpy(dtype=float), index=runs["seed"].to_numpy())
+    else:
+        raise SettingsError(f"[{name}]: metric = {metric!r}: expected a number that runs have")
+    return values.groupby(level=0).mean()
