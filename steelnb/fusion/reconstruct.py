@@ -59,14 +59,14 @@ def reconstruct(
     T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
-        flight = _mapped(scans, T_world_sensor, settings, every=3)
+        flight = _Flight(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
         bars, _ = find_bars(flight.voxels, settings, grids=1)
         for _ in range(2 if len(bars) else 0):
             # Bars led to their joints show more of themselves, so a second look sees more, and more exactly.
             look, bars = flight.look_again(bars, T_world_sensor)
         if len(bars):
             T_world_sensor, _ = flight.adjust(look, T_world_sensor)
-    flight = _mapped(scans, T_world_sensor, settings, every=1)
+    flight = _Flight(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
     bars, reason = find_bars(flight.voxels, settings)
     if not len(bars):
         return Structure.empty(reason)
@@ -78,17 +78,20 @@ def reconstruct(
     return _tied(look, settings)
 
 
-def _mapped(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int) -> "_Flight":
+def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1) -> VoxelMap:
+    """Scans at the poses ``(K, 4, 4)`` of the sensor as voxels, weights 1/range²; of several only every other one.
+
+    Ranges of organised scans are smoothed first: thin bars then stand out at twice the distance, in half the voxels.
+    Raises `EmptyCloudError` where no return is left above the floor.
+    """
     voxels = VoxelMap(settings.voxel_m)
     for k in range(0, len(scans), every):
         image = scans[k].points
-        if image.ndim == 3:
-            image = smooth_ranges(image)  # half the voxels, and thin bars stand out at twice the distance
-        points, weight = sights.world(_flat(image), T_world_sensor[k], settings.range_max_m, settings.floor_m)
-        voxels.insert(points, weight)
+        points = _flat(smooth_ranges(image) if image.ndim == 3 else image)
+        voxels.insert(*sights.world(points, T_world_sensor[k], settings.range_max_m, settings.floor_m))
     if not len(voxels):
         raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
-    return _Flight(scans, T_world_sensor, voxels, settings)
+    return voxels
 
 
 def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) -> Structure:

@@ -23,9 +23,8 @@ from steelnb.config import (
 from steelnb.datatypes import Array, Flight, IntArray, RangeScans, Segments
 from steelnb.errors import SettingsError
 from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
-from steelnb.fusion.reconstruct import find_bars, reconstruct
+from steelnb.fusion.reconstruct import find_bars, map_scans, reconstruct
 from steelnb.fusion.structure import Structure
-from steelnb.mapping import VoxelMap
 from steelnb.metrics import score_trajectory
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure
 from steelnb.odometry import SegmentOdometry
@@ -375,15 +374,7 @@ def toward_sensor_m(source: StructureFlight, bars: Segments, member: IntArray) -
 
 def _middles(flight: Flight, T_world_drone: Array, settings: StructureSettings) -> Segments:
     """Bars of all scans at some poses, their axes in the middle of their points."""
-    voxels = VoxelMap(settings.voxel_m)
-    for scan, T_world_sensor in zip(flight.scans, T_world_drone @ flight.T_drone_sensor, strict=True):
-        points = scan.points.reshape(-1, 3)
-        square = (points**2).sum(axis=1)
-        near = square <= settings.range_max_m**2  # no NaN
-        placed = points[near] @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        above = placed[:, 2] >= settings.floor_m
-        voxels.insert(placed[above], 1 / square[near][above])
-    return find_bars(voxels, settings)[0]
+    return find_bars(map_scans(flight.scans, T_world_drone @ flight.T_drone_sensor, settings), settings)[0]
 
 
 def structure_provenance(runs: Sequence[Rebuilt]) -> dict[str, Any]:
