@@ -85,6 +85,8 @@ def figure_flight(result: Result, cloud: Array, segments: Segments) -> Figure:
         for name, error in _errors(result).items():
             curve.plot(result.prior.stamp_s, error, color=TRACKS[name], label=f"{name}: mean {error.mean():.3f} m")
         frame_3d(scene, np.stack([low, high]), -60, zoom=0.88)
+        scene.set_yticks([tick for tick in scene.get_yticks() if tick < high[1] - 0.5])  # the last would lie on 0 of z
+        scene.plot([], [], color=COLOURS["least_squares"], label="bars found")
         scene.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.05), fontsize=10)
         curve.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, result.prior.stamp_s[-1]))
         curve.set_ylim(0, 1.3 * curve.get_ylim()[1])
