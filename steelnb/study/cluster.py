@@ -212,6 +212,8 @@ def connected(workers: int | None, scheduler: str | None, flights: int) -> "Iter
             cluster = LocalCluster(
                 n_workers=local_workers(workers, flights), threads_per_worker=1, processes=True,
                 host="127.0.0.1", dashboard_address=None, worker_dashboard_address=None,
+                # Without a dashboard there still is a page of health, for which any free port will do.
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             )  # fmt: skip
             client = stack.enter_context(Client(stack.enter_context(cluster)))
         else:

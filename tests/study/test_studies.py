@@ -54,6 +54,17 @@ def tables(folder: Path) -> tuple[bytes, bytes]:
     return (folder / store.RUNS).read_bytes(), (folder / store.TIMING).read_bytes()
 
 
+def test_a_cluster_of_ones_own_is_heard_on_this_machine_alone(client):
+    import psutil
+
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    listening = [c.laddr.ip for p in processes for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+    assert len(listening) >= 3
+    assert set(listening) == {"127.0.0.1"}
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    assert [worker["nthreads"] for worker in workers] == [1, 1]
+
+
 def test_a_study_is_plain_runs_resumed_and_widened(shared, study, tmp_path):
     out, seen = tmp_path / "out", []
     report = studies.run(study, out, on_progress=seen.append)
