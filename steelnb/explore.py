@@ -52,11 +52,12 @@ class View:
     def summary(self) -> str:
         """The numbers of the flight in a sentence (Markdown)."""
         s, numbers = self.result.settings, self.result.metrics
+        method = s.odometry.method
+        after = "" if method == "none" else f", **{numbers['ate_rmse_m']:.3f} m with {LABELS[method]}**"
         return (
             f"{s.flight.trajectory}, {s.noise_name}, sensor {s.sensor}, seed {s.seed}: root mean square error "
-            f"{numbers['raw_ate_rmse_m']:.3f} m without correction, **{numbers['ate_rmse_m']:.3f} m with "
-            f"{LABELS[s.odometry.method]}**; {len(self.segments)} bars in the map. {len(self.result.prior)} scans in "
-            f"{s.flight.duration_s:g} s of flight."
+            f"{numbers['raw_ate_rmse_m']:.3f} m without correction{after}; {len(self.segments)} bars in the map. "
+            f"{len(self.result.prior)} scans in {s.flight.duration_s:g} s of flight."
         )
 
 
