@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import steelnb.figures.segments
-from steelnb import segment
+from steelnb import cli, segment
 from steelnb.datatypes import Segments
 from steelnb.errors import EmptyCloudError, FileMissingError, OutputError, SettingsError, SteelnbError
 from steelnb.exports import read_structure
@@ -334,3 +334,36 @@ def test_a_cloud_without_bars_has_an_empty_structure_that_says_why(tmp_path: Pat
     plain = segment_file(path, tmp_path / "plain", structure=False)
     assert plain.structure is None
     assert not (tmp_path / "plain" / "structure.json").exists()
+
+
+@pytest.mark.parametrize("shape", ["plane", "ball", "noise"])
+def test_a_cloud_without_lines_gives_an_empty_structure_and_says_so(
+    shape: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(8000, 3))
+    points = {
+        "plane": np.column_stack([rng.uniform(0, 9, (8000, 2)), rng.normal(0, 0.01, 8000)]),
+        "ball": 3 * ball / np.linalg.norm(ball, axis=1)[:, None],
+        "noise": rng.uniform(0, 9, (3000, 3)),
+    }[shape]
+    np.savetxt(tmp_path / "cloud.xyz", points)
+    assert cli.main(["segment", str(tmp_path / "cloud.xyz"), "-o", str(tmp_path / "out")]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("structure")]
+    reason = said.removeprefix("structure empty: ")
+    assert "lines run in surfaces or in solid stuff" in reason
+    assert cli.main(["structure", str(tmp_path / "out" / "structure.json")]) == 0
+    assert f"empty     {reason}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("", "no line with a point"), ("nan nan nan\ninf 1 2\n", "2 points, none finite; expected at least two")],
+)
+def test_an_empty_cloud_is_one_line(text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "cloud.xyz").write_text(text)
+    assert cli.main(["segment", str(tmp_path / "cloud.xyz"), "-o", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,5 +1,7 @@
 """`steelnb structure`: what it prints, what it writes, and its exit codes."""
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +106,38 @@ def test_bad_input_is_one_line(
     assert words in err
     assert err.count("\n") == 1
     assert sorted(path.name for path in files.iterdir()) == ["a.json", "b.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.update(version=9), "version = 9; expected 2"),
+        (lambda c: c.pop("units"), "units = None; expected {'length': 'metre'}"),
+        (lambda c: c.update(units={"length": "foot"}), "units = {'length': 'foot'}; expected {'length': 'metre'}"),
+        (lambda c: c["bars"][1]["end_m"].__setitem__(0, np.nan), "bars[1].end_m[0] = nan: input should be a finite"),
+        (lambda c: c.pop("bars"), "bars: field required"),
+    ],
+)
+@pytest.mark.parametrize("arguments", [["bad.json"], ["a.json", "bad.json"], ["bad.json", "--to", "x.csv"]])
+def test_a_bad_file_is_one_line_wherever_it_is_read(
+    files: Path, arguments: list[str], change: Callable, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = json.loads((files / "a.json").read_text())
+    change(content)
+    (files / "bad.json").write_text(json.dumps(content))
+    assert cli.main(["structure", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert f"bad.json: {words}" in err
+    assert err.count("\n") == 1
+    assert sorted(path.name for path in files.iterdir()) == ["a.json", "b.json", "bad.json"]
+
+
+def test_no_bars_can_be_tabled_but_not_drawn(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export_structure(Structure.empty("nothing"), "none.json")
+    assert cli.main(["structure", "none.json", "--to", "none.csv"]) == 0
+    assert cli.main(["structure", "none.json", "--to", "none.dxf"]) == 2
+    assert "none.dxf: the structure has no bars" in capsys.readouterr().err
+    assert not (files / "none.dxf").exists()
 
 
 def test_a_long_table_is_cut_in_print_only(tmp_path: Path) -> None:

@@ -87,9 +87,9 @@ def _propose(
     found = [Segments.empty()]
     for shift in shifts:
         cell = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
-        block = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))
-        order = np.argsort(block, kind="stable")
-        bounds = np.flatnonzero(np.diff(block[order], prepend=-1, append=-1))
+        order = np.lexsort(cell.T[::-1])  # by the three numbers: blocks may be more than one number counts
+        new = (np.diff(cell[order], axis=0) != 0).any(axis=1)
+        bounds = np.concatenate([[0], np.flatnonzero(new) + 1, [len(points)]])
         for first, last in itertools.pairwise(bounds):
             some = points[order[first:last]]
             # Bounds looser than the final ones: a block may hold only part of a bar.

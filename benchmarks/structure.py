@@ -1,0 +1,197 @@
+"""The final reconstruction: time and memory against the area of a cloud, of whole flights, of surveyed towers.
+
+    .venv/bin/python benchmarks/structure.py --surveyed FOLDER > benchmarks/structure.md
+
+Every row is a process of its own on one pinned core, so its memory is its own. FOLDER holds clouds of towers as text,
+such as the files 001Tower.txt to 010Tower.txt of https://github.com/HyperLambdaX/Insulator-PowerGrid-Extractor; without
+--surveyed those are left out. Seconds belong to the machine named in the table, ratios less so.
+"""
+
+# ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import networkx as nx
+import numpy as np
+
+from steelnb import experiment, rng
+from steelnb.config import ExperimentSettings, StructureSettings
+from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
+from steelnb.fusion.structure import Structure
+from steelnb.hough.blocks import within
+from steelnb.recordings import read_cloud
+from steelnb.results import machine
+from steelnb.segment import tube_radius
+from steelnb.simulation import build_tower
+
+TOWERS = (1, 2, 4, 8, 16)
+POINTS = 312_500
+"""On each tower: 16 of them make 5 million."""
+APART_M, NOISE_M, JITTER_M = 12.0, 0.005, 1.0
+NOTES = f"""Times are those of the process on its core, which on an idle core is the time that passes; compiled
+parts are loaded before. *Peak* is that of the whole process, with the libraries and the cloud itself.
+
+## A cloud against its area
+
+Simulated towers side by side, {APART_M:g} m apart, {POINTS} points on the steel of each, 5 mm of noise. The goal: 60 s
+and 2 GB for 5 million points, in time that grows with the area.
+"""
+FLIGHTS = """
+## A whole flight
+
+200 s, sensor starling2, random walk; `combined`: poses corrected by that odometry, whose time is not counted. The goal:
+5 s."""
+SURVEYED = """
+## Surveyed towers
+
+{source}
+As `steelnb segment` would: *tube* is what it chooses from the points (`segment.tube_radius`), all other lengths in
+proportion. *Largest*: bars in the largest part that joints hold together. *Within*: share of the points within the
+tube of a bar; *control*: the same share of points that are moved by up to 1 m along each axis, which is what bars
+anywhere in so small a space would explain. *Bars in control*: what the reconstruction finds in the moved points."""
+
+
+def surface(size: int, seed: int) -> np.ndarray:
+    """Points at random on the steel of the report's tower, with noise."""
+    tower = build_tower()
+    a, b, c = (tower.vertices[tower.triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    draw = rng.stream(1, "benchmark", seed)
+    k = draw.choice(len(area), size, p=area / area.sum())
+    share = draw.random((size, 2))
+    outside = share.sum(axis=1) > 1
+    share[outside] = 1 - share[outside]
+    on = a[k] + share[:, :1] * (b - a)[k] + share[:, 1:] * (c - a)[k]
+    return np.asarray(on + NOISE_M * draw.standard_normal((size, 3)))
+
+
+def cloud(towers: int) -> dict:
+    """A row of towers, reconstructed."""
+    reconstruct_cloud(surface(20_000, 0))
+    points = np.empty((towers * POINTS, 3))
+    for k in range(towers):
+        points[k * POINTS : (k + 1) * POINTS] = surface(POINTS, k) + np.array([APART_M * k, 0, 0])
+    began = time.process_time()
+    return _measured(reconstruct_cloud(points), began) | {"points": len(points)}
+
+
+def flight(trajectory: str, poses: str) -> dict:
+    """A whole flight, reconstructed from true or corrected poses."""
+    settings = ExperimentSettings.preset(trajectory, "random-walk", sensor="starling2", method="combined")
+    recording, truth = experiment.simulate(settings)
+    T_world_drone = truth.trajectory.at(recording.prior.stamp_s).T_world_drone
+    if poses == "combined":
+        T_world_drone = experiment.estimate(settings, recording, truth).corrected.T_world_drone
+    some = slice(0, 60)
+    reconstruct(recording.scans[some], T_world_drone[some], recording.T_drone_sensor)
+    began = time.process_time()
+    found = reconstruct(recording.scans, T_world_drone, recording.T_drone_sensor)
+    return _measured(found, began) | {"scans": len(recording.scans)}
+
+
+def surveyed(file: str) -> dict:
+    """A cloud of a tower from a file, reconstructed, and the control."""
+    reconstruct_cloud(surface(20_000, 0))
+    points = read_cloud(file).points
+    moved = points + rng.stream(1, "control").uniform(-JITTER_M, JITTER_M, points.shape)
+    began = time.process_time()
+    tube = tube_radius(points)
+    settings = StructureSettings.for_cloud(tube)
+    found = reconstruct_cloud(points, settings)
+    row = _measured(found, began)
+    inside, control = (float(within(some, found.segments, tube).mean()) for some in (points, moved))
+    extent = " × ".join(f"{side:.0f}" for side in np.ptp(points, axis=0))
+    return row | {
+        "points": len(points), "extent": extent, "tube": tube, "length": float(found.segments.length.sum()),
+        "largest": largest(found), "within": inside, "control": control,
+        "bars_in_control": len(reconstruct_cloud(moved, settings)),
+    }  # fmt: skip
+
+
+def largest(structure: Structure) -> int:
+    """Number of bars in the largest part that joints hold together."""
+    ties = nx.Graph()
+    ties.add_nodes_from(("bar", bar) for bar in range(len(structure)))
+    ties.add_edges_from((("joint", joint), ("bar", bar)) for joint, bar in structure.tie.tolist())
+    return max((sum(kind == "bar" for kind, _ in part) for part in nx.connected_components(ties)), default=0)
+
+
+def _measured(found: Structure, began: float) -> dict:
+    return {
+        "seconds": time.process_time() - began, "bars": len(found), "joints": len(found.joint), "reason": found.reason,
+        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+    }  # fmt: skip
+
+
+def apart(*case: str) -> dict:
+    """Measure a case in a process of its own."""
+    done = subprocess.run([sys.executable, __file__, "--case", *case], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def print_tables(folder: Path | None, source: str) -> None:
+    print("| towers | points (million) | bars | joints | seconds | seconds per million | peak (GB) |")
+    print(f"{'|---' * 7}|")
+    for towers in TOWERS:
+        row = apart("cloud", str(towers))
+        million = row["points"] / 1e6
+        print(
+            f"| {towers} | {million:.2f} | {row['bars']} | {row['joints']} | {row['seconds']:.1f} "
+            f"| {row['seconds'] / million:.2f} | {row['peak_gb']:.2f} |",
+            flush=True,
+        )
+    print(
+        f"{FLIGHTS}\n\n| flight | poses | scans | bars | joints | seconds | peak (GB) |\n|---|---|---|---|---|---|---|"
+    )
+    for trajectory in ("vertical", "orbit"):
+        for poses in ("true", "combined"):
+            row = apart("flight", trajectory, poses)
+            print(
+                f"| {trajectory} | {poses} | {row['scans']} | {row['bars']} | {row['joints']} | {row['seconds']:.1f} "
+                f"| {row['peak_gb']:.2f} |",
+                flush=True,
+            )
+    if folder is None:
+        return
+    print(SURVEYED.format(source=source))
+    print("\n| cloud | points | extent (m) | tube (m) | bars | metres | joints | largest | within | control ", end="")
+    print(f"| bars in control | seconds |\n{'|---' * 12}|")
+    for file in sorted(folder.glob("*.txt")):
+        row = apart("surveyed", str(file))
+        print(
+            f"| {file.stem} | {row['points']} | {row['extent']} | {row['tube']:.3f} | {row['bars']} "
+            f"| {row['length']:.0f} | {row['joints']} | {row['largest']} | {row['within']:.2f} | {row['control']:.2f} "
+            f"| {row['bars_in_control']} | {row['seconds']:.1f} |{' ' + row['reason'] if row['reason'] else ''}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--surveyed", type=Path, metavar="FOLDER", help="folder with clouds of towers, *.txt")
+    parser.add_argument("--source", default="", help="a sentence on where those clouds are from, and their licence")
+    parser.add_argument("--case", nargs="+", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.case:
+        kind, *rest = given.case
+        print(json.dumps({"cloud": lambda k: cloud(int(k)), "flight": flight, "surveyed": surveyed}[kind](*rest)))
+        return
+    command = next(line.strip() for line in (__doc__ or "").splitlines() if line.startswith("    "))
+    print(f"# The final reconstruction on one core\n\n{machine()}. `{command.split(' >')[0]}`\n\n{NOTES}")
+    print_tables(given.surveyed, given.source)
+
+
+if __name__ == "__main__":
+    main()
