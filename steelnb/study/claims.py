@@ -2,6 +2,7 @@
 
 import itertools
 import tomllib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
         np.interp(180.0, time, error) if time[-1] >= 179.0 else np.nan
         for time, error in zip(runs["curve_time_s"], runs["curve_raw_m"], strict=True)
     ],
-    "slipped": lambda runs: (runs["slip_m"] > SLIP_M).astype(float),
+    "slipped": lambda runs: (runs["slip_m"] > SLIP_M).to_numpy(),
 }
 Chosen = dict[str, str | float | list[str]]
 
@@ -170,10 +171,12 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
         estimate = _correlation(values)
         data, statistic, resamples = np.arange(len(values)), lambda index: _correlation(values[index]), RESAMPLES // 10
     for method in ("BCa", "percentile"):
-        found = stats.bootstrap(
-            (data,), statistic, n_resamples=resamples, confidence_level=CONFIDENCE, method=method,
-            vectorized=numbers is not None, rng=np.random.default_rng(0),
-        ).confidence_interval  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it is not defined is seen from its being NaN
+            found = stats.bootstrap(
+                (data,), statistic, n_resamples=resamples, confidence_level=CONFIDENCE, method=method,
+                vectorized=numbers is not None, rng=np.random.default_rng(0),
+            ).confidence_interval  # fmt: skip
         if np.isfinite([found.low, found.high]).all():
             break
     return estimate, float(found.low), float(found.high)

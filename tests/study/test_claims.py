@@ -150,6 +150,16 @@ def test_a_walk_is_read_off_the_curve_at_three_minutes():
         judge("c", level, table)
 
 
+def test_what_happens_at_times_is_above_zero_and_what_never_happens_is_not():
+    table = runs(lambda t, n, method, z: 0.0)
+    table["slip_m"] = np.where(table["seed"] % 5 == 0, 0.4, 0.1)
+    times = claim(metric="slipped", form="level", b={}, comparison="above", threshold=[0.0])
+    found = judge("c", times, table)
+    assert (found.verdict, found.estimate) == (HOLDS, pytest.approx(0.2))
+    assert 0 < found.low < 0.2 < found.high < 0.5
+    assert judge("c", times, table.assign(slip_m=0.1)).verdict == FAILS
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
