@@ -16,6 +16,7 @@ from steelnb.config import Settings
 from steelnb.datatypes import Array
 from steelnb.errors import FileMissingError, SettingsError
 from steelnb.study.plan import CASE
+from steelnb.study.segmentation import CLUTTER, NOISE_M
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95
@@ -105,6 +106,24 @@ def read_claims(path: Path) -> dict[str, Claim]:
         except (SettingsError, TypeError) as fault:
             raise SettingsError(f"{path}: [{name}]: {fault}") from None
     return claims
+
+
+def frame_runs(table: Path) -> pd.DataFrame:
+    """The table of the segmentation methods as runs, so that claims on single frames are judged like the others.
+
+    Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
+    without duration or noise; ``f1`` is the harmonic mean of recall and precision. Raises `FileMissingError`.
+    """
+    try:
+        rows = pd.read_csv(table)
+    except OSError as fault:
+        raise FileMissingError(f"{table}: {fault.strerror}; expected results of segmentation-methods") from None
+    usual = (rows["noise_m"] == NOISE_M) & (rows["clutter"] == CLUTTER) & (rows["kept"] == 1.0)
+    rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
+    both = rows["recall"] + rows["precision"]
+    f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
+    case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "status": "ok"}
+    return rows.assign(f1=f1, **{**USUAL, **case})
 
 
 def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:

@@ -14,6 +14,7 @@ from steelnb.study.claims import (
     USUAL,
     Claim,
     describe,
+    frame_runs,
     interval,
     judge,
     read_claims,
@@ -196,7 +197,9 @@ def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
 def test_every_claim_of_the_project_has_runs_of_thirty_seeds_in_its_study():
     claims = read_claims(ROOT / "notebooks" / "claims.toml")
     cases = pd.DataFrame([run.case for run in make_runs(read_blocks(ROOT / "notebooks" / "study.toml"), None)])
-    for name, each in claims.items():
+    flown = {name: each for name, each in claims.items() if each.where.get("duration_s") != 0.0}
+    assert len(flown) >= 20
+    for name, each in flown.items():
         for side in (each.a, each.b):
             chosen = {**USUAL, **each.where, **each.a, **side}
             rows = cases
@@ -206,6 +209,23 @@ def test_every_claim_of_the_project_has_runs_of_thirty_seeds_in_its_study():
             for cell, some in rows.groupby([column for column in each.by if column not in side]):
                 assert some["seed"].nunique() >= 30, (name, cell)
             assert len(rows), name
+
+
+def test_claims_on_frames_are_judged_by_the_table_of_the_segmentation_methods(tmp_path):
+    frames = frame_runs(ROOT / "results" / "segmentation-methods" / "table.csv")
+    assert not frames.duplicated(["method", "seed"]).any()
+    claims = read_claims(ROOT / "notebooks" / "claims.toml")
+    of_frames = {name: each for name, each in claims.items() if each.where.get("duration_s") == 0.0}
+    assert len(of_frames) == 4
+    found = {name: judge(name, each, frames) for name, each in of_frames.items()}
+    dbscan = found["hough-better-than-dbscan"]
+    assert (dbscan.verdict, dbscan.n_seeds) == (HOLDS, frames["seed"].nunique())
+    wide = frames.pivot(index="seed", columns="method", values=["recall", "precision"])
+    recall, precision = wide["recall"], wide["precision"]
+    f1 = 2 * recall * precision / (recall + precision)
+    assert dbscan.estimate == pytest.approx((f1["hough"] - f1["dbscan"]).mean())
+    with pytest.raises(FileMissingError, match="segmentation-methods"):
+        frame_runs(tmp_path / "table.csv")
 
 
 def test_the_table_has_the_columns_that_the_readme_shows():
