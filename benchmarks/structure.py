@@ -61,9 +61,9 @@ tube of a bar; *control*: the same share of points that are moved by up to 1 m a
 anywhere in so small a space would explain. *Bars in control*: what the reconstruction finds in the moved points.
 
 There is no list of the true bars, so recall is not known. To the eye, the X-bracing of the body, the rings and the
-outlines of the arms are there. Missed or wrong: legs come out in pieces, some sideways by half a tube, where braces
-join them more often than every fourth point; the small bars inside arms and feet, less than two tubes apart, merge or
-are left out; ends at few braces reach their joints, so there are fewer joints than bars; insulators and fittings stay
+outlines of the arms are there. Missed or wrong: legs come out in pieces, some side by side, where braces
+join them every metre or so; the small bars inside arms and feet, less than two tubes apart, merge or
+are left out; many ends reach no joint, so there are fewer joints than bars; insulators and fittings stay
 unexplained. Points a quarter of a metre apart do not show the width of a bar, so no section is fitted."""
 
 
