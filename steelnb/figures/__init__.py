@@ -32,7 +32,8 @@ from steelnb.figures.trajectories import figure_segment_odometry
 from steelnb.figures.world import figure_drift, figure_tower
 
 __all__ = [
-    "HEIGHT_PX", "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL", "figure_accuracy",
+    "HEIGHT_PX", "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL",
+    "figure_accuracy",
     "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
     "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_flight",
     "figure_found", "figure_maps", "figure_near_side", "figure_recall", "figure_scene", "figure_segment_odometry",

@@ -89,9 +89,11 @@ def _meetings(start, direction, length, width, slack, reach, bend, bend_min, ben
     widest = width.max() if len(width) else 0.0
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
-            apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
-            far = 0.5 * (length[i] + length[j]) + 2.0 * max(bend, LEAD_MAX_M) + slack + widest
-            if math.sqrt((apart * apart).sum()) > far:
+            square = 0.0
+            for k in range(3):  # as numbers: all pairs come here, and few pass
+                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+                square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(bend, LEAD_MAX_M) + slack + widest:
                 continue
             cosine = (direction[i] * direction[j]).sum()
             if abs(cosine) > bend_min:

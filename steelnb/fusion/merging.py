@@ -69,9 +69,11 @@ def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyp
         for i in range(j):
             if fate[i] != i:
                 continue
-            apart = start[j] + 0.5 * length[j] * direction[j] - start[i] - 0.5 * length[i] * direction[i]
-            near_by = copy[i]
-            if math.sqrt((apart * apart).sum()) > 0.5 * (length[i] + length[j]) + gap + near_by:
+            near_by, square = copy[i], 0.0
+            for k in range(3):  # as numbers: all pairs come here, and few pass
+                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+                square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + gap + near_by:
                 continue
             cosine = abs((direction[i] * direction[j]).sum())
             if cosine < math.cos(COPY_RAD):

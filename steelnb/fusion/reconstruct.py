@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, IntArray, Scan, Segments
 from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import sections, sights
 from steelnb.fusion.adjust import adjust
+from steelnb.fusion.dimension import free_share, stands_out
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.ridges import ridge_points
 from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
-from steelnb.hough.blocks import segment_structure, within
+from steelnb.hough.blocks import SHIFTS, segment_structure, within
 from steelnb.mapping import VoxelMap
 from steelnb.preprocess import smooth_ranges, voxel_grid
 
@@ -27,8 +27,8 @@ MARGIN = 1.2
 CHUNK = 1 << 17
 GRIDS = 4
 """Of blocks in which bars are proposed. On flights eight find no more."""
-DIMENSION_MAX = 1.6
-"""Between that of bars and that of surfaces."""
+FREE_SHARE_MIN = 0.5
+"""Of the length of all lines, least share that runs free of surfaces and volumes (`dimension.free_share`)."""
 
 
 def reconstruct(
@@ -114,7 +114,7 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
         voxels.insert(some[some[:, 2] >= settings.floor_m])
     if not len(voxels):
         raise EmptyCloudError(f"cloud without a point above the floor at {settings.floor_m} m")
-    bars, reason = find_bars(voxels, settings)
+    bars, reason = find_bars(voxels, settings, len(SHIFTS), coarse=True)
     if not len(bars):
         return Structure.empty(reason)
     none = np.full(len(bars), np.nan)
@@ -124,8 +124,13 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
     )
 
 
-def find_bars(voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS) -> tuple[Segments, str]:
-    """Bars of a voxel map, their axes in the middle of their points; and why there are none."""
+def find_bars(
+    voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS, coarse: bool = False
+) -> tuple[Segments, str]:
+    """Bars of a voxel map, their axes in the middle of their points; and why there are none.
+
+    ``coarse``: bars may be only a few tubes apart.
+    """
     s = settings
     points = _ridges(voxels, None, s.contract_m, s.tube_m, s)
     if len(points) < s.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
@@ -141,27 +146,13 @@ def find_bars(voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS)
         more = segment_structure(left, s.strut_tube_m, s.min_votes, s.strut_length_min_m / s.strut_tube_m, grids)
         more = more.take(_between_bars(more, bars, s.reach_m, s.tube_m))
         bars = merge_pieces(Segments.joined((bars, more)), s.gap_max_m, s.copy_distance_m, s.tube_m)
-    # Lines can be laid through any cloud. A bar in the thick of others look solid, but not most of a structure.
-    thin = _dimension(points, bars, 2 * s.tube_m) < DIMENSION_MAX
-    if bars.length[thin].sum() < 0.5 * bars.length.sum():
+    # Lines can be laid through any cloud. A bar in the thick of others looks solid, but not most of a structure; unless
+    # the cloud is so coarse that all its bars are near others.
+    if free_share(points, bars, 2 * s.tube_m) < FREE_SHARE_MIN and not (
+        coarse and stands_out(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
+    ):
         return Segments.empty(), f"most of {len(bars)} lines run in surfaces or in solid stuff"
     return bars, ""
-
-
-def _dimension(points: Array, bars: Segments, radius_m: float) -> Array:
-    """Of how many dimensions the points around each bar are ``(B,)``, in the median along it.
-
-    1 along bars, also where bars cross; 2 in a surface, 3 in a volume: by how much more points are in spheres of twice
-    the radius (correlation dimension, Grassberger and Procaccia 1983).
-    """
-    tree = cKDTree(points)
-    dimension = np.zeros(len(bars))
-    for b in range(len(bars)):
-        share = np.linspace(0, 1, max(3, int(bars.length[b] / radius_m)))[:, None]
-        at = bars.start[b] + share * (bars.end[b] - bars.start[b])
-        inner, outer = (tree.query_ball_point(at, r, return_length=True) for r in (radius_m, 2 * radius_m))
-        dimension[b] = np.median(np.log2(np.maximum(outer, 1) / np.maximum(inner, 1)))
-    return dimension
 
 
 def _ridges(
@@ -173,13 +164,10 @@ def _ridges(
 
 def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:
     """Which of some segments come within ``aside_m`` of a bar at either end, led on by up to ``lead_m``."""
-    tied = np.ones(len(some), dtype=bool)
-    for end, sign in ((some.start, -1.0), (some.end, 1.0)):
-        near = np.zeros(len(some), dtype=bool)
-        for step in np.arange(0, lead_m + 1e-9, 0.03):
-            near |= within(end + sign * step * some.direction, bars, aside_m)
-        tied &= near
-    return tied
+    step = np.arange(0, lead_m + 1e-9, 0.03)[:, None, None]
+    led = np.stack([some.start - step * some.direction, some.end + step * some.direction])
+    near = within(led.reshape(-1, 3), bars, aside_m).reshape(led.shape[:3])
+    return np.asarray(near.any(axis=1).all(axis=0))
 
 
 @dataclass(frozen=True)
