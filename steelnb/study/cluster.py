@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 PERIOD_S = 0.5
 ANSWER_S = 10.0
 """How long a scheduler may take to answer, and then to have a worker."""
+FETCH_S = 2.0
+"""How long to wait for a row that a worker has, before other rows have their turn."""
 
 
 @dataclass(frozen=True)
@@ -153,17 +155,24 @@ class Study:
         if not futures:
             return []
         with _lost("in the middle of the study", self.done):
-            found = [self._row(future) for future in futures]
-        self.store.add([row for _, row in found])
+            found = [pair for pair in map(self._row, futures) if pair]
+        if found:
+            self.store.add([row for _, row in found])
         return found
 
-    def _row(self, future: "Future") -> tuple[Run, dict[str, Any]]:
+    def _row(self, future: "Future") -> tuple[Run, dict[str, Any]] | None:
+        """The row of a run that has ended; None if its worker died with it, so that it is being run again."""
+        try:
+            if future.status == "error":
+                # A run that raises gives a row of its own; this is Dask's word that its workers died, again and again.
+                fault = type(future.exception(timeout=FETCH_S)).__name__
+                row = failed(f"{fault}: the workers that tried it died")
+            else:
+                row = future.result(timeout=FETCH_S)
+        except TimeoutError:
+            future.add_done_callback(self.landed.put)
+            return None
         _, run = self.open.pop(future.key)
-        if future.status == "error":
-            # A run that raises gives a row of its own, so this is what Dask says: its workers died, time and again.
-            row = failed(f"{type(future.exception()).__name__}: the workers that tried it died")
-        else:
-            row = future.result(timeout=ANSWER_S)
         return run, {**run.case, "key": run.key, **row, "machine": self.machine}
 
     def _count(self, run: Run, row: dict[str, Any], workers: int) -> None:

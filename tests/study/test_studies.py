@@ -146,6 +146,24 @@ def test_a_full_disk_stops_a_study_which_then_goes_on(shared, study, tmp_path, m
     assert tables(out)[0] == tables(undisturbed)[0]
 
 
+def test_a_row_that_died_with_its_worker_is_waited_for(shared, study, tmp_path, monkeypatch):
+    from distributed import Future
+
+    whole, late = Future.result, []
+
+    def result(future, timeout=None):
+        if future.key not in late:
+            late.append(future.key)
+            raise TimeoutError
+        return whole(future, timeout)
+
+    monkeypatch.setattr(Future, "result", result)
+    report = studies.run(study, tmp_path / "out")
+    assert (report.runs, report.failed) == (4, [])
+    assert len(late) == 4
+    assert store.read_study(tmp_path / "out")["status"].tolist() == ["ok"] * 4
+
+
 def test_a_worker_with_other_code_gives_no_numbers():
     settings = ExperimentSettings.preset(sensor="report", duration_s=1.0)
     found = cluster.fly_task(settings, "the digest of other code")
