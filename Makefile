@@ -9,7 +9,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
 
-.PHONY: help setup reproduce study smoke test lint check lab lock clean
+.PHONY: help setup reproduce study smoke test lint check gallery lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
