@@ -34,8 +34,9 @@ PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters
 class Experiment(Settings):
     """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
 
-    ``about`` is a sentence for the gallery, which without one takes the notebook's first. One that is ``apart`` is too
-    long for every day: at the full budget it runs only when it is named.
+    ``about`` is a sentence for the gallery, which without one takes the notebook's first. ``inputs`` are files of the
+    project that the notebook reads: when one changes, it is run again. One that is ``apart`` is too long for every day:
+    at the full budget it runs only when it is named.
     """
 
     id: str
@@ -46,6 +47,7 @@ class Experiment(Settings):
     matrix: dict[str, list[Any]] = Field(default_factory=dict)
     full: dict[str, Any]
     smoke: dict[str, Any]
+    inputs: list[str] = Field(default_factory=list)
     expected_s: Positive | None = None
     apart: bool = False
 
@@ -59,14 +61,15 @@ class CheckSettings(Settings):
 
 @dataclass(frozen=True)
 class Part:
-    """One execution of a notebook. ``name`` is empty where the experiment has a single part; ``key`` is the hash of
-    all it depends on."""
+    """One execution of a notebook. ``name`` is empty where the experiment has a single part; ``inputs`` are the files
+    that it reads, and ``key`` is the hash of all it depends on."""
 
     experiment: str
     name: str
     notebook: Path
     parameters: dict[str, Any]
     key: str
+    inputs: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -95,8 +98,12 @@ def _probe(folder: Path) -> None:
 
 def lock_digest(root: Path) -> str | None:
     """SHA-256 of ``environment.lock``, or None where there is none."""
-    lock = root / "environment.lock"
-    return hashlib.sha256(lock.read_bytes()).hexdigest() if lock.is_file() else None
+    return file_digest(root / "environment.lock")
+
+
+def file_digest(path: Path) -> str | None:
+    """SHA-256 of a file's content, or None where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
 class Project:
@@ -160,12 +167,13 @@ class Project:
         elif dotted:
             chosen.update(dotted)
         axes = {name: values for name, values in experiment.matrix.items() if name not in user}
-        parts = []
+        parts, inputs = [], tuple(experiment.inputs)
         for combination in itertools.product(*axes.values()):
             values = fit_parameters(experiment.id, {**chosen, **dict(zip(axes, combination, strict=True))}, defaults)
             check_settings(experiment.id, {**defaults, **values})
             name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
-            parts.append(Part(experiment.id, name, notebook, values, self.key(notebook, values)))
+            key = self.key(notebook, values, inputs)
+            parts.append(Part(experiment.id, name, notebook, values, key, inputs))
         names = [part.name for part in parts]
         if len(set(names)) != len(names) or not parts:
             raise SettingsError(
@@ -186,12 +194,15 @@ class Project:
             _probe(place)
         return folder
 
-    def key(self, notebook: Path, parameters: Mapping[str, Any]) -> str:
-        """Hash of what a part depends on: the source of its cells (no outputs), parameters, code, lock and Python."""
+    def key(self, notebook: Path, parameters: Mapping[str, Any], inputs: Iterable[str] = ()) -> str:
+        """Hash of what a part depends on: the source of its cells (no outputs), parameters, files that it reads, code,
+        lock and Python."""
         cells = read_cells(notebook)
         source = [[cell["cell_type"], _source(cell), cell.get("metadata", {}).get("tags", [])] for cell in cells]
         python = platform.python_version_tuple()[:2]
-        text = json.dumps([source, parameters, code_digest(), lock_digest(self.root), python], sort_keys=True)
+        depends: list[Any] = [source, parameters, code_digest(), lock_digest(self.root), python]
+        depends += [[name, file_digest(self.root / name)] for name in inputs]
+        text = json.dumps(depends, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -352,7 +352,7 @@ class _Runner:
             return f"{part.label}: failed: {message}"
         key, note = "", ""
         with contextlib.suppress(SteelnbError):
-            key = self.project.key(part.notebook, part.parameters)
+            key = self.project.key(part.notebook, part.parameters, part.inputs)
         if key != part.key:  # edited meanwhile: nobody can tell what ran, so it belongs to no key
             key, note = "", "; notebook or code was edited meanwhile, so the next call runs it again"
         shutil.copyfile(executed, job.folder / "part" / EXECUTED)

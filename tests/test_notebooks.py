@@ -1,6 +1,7 @@
 """Every notebook through papermill at its smoke budget, with its numbers checked."""
 
 import json
+import math
 from pathlib import Path
 
 import nbformat
@@ -10,6 +11,7 @@ import pytest
 from steelnb import reproduce
 from steelnb.exports import read_structure
 from steelnb.project import find_root
+from steelnb.study import read_claims
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -192,6 +194,25 @@ def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):
     assert metrics["dx_from_points.2_cm.recall_lost"] < metrics["dx_of_reference.2_cm.recall_lost"]
     names = {"fig_frame.png", "fig_sequence.png", "fig_tower.png", "fig_conditions.png", "fig_tuning.png"}
     assert {path.name for path in folder.glob("fig_*.png")} == names
+
+
+def test_the_claims_notebook_judges_every_claim_by_the_committed_study(smoke):
+    folder = smoke / "claims"
+    table = pd.read_csv(folder / "table.csv")
+    claims = read_claims(ROOT / "notebooks" / "claims.toml")
+    assert table["claim"].tolist() == [claim.claim for claim in claims.values()]
+    judged = table[table["verdict"] != "not run"]
+    assert set(judged["verdict"]) <= {"holds", "does not hold", "holds only when"}
+    assert len(judged) >= 20
+    assert (judged["low"] <= judged["estimate"]).all()
+    assert (judged["estimate"] <= judged["high"]).all()
+    assert (judged["n_seeds"] >= 5).all()
+    assert judged["condition"].notna().equals(judged["verdict"] == "holds only when")
+    # The drift of a random walk is known: its mean length after 180 s, by the Maxwell distribution.
+    walk = table[table["metric"].str.startswith("raw_at_180_s_m")].iloc[0]
+    expected_m = 0.002 * (125 * 180) ** 0.5 * (8 / math.pi) ** 0.5
+    assert abs(walk["estimate"] - expected_m) < 0.75 * (walk["high"] - walk["low"])  # three standard errors
+    assert {path.name for path in folder.glob("fig_*.png")} == {"fig_claims.png", "fig_bands.png", "fig_bands_yaw.png"}
 
 
 def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):

@@ -243,6 +243,29 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
     assert key() not in (first, second, third)
 
 
+def test_a_file_that_a_notebook_reads_is_part_of_its_key(project: Path) -> None:
+    edit(
+        project / "notebooks" / "experiments.toml", 'title = "One part"', 'title = "One part"\ninputs = ["data/in.csv"]'
+    )
+
+    def keys() -> list[str]:
+        loaded = Project(project)
+        return [loaded.parts(loaded.experiments[name], "full")[0].key for name in ("single", "pair")]
+
+    absent = keys()
+    (project / "data").mkdir()
+    (project / "data" / "in.csv").write_text("1\n")
+    present = keys()
+    (project / "data" / "in.csv").write_text("2\n")
+    changed = keys()
+    assert len({absent[0], present[0], changed[0]}) == 3
+    assert absent[1] == present[1] == changed[1]
+    assert reproduce.run(["single"], root=project).ran == ["single"]
+    assert reproduce.run(["single"], root=project).kept == ["single"]
+    (project / "data" / "in.csv").write_text("3\n")
+    assert reproduce.run(["single"], root=project).ran == ["single"]
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [

@@ -1,6 +1,7 @@
 """Results → matplotlib figures, one function for each figure of the report. Nothing here computes a result."""
 
 from steelnb.figures.accuracy import figure_accuracy
+from steelnb.figures.claims import figure_claims, figure_error_bands
 from steelnb.figures.clouds import (
     figure_basins,
     figure_bend,
@@ -33,10 +34,9 @@ from steelnb.figures.world import figure_drift, figure_tower
 
 __all__ = [
     "HEIGHT_PX", "LABELS", "REPORT_CLOUD_ODOMETRY", "REPORT_SEGMENT_ODOMETRY", "REPORT_TIME_RATIO", "USUAL",
-    "figure_accuracy",
-    "figure_basins", "figure_bend", "figure_cloud_comparison", "figure_cloud_errors", "figure_cloud_methods",
-    "figure_conditions", "figure_drift", "figure_error_curves", "figure_false_convergence", "figure_flight",
-    "figure_found", "figure_maps", "figure_near_side", "figure_recall", "figure_scene", "figure_segment_odometry",
-    "figure_sequence", "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower",
-    "figure_tuning",
+    "figure_accuracy", "figure_basins", "figure_bend", "figure_claims", "figure_cloud_comparison",
+    "figure_cloud_errors", "figure_cloud_methods", "figure_conditions", "figure_drift", "figure_error_bands",
+    "figure_error_curves", "figure_false_convergence", "figure_flight", "figure_found", "figure_maps",
+    "figure_near_side", "figure_recall", "figure_scene", "figure_segment_odometry", "figure_sequence",
+    "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower", "figure_tuning",
 ]  # fmt: skip

@@ -1,6 +1,7 @@
 """Many experiments: run what a comparison needs once, and put the numbers into tables."""
 
 from steelnb.study.basins import RIGHT_M, Basin, basin_table, find_basin, find_slips, offset_grid
+from steelnb.study.claims import Claim, Verdict, frame_runs, judge_all, read_claims, verdict_metrics, verdict_table
 from steelnb.study.clouds import (
     bend_summary,
     bend_table,
@@ -45,6 +46,7 @@ from steelnb.study.segmentation import (
     tuning_map,
     warm_up,
 )
+from steelnb.study.store import read_study
 from steelnb.study.structure import (
     STRUCTURE_GOALS,
     Rebuilt,
@@ -75,11 +77,13 @@ __all__ = [
     "RIGHT_M",
     "STRUCTURE_GOALS",
     "Basin",
+    "Claim",
     "Rebuilt",
     "Scene",
     "Scenes",
     "StructureFlight",
     "Trial",
+    "Verdict",
     "attempt",
     "basin_table",
     "bend_summary",
@@ -101,6 +105,8 @@ __all__ = [
     "fly_again",
     "fly_all",
     "fly_tower",
+    "frame_runs",
+    "judge_all",
     "map_kind",
     "metrics",
     "near_side",
@@ -112,6 +118,8 @@ __all__ = [
     "paired_clouds",
     "provenance",
     "ranking",
+    "read_claims",
+    "read_study",
     "rebuild",
     "recall_by_points",
     "run_all",
@@ -132,6 +140,8 @@ __all__ = [
     "trial_table",
     "trial_timing",
     "tuning_map",
+    "verdict_metrics",
+    "verdict_table",
     "warm_up",
     "world_metrics",
 ]

@@ -20,7 +20,8 @@ from steelnb.study.segmentation import CLUTTER, NOISE_M
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95
-HOLDS, FAILS, ONLY_WHEN = "holds", "does not hold", "holds only when"
+HOLDS, FAILS, ONLY_WHEN, NOT_RUN = "holds", "does not hold", "holds only when", "not run"
+UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
 USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 200.0, "variant": "", "blind": ""}
 """What runs a claim is about, unless its ``where`` says otherwise."""
 SLIP_M = 0.25
@@ -72,12 +73,31 @@ class Claim(Settings):
             return self.threshold[0] <= low and high <= self.threshold[1]
         return high < self.threshold[0] if self.comparison == "below" else low > self.threshold[0]
 
+    def outside(self, low: float, high: float) -> bool:
+        """Whether all of an interval is not as claimed."""
+        if self.comparison == "between":
+            return high < self.threshold[0] or self.threshold[1] < low
+        return low > self.threshold[0] if self.comparison == "below" else high < self.threshold[0]
+
+    @property
+    def unit(self) -> str:
+        """The unit of the claim's number, by the ending of its metric; none for a share, a ratio or a correlation."""
+        if self.form in ("ratio", "correlation"):
+            return ""
+        return next((unit for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
+
+    @property
+    def measure(self) -> str:
+        """What is measured, as text: ``error_mean_m, difference (m)``."""
+        return f"{self.metric}, {self.form}" + (f" ({self.unit})" if self.unit else "")
+
 
 @dataclass(frozen=True)
 class Verdict:
     """What the runs say of a claim: its number with the interval, over how many seeds, the verdict and its condition.
 
-    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high`` and ``holds``.
+    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high`` and ``holds``. A claim that
+    was not run has no cells and no numbers (NaN); its condition says what is missing.
     """
 
     id: str
@@ -127,8 +147,16 @@ def frame_runs(table: Path) -> pd.DataFrame:
 
 
 def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
-    """A verdict on each claim. Raises `SettingsError` where a claim has no runs."""
-    return [judge(name, claim, runs) for name, claim in claims.items()]
+    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about."""
+    verdicts = []
+    for name, claim in claims.items():
+        try:
+            verdicts.append(judge(name, claim, runs))
+        except SettingsError as fault:
+            missing, none = str(fault).removeprefix(f"[{name}]: ").partition(";")[0], float("nan")
+            cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "holds"])
+            verdicts.append(Verdict(name, claim, none, none, none, 0, NOT_RUN, missing, cells))
+    return verdicts
 
 
 def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
@@ -207,7 +235,7 @@ def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
         {
             "claim": each.claim.claim,
             "section": each.claim.section,
-            "metric": f"{each.claim.metric}, {each.claim.form}",
+            "metric": each.claim.measure,
             "estimate": each.estimate,
             "low": each.low,
             "high": each.high,
@@ -226,7 +254,7 @@ def verdict_metrics(verdicts: Sequence[Verdict]) -> dict[str, float]:
         for each in verdicts
         for name, value in (
             ("estimate", each.estimate), ("low", each.low), ("high", each.high), ("n_seeds", each.n_seeds),
-            ("cells_holding", each.cells["holds"].mean()),
+            ("cells_holding", each.cells["holds"].astype(float).mean()),
         )
     }  # fmt: skip
     return {name: value for name, value in found.items() if np.isfinite(value)}

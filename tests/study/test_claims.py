@@ -10,6 +10,7 @@ from steelnb.errors import FileMissingError, SettingsError
 from steelnb.study.claims import (
     FAILS,
     HOLDS,
+    NOT_RUN,
     ONLY_WHEN,
     USUAL,
     Claim,
@@ -17,7 +18,9 @@ from steelnb.study.claims import (
     frame_runs,
     interval,
     judge,
+    judge_all,
     read_claims,
+    verdict_metrics,
     verdict_table,
 )
 from steelnb.study.plan import make_runs, read_blocks
@@ -234,4 +237,54 @@ def test_the_table_has_the_columns_that_the_readme_shows():
     assert list(table) == [
         "claim", "section", "metric", "estimate", "low", "high", "n_seeds", "verdict", "condition"
     ]  # fmt: skip
-    assert table.iloc[0]["metric"] == "error_mean_m, difference"
+    assert table.iloc[0]["metric"] == "error_mean_m, difference (m)"
+
+
+@pytest.mark.parametrize(
+    ("metric", "form", "unit"),
+    [
+        ("error_mean_m", "difference", "m"),
+        ("growth_lost_m_s", "difference", "m/s"),
+        ("frame_p95_ms", "difference", "ms"),
+        ("bend_deg", "difference", "°"),
+        ("lost_share", "difference", ""),
+        ("frame_median_ms", "ratio", ""),
+    ],
+)
+def test_a_number_has_the_unit_of_its_metric(metric, form, unit):
+    found = claim(metric=metric, form=form)
+    assert found.unit == unit
+    assert found.measure == f"{metric}, {form}" + (f" ({unit})" if unit else "")
+
+
+def test_a_claim_without_runs_is_not_run_and_the_others_are_judged():
+    table = runs(lambda t, n, method, z: (0.5 if method == "one" else 0.0) + 0.1 * z)
+    claims = {"there": claim(), "missing": claim(a={"method": "three"}), "unmeasured": claim(metric="frame_p95_ms")}
+    there, missing, unmeasured = judge_all(claims, table)
+    assert there.verdict == HOLDS
+    assert (missing.verdict, missing.condition, missing.n_seeds) == (NOT_RUN, "no runs with method = 'three'", 0)
+    assert unmeasured.verdict == NOT_RUN
+    assert "frame_p95_ms" in unmeasured.condition
+    shown = verdict_table([there, missing, unmeasured])
+    assert shown["estimate"].isna().tolist() == [False, True, True]
+    numbers = verdict_metrics([there, missing])
+    assert numbers["missing.n_seeds"] == 0
+    assert "missing.estimate" not in numbers
+    assert numbers["there.cells_holding"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("comparison", "threshold", "outside", "undecided"),
+    [
+        ("below", [1.0], (1.1, 2.0), (0.9, 1.1)),
+        ("above", [1.0], (0.1, 0.9), (0.9, 1.1)),
+        ("between", [1.0, 2.0], (2.1, 3.0), (1.9, 2.1)),
+        ("between", [1.0, 2.0], (0.1, 0.9), (0.5, 2.5)),
+    ],
+)
+def test_an_interval_is_as_claimed_or_not_or_cannot_tell(comparison, threshold, outside, undecided):
+    found = claim(comparison=comparison, threshold=threshold)
+    assert found.outside(*outside)
+    assert not found.satisfied(*outside)
+    assert not found.outside(*undecided)
+    assert not found.satisfied(*undecided)
