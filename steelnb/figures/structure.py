@@ -189,9 +189,7 @@ def _unit(column: str) -> tuple[str, float, str]:
     """The name of a column for a reader, and what its values are to be multiplied by for a unit."""
     for ending, factor, unit in (("_m", 100.0, "cm"), ("_deg", 1.0, "°"), ("duplicates", 1.0, "bars")):
         if column.endswith(ending):
-            name = (
-                column.removesuffix("_m").removesuffix("_deg").replace("_", " ").replace("ate rmse", "pose error")
-            )
+            name = column.removesuffix("_m").removesuffix("_deg").replace("_", " ").replace("ate rmse", "pose error")
             return name, factor, unit
     return column.replace("_", " "), 100.0, "%"
 

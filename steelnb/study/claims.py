@@ -200,12 +200,18 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
     """Estimate of ``values (seed, cell, side)`` with its 95 % interval by a bootstrap over the seeds.
 
     Seeds are drawn with all their cells and both sides, so that differences stay paired. Bias-corrected and accelerated
-    (Efron 1987); percentiles where all seeds are so alike that this is not defined. Always the same draws.
+    (Efron 1987); percentiles where all seeds are so alike that this is not defined. Always the same draws. A share of
+    runs, each 0 or 1, has the exact binomial interval (Clopper and Pearson 1934): a bootstrap of something rare reaches
+    down to 0 although it happened.
     """
     from scipy import stats
 
     has = np.any(np.all(np.isfinite(values), axis=2), axis=1)
     values = values[has]
+    if form == "level" and len(values) and np.isin(values[np.isfinite(values)], (0.0, 1.0)).all():
+        happened = values[np.isfinite(values)]
+        exact = stats.binomtest(int(happened.sum()), len(happened)).proportion_ci(CONFIDENCE, method="exact")
+        return float(happened.mean()), float(exact.low), float(exact.high)
     data: np.ndarray
     statistic: Callable[..., Any]
     numbers = _numbers(form, values)

@@ -127,6 +127,16 @@ def test_an_interval_covers_the_truth_as_often_as_it_says():
     assert interval("level", np.full((5, 1, 1), 0.7)) == (0.7, 0.7, 0.7)
 
 
+def test_a_share_of_runs_has_the_exact_binomial_interval():
+    happened = np.zeros((30, 1, 1))
+    assert interval("level", happened) == pytest.approx((0, 0, 1 - 0.025 ** (1 / 30)))
+    happened[7] = 1
+    # Clopper and Pearson's tables, 1 of 30.
+    assert interval("level", happened) == pytest.approx((1 / 30, 0.000844, 0.1722), abs=5e-5)
+    happened[3] = np.nan
+    assert interval("level", happened)[0] == pytest.approx(1 / 29)
+
+
 def test_failed_runs_and_missing_numbers_are_left_out():
     table = runs(lambda t, n, method, z: (0.5 if method == "one" else 0.0) + 0.1 * z)
     table.loc[table["seed"] == 3, "status"] = "failed"
