@@ -31,7 +31,7 @@ $(READY): environment.lock pyproject.toml
 reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/
 	@$(BIN)/steelnb reproduce
 
-study: $(READY)  ## run what is missing of notebooks/study.toml into results/study/ (80 minutes on two cores)
+study: $(READY)  ## run what is missing of notebooks/study.toml into results/study/ (half an hour on two cores)
 	@$(BIN)/steelnb study
 
 smoke: $(READY)  ## the same with short flights, into results-smoke/
