@@ -232,11 +232,15 @@ def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
         assert len(structure.joint) == fixed["joints"]
         for figure in ("3_4", "errors", "recall", "near_side"):
             assert (folder / f"fig_{figure}_{trajectory}.png").stat().st_size > 30_000
-    metrics = json.loads((folder / "metrics.json").read_text())
-    middle, fitted = (
-        metrics[f"vertical.near_side.{axis}.all.median_m"] for axis in ("middle of points", "section fitted")
-    )
-    assert abs(fitted) < 0.6 * middle
+    committed = ROOT / "results" / "structure"
+    # A short flight sees most bars from one side alone, which tells less of their sections than a whole one.
+    for where, share, trajectories in ((folder, 0.75, ["vertical"]), (committed, 0.3, ["vertical", "orbit"])):
+        numbers = json.loads((where / "metrics.json").read_text())
+        for trajectory in trajectories:
+            middle, fitted = (
+                numbers[f"{trajectory}.near_side.{axis}.all.median_m"] for axis in ("middle of points", "section fitted")
+            )
+            assert abs(fitted) < share * middle, trajectory
     assert len(pd.read_csv(folder / "timing.csv")) == len(table)
 
 
