@@ -14,6 +14,7 @@ from steelnb.project import find_root
 from steelnb.study import read_claims
 
 ROOT = Path(__file__).parents[1]
+AXES = ("middle of points", "section fitted")
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
@@ -237,10 +238,8 @@ def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
     for where, share, trajectories in ((folder, 0.75, ["vertical"]), (committed, 0.3, ["vertical", "orbit"])):
         numbers = json.loads((where / "metrics.json").read_text())
         for trajectory in trajectories:
-            middle, fitted = (
-                numbers[f"{trajectory}.near_side.{axis}.all.median_m"] for axis in ("middle of points", "section fitted")
-            )
-            assert abs(fitted) < share * middle, trajectory
+            near = {axis: numbers[f"{trajectory}.near_side.{axis}.all.median_m"] for axis in AXES}
+            assert abs(near["section fitted"]) < share * near["middle of points"], trajectory
     assert len(pd.read_csv(folder / "timing.csv")) == len(table)
 
 
