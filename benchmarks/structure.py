@@ -25,13 +25,13 @@ import networkx as nx
 import numpy as np
 
 from steelnb import experiment, rng
-from steelnb.config import ExperimentSettings, StructureSettings
+from steelnb.config import ExperimentSettings
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import within
 from steelnb.recordings import read_cloud
 from steelnb.results import machine
-from steelnb.segment import tube_radius
+from steelnb.segment import structure_settings, tube_radius
 from steelnb.simulation import build_tower
 
 TOWERS = (1, 2, 4, 8, 16)
@@ -112,7 +112,7 @@ def surveyed(file: str) -> dict:
     moved = points + rng.stream(1, "control").uniform(-JITTER_M, JITTER_M, points.shape)
     began = time.process_time()
     tube = tube_radius(points)
-    settings = StructureSettings.for_cloud(tube)
+    settings = structure_settings(tube)
     found = reconstruct_cloud(points, settings)
     row = _measured(found, began)
     inside, control = (float(within(some, found.segments, tube).mean()) for some in (points, moved))
