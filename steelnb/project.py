@@ -24,6 +24,7 @@ from pydantic import Field
 import steelnb
 from steelnb.config import ExperimentSettings, Positive, Settings
 from steelnb.errors import FileMissingError, NotebookError, OutputError, SettingsError, UnknownExperimentError
+from steelnb.toml_file import read_toml
 
 EXPERIMENTS_FILE = Path("notebooks", "experiments.toml")
 RESULT_FOLDERS = {"full": "results", "smoke": "results-smoke"}
@@ -112,12 +113,7 @@ class Project:
     def __init__(self, root: Path | None = None) -> None:
         self.root = root.resolve() if root else find_root()
         path = self.root / EXPERIMENTS_FILE
-        try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as fault:
-            raise FileMissingError(f"{path}: {fault.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-            raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+        tables = read_toml(path)
         self.check = CheckSettings(**tables.pop("check", {}))
         self.experiments = {name: self._experiment(name, table) for name, table in tables.items()}
         self.cache = self.root / ".cache" / "reproduce"

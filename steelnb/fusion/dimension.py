@@ -48,8 +48,8 @@ def free_share(points: Array, bars: Segments, radius_m: float) -> float:
     return float(bars.length[free].sum() / bars.length.sum())
 
 
-def stands_out(points: Array, tube_m: float, min_votes: int, length_min: float) -> bool:
-    """Whether the lines in a coarse cloud ``(N, 3)`` are bars, though most have others in the spheres around them.
+def stands_out(points: Array, lines: Segments, tube_m: float, min_votes: int, length_min: float) -> bool:
+    """Whether the ``lines`` in a coarse cloud ``(N, 3)`` are bars, though most have others in the spheres around them.
 
     Compared with a surrogate of the same surfaces or volume that holds no bars (Theiler et al., "Testing for
     nonlinearity in time series: the method of surrogate data", 1992): each point is moved at random along the plane of
@@ -57,9 +57,9 @@ def stands_out(points: Array, tube_m: float, min_votes: int, length_min: float) 
     the share of its points), but not a lattice (0.5 to 0.76 of simulated ones whose bars are 3 to 10 tubes apart, 0.37
     to 0.57 of surveyed ones), and hardly a third of a volume before. Of some hundred points in a volume, chance and the
     contraction of ridges may draw lines through most; the surrogate then keeps next to none (at most 0.24). The other
-    parameters are those of `segment_structure`.
+    parameters are those of `segment_structure`, as the lines were found with.
     """
-    explained = within(points, segment_structure(points, tube_m, min_votes, length_min), tube_m).mean()
+    explained = within(points, lines, tube_m).mean()
     if explained < EXPLAINED_MIN or len(points) < NEIGHBOURS:
         return False
     apart = points[cKDTree(points).query(points, NEIGHBOURS)[1]]

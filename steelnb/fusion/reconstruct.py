@@ -79,7 +79,7 @@ def reconstruct(
 
 
 def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1) -> VoxelMap:
-    """Scans at the poses ``(K, 4, 4)`` of the sensor as voxels, weights 1/range²; of several only every other one.
+    """Scans at the poses ``(K, 4, 4)`` of the sensor as voxels, weights 1/range²; one in ``every`` scans.
 
     Ranges of organised scans are smoothed first: thin bars then stand out at twice the distance, in half the voxels.
     Raises `EmptyCloudError` where no return is left above the floor.
@@ -135,8 +135,8 @@ def find_bars(
     points = _ridges(voxels, None, s.contract_m, s.tube_m, s)
     if len(points) < s.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    bars = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m, grids)
-    bars = merge_pieces(bars, s.gap_max_m, s.copy_distance_m, s.tube_m)
+    lines = segment_structure(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m, grids)
+    bars = merge_pieces(lines, s.gap_max_m, s.copy_distance_m, s.tube_m)
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
     # A short bar between long ones is weak beside them, and its ends lie within their tubes: look at what they leave.
@@ -149,7 +149,7 @@ def find_bars(
     # Lines can be laid through any cloud. A bar in the thick of others looks solid, but not most of a structure; unless
     # the cloud is so coarse that all its bars are near others.
     if free_share(points, bars, 2 * s.tube_m) < FREE_SHARE_MIN and not (
-        coarse and stands_out(points, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
+        coarse and stands_out(points, lines, s.tube_m, s.min_votes, s.length_min_m / s.tube_m)
     ):
         return Segments.empty(), f"most of {len(bars)} lines run in surfaces or in solid stuff"
     return bars, ""

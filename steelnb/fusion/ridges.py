@@ -68,6 +68,14 @@ def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 
 @njit(cache=True)
+def _onward(name, p, low):  # type: ignore[no-untyped-def]
+    """The first place from ``p`` on whose name is not below ``low``."""
+    while p < len(name) and name[p] < low:
+        p += 1
+    return p
+
+
+@njit(cache=True)
 def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
     """Which centres stay. Centres and voxels are both sorted by name, so what is near moves on with the centres: no
     voxel is searched for, and memory is read in order."""
@@ -79,10 +87,7 @@ def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ign
         bound = weight[n] / share_min
         for c in range(len(column)):
             low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
-            p = at[c]
-            while p < len(name) and name[p] < low:
-                p += 1
-            at[c] = p
+            p = at[c] = _onward(name, at[c], low)
             while p < len(name) and name[p] <= high:
                 if heavy[p] > bound:
                     stay[n] = False
@@ -104,10 +109,7 @@ def _contract(centre, mean, kept, name, others, weight, column, height, rank, ra
         found[:] = -1
         for c in range(len(column)):
             low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
-            p = at[c]
-            while p < len(name) and name[p] < low:
-                p += 1
-            at[c] = p
+            p = at[c] = _onward(name, at[c], low)
             while p < len(name) and name[p] <= high:
                 found[rank[c, name[p] - low]] = p
                 p += 1

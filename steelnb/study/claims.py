@@ -1,7 +1,6 @@
 """Claims that a number can answer: from the runs of a study to an estimate, its interval over seeds, and a verdict."""
 
 import itertools
-import tomllib
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from steelnb.datatypes import Array
 from steelnb.errors import FileMissingError, SettingsError
 from steelnb.study.plan import CASE
 from steelnb.study.segmentation import CLUTTER, NOISE_M
+from steelnb.toml_file import read_toml
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95
@@ -113,12 +113,7 @@ class Verdict:
 
 def read_claims(path: Path) -> dict[str, Claim]:
     """The claims of a file, by name. Raises `FileMissingError` or `SettingsError`."""
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as fault:
-        raise FileMissingError(f"{path}: {fault.strerror}; expected a file of claims") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+    tables = read_toml(path, "a file of claims")
     claims = {}
     for name, table in tables.items():
         try:

@@ -6,7 +6,6 @@ import hashlib
 import itertools
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,8 @@ from pydantic import Field, field_validator
 
 import steelnb
 from steelnb.config import METHODS, ExperimentSettings, MethodName, Positive, SensorName, Settings, TrajectoryName
-from steelnb.errors import FileMissingError, SettingsError
+from steelnb.errors import SettingsError
+from steelnb.toml_file import read_toml
 
 ROOTS = ("steelnb.experiment", "steelnb.study.row")
 """What a run executes. Whatever these import, directly or not, is part of its key; reports on runs are not."""
@@ -103,12 +103,7 @@ class Run:
 
 def read_blocks(path: Path) -> dict[str, Block]:
     """The blocks of a study's file, by name. Raises `FileMissingError` or `SettingsError`."""
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as fault:
-        raise FileMissingError(f"{path}: {fault.strerror}; expected the settings of a study") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+    tables = read_toml(path, "the settings of a study")
     blocks = {}
     for name, table in tables.items():
         if not isinstance(table, dict):

@@ -15,6 +15,10 @@ def line(start, end) -> Segments:
     return Segments(np.array([start], float), np.array([end], float), np.array([1]), np.array([0.0]))
 
 
+def bars_stand_out(points: np.ndarray, tube: float) -> bool:
+    return stands_out(points, segment_structure(points, tube, 8, 5.0), tube, 8, 5.0)
+
+
 def clouds(n: int) -> dict[str, np.ndarray]:
     """Clouds without a line, 2 m wide."""
     rng = np.random.default_rng(1)
@@ -48,7 +52,7 @@ def test_lines_through_a_cloud_without_bars_do_not_run_free(name: str, density: 
     found = segment_structure(thinned, tube, 8, 5.0)
     assert len(found) > 10
     assert free_share(thinned, found, 2 * tube) < 0.05
-    assert not stands_out(thinned, tube, 8, 5.0)
+    assert not bars_stand_out(thinned, tube)
 
 
 @pytest.mark.parametrize("panels", [5, 10])
@@ -60,7 +64,7 @@ def test_bars_stand_out_where_they_are_few_tubes_apart(panels: int) -> None:
     grid = voxel_grid(points, tube / np.sqrt(3))
     found = segment_structure(grid, tube, 8, 5.0)
     assert free_share(grid, found, 2 * tube) < 0.5
-    assert stands_out(grid, tube, 8, 5.0)
+    assert bars_stand_out(grid, tube)
     spread = points + rng.uniform(-1, 1, points.shape)
-    assert not stands_out(voxel_grid(spread, tube / np.sqrt(3)), tube, 8, 5.0)
-    assert not stands_out(grid[:20], tube, 8, 5.0)
+    assert not bars_stand_out(voxel_grid(spread, tube / np.sqrt(3)), tube)
+    assert not bars_stand_out(grid[:20], tube)
