@@ -71,3 +71,15 @@ class MissingExtraError(SteelnbError):
 
 class SchedulerError(SteelnbError):
     """A Dask scheduler that does not answer, has no workers, or went away during a study."""
+
+
+class RecordingError(SteelnbError):
+    """A recording that holds no flight: no scans, no poses, or poses that do not cover the scans."""
+
+
+class TopicError(SteelnbError):
+    """A topic that a recording does not have, or several that fit where one was to be chosen."""
+
+
+class ExtrinsicsError(SteelnbError):
+    """A transform that is missing, or is none: a quaternion of length zero, numbers that are not finite."""
