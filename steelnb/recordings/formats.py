@@ -1,0 +1,78 @@
+"""Any of the files that hold a flight ↔ `Recording`: which form they have, and who reads and writes it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from steelnb.errors import FileMissingError, OutputError, UnsupportedFormatError
+from steelnb.recordings.choice import Choice
+from steelnb.recordings.recording import Recording
+from steelnb.recordings.segments import new_folder
+
+__all__ = ["FORMS", "Choice", "open_recording", "save_recording", "truth_path"]
+
+Progress = Callable[[float], None]
+
+FORMS = ("ros1", "mcap", "sqlite", "ply", "pcd", "las", "laz", "npy", "tum-rgbd", "7-scenes")
+ENDING = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite", "": "npy"}
+"""The form of a path to be written, where none is named."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Whether the files at a path are of its forms, and the recording that they hold."""
+
+    fits: Callable[[Path], bool]
+    open: Callable[[Path, Choice], Recording]
+
+
+READERS: tuple[Reader, ...] = ()
+"""Asked in this order."""
+WRITERS: dict[str, Callable[[Path, Recording, Progress], None]] = {}
+"""Each writes a new file or folder at a path; the truth is not theirs."""
+
+
+def open_recording(path: Path | str, choice: Choice = Choice()) -> Recording:  # noqa: B008 (frozen)
+    """The recording at a path: a bag, a ROS 2 folder, a folder of depth images or of clouds.
+
+    The truth is taken from ``STEM.truth.tum`` beside it unless ``choice`` names another or the files hold it. Raises
+    `FileMissingError`, `UnsupportedFormatError`, `FileContentError`, `RecordingError`, `TopicError`,
+    `ExtrinsicsError` and `SettingsError`.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileMissingError(f"{path}: does not exist; expected a recording")
+    reader = next((reader for reader in READERS if reader.fits(path)), None)
+    if reader is None:
+        what = "a folder of an unknown kind" if path.is_dir() else f"ending {path.suffix!r}"
+        raise UnsupportedFormatError(
+            f"{path}: {what}; expected .bag, .mcap, .db3, a ROS 2 folder, or a folder of depth images or clouds"
+        )
+    return reader.open(path, choice)
+
+
+def save_recording(
+    path: Path | str, recording: Recording, form: str | None = None, on_progress: Progress | None = None
+) -> None:
+    """Write a recording as one of ``FORMS``; its truth, if any, goes to ``STEM.truth.tum`` beside it.
+
+    The form is that of the ending (`ENDING`) where none is named. Bags with an ending are one file; ``mcap`` and
+    ``sqlite`` without are a ROS 2 folder with its metadata. Written beside, then renamed: nothing half-written stays.
+    Raises `UnsupportedFormatError` and `OutputError`, and what reading the recording raises.
+    """
+    path = Path(path).absolute()
+    form = form or ENDING.get(path.suffix.lower())
+    if form not in WRITERS:
+        raise UnsupportedFormatError(f"{path}: form {form or path.suffix!r}; expected one of {', '.join(WRITERS)}")
+    if path.is_dir() and any(path.iterdir()):
+        raise OutputError(f"{path}: a folder that is not empty; expected a new one")
+    if recording.truth is None and truth_path(path).exists():
+        raise OutputError(f"{truth_path(path)}: would be taken for this recording's truth; expected no such file")
+    with new_folder(path.parent) as folder:
+        WRITERS[form](folder / path.name, recording, on_progress or (lambda _: None))
+
+
+def truth_path(path: Path) -> Path:
+    """Where the truth of the recording at a path is: X.bag and X/ have X.truth.tum."""
+    stem = path.with_suffix("") if path.suffix.lower() in ENDING else path
+    return stem.with_name(stem.name + ".truth.tum")
