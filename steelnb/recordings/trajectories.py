@@ -157,21 +157,21 @@ def trajectory_of(
     skipped = Counter() if skipped is None else skipped
     numbers = np.column_stack([stamp_s, position, quaternion_xyzw])
     finite = np.isfinite(numbers).all(axis=1)
-    length = np.linalg.norm(np.where(finite[:, None], quaternion_xyzw, 0.0), axis=1)
-    turns = length > QUATERNION_MIN
+    largest = np.abs(np.where(finite[:, None], quaternion_xyzw, 0.0)).max(axis=1, initial=0.0)
+    turns = np.asarray(largest > QUATERNION_MIN)
     _count(skipped, "pose not finite", ~finite)
     _count(skipped, "pose with a quaternion of length zero", finite & ~turns)
     good = np.flatnonzero(finite & turns)
     _count(skipped, "pose out of order, sorted", np.diff(stamp_s[good]) < 0)
     good = good[np.argsort(stamp_s[good], kind="stable")]
-    again = np.zeros(len(good), dtype=bool)
+    again = np.zeros(len(good), dtype=np.bool_)
     again[1:] = np.diff(stamp_s[good]) <= 0
     _count(skipped, "pose with a stamp that another has", again)
     good = good[~again]
     if not len(good):
         raise RecordingError(f"{path}: {len(numbers)} poses, none of use; expected finite numbers and unit quaternions")
     T_world_drone = np.tile(np.eye(4), (len(good), 1, 1))
-    T_world_drone[:, :3, :3] = Rotation.from_quat(quaternion_xyzw[good] / length[good, None]).as_matrix()
+    T_world_drone[:, :3, :3] = Rotation.from_quat(quaternion_xyzw[good] / largest[good, None]).as_matrix()
     T_world_drone[:, :3, 3] = position[good]
     return Trajectory(np.ascontiguousarray(stamp_s[good]), T_world_drone)
 
