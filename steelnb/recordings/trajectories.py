@@ -156,9 +156,9 @@ def trajectory_of(
     """
     skipped = Counter() if skipped is None else skipped
     numbers = np.column_stack([stamp_s, position, quaternion_xyzw])
-    finite = np.isfinite(numbers).all(axis=1)
+    finite = np.asarray(np.isfinite(numbers).all(axis=1))
     largest = np.abs(np.where(finite[:, None], quaternion_xyzw, 0.0)).max(axis=1, initial=0.0)
-    turns = np.asarray(largest > QUATERNION_MIN)
+    turns = largest > QUATERNION_MIN
     _count(skipped, "pose not finite", ~finite)
     _count(skipped, "pose with a quaternion of length zero", finite & ~turns)
     good = np.flatnonzero(finite & turns)
