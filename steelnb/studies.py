@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from steelnb.errors import FileMissingError, OutputError
-from steelnb.project import Project, find_root, lock_digest
+from steelnb.project import Project, find_root
 from steelnb.reproduce import CheckReport, Status
 from steelnb.results import committed_bytes, differing, machine
 from steelnb.study.cluster import Advance, connected, local_workers, run_study
 from steelnb.study.cost import Costs, worker_bytes
-from steelnb.study.plan import CASE, Run, by_flight, make_runs, read_blocks
+from steelnb.study.plan import CASE, Run, by_flight, environment_digest, make_runs, read_blocks
 from steelnb.study.row import OK
 from steelnb.study.store import CURVES, RUNS, TIMES, Store, holding, parse_table
 
 STUDY_FILE = Path("notebooks", "study.toml")
+LOCK = "environment.lock"
 RESULTS = Path("results", "study")
 SAMPLE = 6
 """How many runs `check` runs again."""
@@ -58,7 +59,7 @@ def read_study_file(path: Path | None = None) -> list[Run]:
     """The runs of a study's file (default: the project's). Raises `SteelnbError`."""
     root = find_root()
     path = path or root / STUDY_FILE
-    return make_runs(read_blocks(path), lock_digest(root))
+    return make_runs(read_blocks(path), environment_digest(root / LOCK))
 
 
 def run(
@@ -127,7 +128,7 @@ def check(
         return None
     except ValueError as fault:
         raise FileMissingError(f"{project.root / name}: {fault}; expected the table of a study") from None
-    runs = make_runs(read_blocks(project.root / STUDY_FILE), lock_digest(project.root))
+    runs = make_runs(read_blocks(project.root / STUDY_FILE), environment_digest(project.root / LOCK))
     committed = {tuple(row[each] for each in CASE): row for row in rows if row["status"] == OK}
     pairs: list[tuple[str, str, Any, Any]] = [
         ("status", run.label, None, "a run of the study's file")

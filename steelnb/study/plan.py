@@ -3,10 +3,13 @@
 import ast
 import functools
 import hashlib
+import io
 import itertools
 import json
 import re
-from collections.abc import Iterable, Sequence
+import sys
+import tokenize
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -20,6 +23,8 @@ from steelnb.toml_file import read_toml
 
 ROOTS = ("steelnb.experiment", "steelnb.study.row")
 """What a run executes. Whatever these import, directly or not, is part of its key; reports on runs are not."""
+APART = ("steelnb.errors",)
+"""Behind every run, and without a say in what one that goes well comes to."""
 CASE = ("sensor", "duration_s", "blind", "trajectory", "seed", "noise", "variant", "method")
 """What names a run in tables, in the order in which tables are sorted: runs of one flight stand together."""
 
@@ -124,7 +129,7 @@ def read_blocks(path: Path) -> dict[str, Block]:
 def make_runs(blocks: dict[str, Block], lock: str | None) -> list[Run]:
     """The runs of all blocks, each once, in order; those of one flight follow each other.
 
-    ``lock`` is the digest of the environment. Raises `SettingsError`.
+    ``lock`` is the digest of the environment, `environment_digest`. Raises `SettingsError`.
     """
     code, runs = code_digest(), {}
     for name, block in blocks.items():
@@ -168,12 +173,47 @@ def code_digest() -> str:
 
 
 def digest_modules(folder: Path, roots: Sequence[str]) -> str:
-    """SHA-256 of the names and sources of `modules_behind`, whatever their line endings."""
+    """SHA-256 of the names and statements of `modules_behind`; comments, docstrings and line endings do not count."""
     whole = hashlib.sha256()
     for name, path in sorted(modules_behind(folder, roots).items()):
-        source = path.read_text(encoding="utf-8").encode()
+        source = statements(path.read_text(encoding="utf-8")).encode()
         whole.update(f"{name} {len(source)}\n".encode() + source)
     return whole.hexdigest()
+
+
+def statements(source: str) -> str:
+    """A module's source without comments, docstrings and empty lines."""
+    lines = [line.encode() for line in source.splitlines()]  # ast counts columns in bytes
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][: len(token.line[:column].encode())]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and node.end_lineno:
+            for row in range(node.lineno, node.end_lineno + 1):
+                lines[row - 1] = b""
+    return "\n".join(line.decode().rstrip() for line in lines if line.strip())
+
+
+def environment_digest(lock: Path) -> str | None:
+    """SHA-256 of the versions that a lock gives the libraries that the modules behind a run import; None without one.
+
+    What only other parts of the package need may be added and updated without running a study again.
+    """
+    if not lock.is_file():
+        return None
+    from importlib.metadata import packages_distributions
+
+    installed = packages_distributions()
+    paths = modules_behind(Path(steelnb.__file__).parent.parent, ROOTS).values()
+    imported = {name.partition(".")[0] for path in paths for name, _ in _imports(path)} - sys.stdlib_module_names
+    wanted = {_plain(each) for name in imported for each in installed.get(name, [name])}
+    versions = re.findall(r"^([\w.-]+)==([^\s;]+)", lock.read_text(encoding="utf-8"), re.MULTILINE)
+    return digest(sorted([_plain(name), version] for name, version in versions if _plain(name) in wanted))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def modules_behind(folder: Path, roots: Sequence[str]) -> dict[str, Path]:
@@ -189,17 +229,23 @@ def modules_behind(folder: Path, roots: Sequence[str]) -> dict[str, Path]:
         name = waiting.pop()
         place = folder.joinpath(*name.split("."))
         path = next((file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()), None)
-        if name in found or path is None or name.partition(".")[0] not in packages:
+        if name in found or path is None or name.partition(".")[0] not in packages or name in APART:
             continue
         found[name] = path
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                waiting += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                inside = [f"{node.module}.{alias.name}" for alias in node.names]
-                modules = [each for each in inside if _is_module(folder, each)]
-                waiting += modules if len(modules) == len(inside) else [node.module, *modules]
+        for module, names in _imports(path):
+            inside = [f"{module}.{each}" for each in names]
+            modules = [each for each in inside if _is_module(folder, each)]
+            waiting += modules if inside and len(modules) == len(inside) else [module, *modules]
     return found
+
+
+def _imports(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """The modules that a source's statements import, and the names they take from them."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, []) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module, [alias.name for alias in node.names]
 
 
 def _is_module(folder: Path, name: str) -> bool:

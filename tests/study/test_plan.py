@@ -12,15 +12,18 @@ import steelnb
 from steelnb.config import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.errors import FileMissingError, SettingsError
 from steelnb.study.plan import (
+    APART,
     ROOTS,
     Block,
     by_flight,
     code_digest,
     digest_modules,
+    environment_digest,
     make_run,
     make_runs,
     modules_behind,
     read_blocks,
+    statements,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -149,6 +152,27 @@ def test_modules_behind_are_those_imported_directly_or_not(tmp_path):
     assert digest_modules(folder, ["pack.top"]) == before
 
 
+def test_what_is_said_about_code_is_no_part_of_a_key():
+    source = 'x = "#1"  # why\n\ndef f(y):\n    """What."""\n    # how\n    return x + y  # é\n\nZ = 2\n"""Of Z."""\n'
+    assert statements(source) == 'x = "#1"\ndef f(y):\n    return x + y\nZ = 2'
+
+
+def test_the_environment_counts_as_far_as_a_run_imports_it(tmp_path):
+    lock = (ROOT / "environment.lock").read_text()
+
+    def of(text: str) -> str | None:
+        (tmp_path / "lock").write_text(text)
+        return environment_digest(tmp_path / "lock")
+
+    assert environment_digest(tmp_path / "none") is None
+    before = of(lock)
+    assert before == of(lock + "\nsomething-new==1.0 \\\n    --hash=sha256:00\n")
+    assert before == of(lock.replace("\njupyterlab==", "\njupyterlab==9"))
+    for name in ("numpy", "numba", "scipy", "open3d-cpu", "pybullet", "evo"):
+        assert f"\n{name}==" in lock
+        assert before != of(lock.replace(f"\n{name}==", f"\n{name}==9")), name
+
+
 def test_no_module_that_a_run_loads_is_missing_from_its_key():
     code = (
         "import sys\n"
@@ -161,7 +185,7 @@ def test_no_module_that_a_run_loads_is_missing_from_its_key():
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout
     behind = modules_behind(Path(steelnb.__file__).parents[1], ROOTS)
     assert "steelnb.registration.kernels" in shown.split()
-    assert not set(shown.split()) - set(behind)
+    assert not set(shown.split()) - set(behind) - set(APART)
     assert not {name for name in behind if name.startswith(("steelnb.figures", "steelnb.exports", "steelnb.cli"))}
     assert code_digest() == digest_modules(ROOT, ROOTS)
 
