@@ -38,4 +38,4 @@ def from_optical(points: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _rays(rows: int, columns: int, fx: float, fy: float, cx: float, cy: float) -> tuple[Array, Array]:
-    return (cx - np.arange(columns)) / fx, (cy - np.arange(rows)) / fy
+    return np.asarray((cx - np.arange(columns)) / fx), np.asarray((cy - np.arange(rows)) / fy)

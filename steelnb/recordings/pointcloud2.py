@@ -6,6 +6,7 @@ refused before anything is allocated, so that a corrupt message costs no more me
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,8 +102,7 @@ def _layout(fields: Sequence[Any], step: int, order: str) -> np.dtype:
     end = [offset + np.dtype(kind).itemsize for offset, kind in zip(offsets, formats, strict=True)]
     if max(end) > step:
         raise FileContentError(f"point_step {step}; expected at least {max(end)}, where its fields end")
-    order_of = sorted(zip(offsets, end, strict=True))
-    if any(second[0] < first[1] for first, second in zip(order_of, order_of[1:], strict=False)):
+    if any(start < end_before for (_, end_before), (start, _) in pairwise(sorted(zip(offsets, end, strict=True)))):
         raise FileContentError(f"x, y, z at bytes {offsets}; expected fields that do not overlap")
     return np.dtype({"names": ["x", "y", "z"], "formats": formats, "offsets": offsets, "itemsize": step})
 
