@@ -170,8 +170,22 @@ def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
     assert table["ate_outside_gaps_rmse_m"].notna().equals(blind)
     assert (table.loc[blind, "error_after_gaps_max_m"] < 0.05).all()
     assert {path.name for path in (smoke / "accuracy").glob("*.png")} == {
-        "fig_accuracy_vertical.png", "fig_accuracy_orbit.png"
-    }  # fmt: skip
+        f"fig_{name}_{trajectory}.png" for name in ("accuracy", "bands") for trajectory in ("vertical", "orbit")
+    }
+    assert table.groupby(["trajectory", "case", "method"])["seed"].nunique().ge(5).all()
+
+
+def test_the_segmentation_notebook_over_seeds_times_every_method_on_the_same_frames(smoke):
+    folder = smoke / "segmentation-seeds"
+    table, timing = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
+    assert table.groupby("method")["seed"].apply(list).map(tuple).nunique() == 1
+    assert table.groupby("seed")["points"].nunique().eq(1).all()
+    assert list(zip(timing["method"], timing["seed"], strict=True)) == list(
+        zip(table["method"], table["seed"], strict=True)
+    )
+    recall = table.groupby("method")["recall"].mean()
+    assert recall["hough"] > 0.8 > recall["dbscan"]
+    assert (folder / "fig_seeds.png").stat().st_size > 30_000
 
 
 def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):

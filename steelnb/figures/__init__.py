@@ -18,6 +18,7 @@ from steelnb.figures.segmentation import (
     USUAL,
     figure_conditions,
     figure_found,
+    figure_over_seeds,
     figure_sequence,
     figure_tuning,
 )
@@ -37,6 +38,7 @@ __all__ = [
     "figure_accuracy", "figure_basins", "figure_bend", "figure_claims", "figure_cloud_comparison",
     "figure_cloud_errors", "figure_cloud_methods", "figure_conditions", "figure_drift", "figure_error_bands",
     "figure_error_curves", "figure_false_convergence", "figure_flight", "figure_found", "figure_maps",
-    "figure_near_side", "figure_recall", "figure_scene", "figure_segment_odometry", "figure_sequence",
-    "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower", "figure_tuning",
+    "figure_near_side", "figure_over_seeds", "figure_recall", "figure_scene", "figure_segment_odometry",
+    "figure_sequence", "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower",
+    "figure_tuning",
 ]  # fmt: skip

@@ -181,6 +181,39 @@ def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame) -> Figure:
     return figure
 
 
+def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
+    """Recall, precision and time a frame of each method, a dot a seed, with the mean, or median of the times, as a bar.
+
+    ``table`` is `steelnb.study.trial_table` and ``timing`` `trial_timing` by seed.
+    """
+    methods = [name for name in LOOKS if name in set(table["method"])]
+    columns = (
+        (table, "recall", "recall"),
+        (table, "precision", "precision"),
+        (timing, "median_ms", "time a frame (ms)"),
+    )
+    with style():
+        figure = Figure(figsize=(11.0, 0.75 * len(methods) + 1.2))
+        panels = figure.subplots(1, len(columns), sharey=True)
+        for panel, (rows, number, words) in zip(panels, columns, strict=True):
+            for k, method in enumerate(methods):
+                colour, marker, _ = LOOKS[method]
+                values = rows[rows["method"] == method].sort_values("seed")[number].to_numpy()
+                spread = np.linspace(-0.25, 0.25, len(values))
+                panel.plot(values, k + spread, marker, color=colour, markersize=4, alpha=0.7, ls="")
+                middle = float(np.median(values) if number == "median_ms" else values.mean())
+                panel.plot([middle] * 2, [k - 0.38, k + 0.38], color="#000000", lw=2)
+            panel.set(xlabel=words)
+            panel.grid(axis="y", visible=False)
+        for panel in panels[:2]:
+            panel.set_xlim(-0.03, 1.03)
+        panels[2].set_xscale("log")
+        panels[2].xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panels[0].set_yticks(range(len(methods)), [_label(name) for name in methods])
+        panels[0].set_ylim(len(methods) - 0.5, -0.5)
+    return figure
+
+
 def _draw_map(panel: Axes, table: pd.DataFrame, by: str, number: str, low: float):  # type: ignore[no-untyped-def]
     fixed = table[table["rule"] == FIXED]
     grid = fixed.pivot_table(index=by, columns="dx_m", values=number)

@@ -123,16 +123,20 @@ def read_claims(path: Path) -> dict[str, Claim]:
     return claims
 
 
-def frame_runs(table: Path) -> pd.DataFrame:
-    """The table of the segmentation methods as runs, so that claims on single frames are judged like the others.
+def frame_runs(folder: Path) -> pd.DataFrame:
+    """The results of the segmentation methods as runs, so that claims on single frames are judged like the others.
 
     Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
-    without duration or noise; ``f1`` is the harmonic mean of recall and precision. Raises `FileMissingError`.
+    without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
+    that the folder has for them. Raises `FileMissingError`.
     """
+    names = ["scene", "noise_m", "clutter", "kept", "method", "seed"]
     try:
-        rows = pd.read_csv(table)
+        rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
     except OSError as fault:
-        raise FileMissingError(f"{table}: {fault.strerror}; expected results of segmentation-methods") from None
+        raise FileMissingError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
+    times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
+    rows = rows.merge(times, on=names, how="left", validate="one_to_one")
     usual = (rows["noise_m"] == NOISE_M) & (rows["clutter"] == CLUTTER) & (rows["kept"] == 1.0)
     rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
     both = rows["recall"] + rows["precision"]

@@ -173,13 +173,14 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
-    """Milliseconds a frame, median and 95th percentile, a row for each case of `trial_table` without its seeds."""
+def trial_timing(trials: Iterable[Trial], by_seed: bool = False) -> pd.DataFrame:
+    """Milliseconds a frame, median and 95th percentile, a row for each case of `trial_table`, with or without seeds."""
     rows = []
-    for key, some in _by_case(trials, lambda trial: ()):
+    names = (*CASE, "seed") if by_seed else CASE
+    for key, some in _by_case(trials, lambda trial: (trial.scene.seed,) if by_seed else ()):
         median, p95 = np.percentile([1e3 * t.seconds for t in some], [50, 95])
         points = float(np.mean([len(t.scene.points) for t in some]))
-        rows.append({**dict(zip(CASE, key, strict=True)), "points": points, "median_ms": median, "p95_ms": p95})
+        rows.append({**dict(zip(names, key, strict=True)), "points": points, "median_ms": median, "p95_ms": p95})
     return pd.DataFrame(rows)
 
 

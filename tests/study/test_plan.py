@@ -201,6 +201,7 @@ def test_the_study_of_the_project_holds_what_its_claims_need():
     assert all(len(seeds) >= 30 for seeds in report.values())
     assert all(len(seeds) >= 5 for seeds in by_case.values())
     assert {"average", "icp", "icp-3dof", "gicp"} <= {case[-1] for case in report}
+    assert {case[-1] for case in by_case if case[0] == "starling2"} >= {"best", "combined"}
     development = set(range(11, 17))  # seeds that chose settings
     assert not development & set().union(*by_case.values())
 
