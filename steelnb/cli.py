@@ -217,7 +217,7 @@ def gallery(
 
 @app.command()
 def segment(
-    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, XYZ, TXT, CSV, PTS or ASC file.")],
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, XYZ, TXT, CSV, PTS or ASC file.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the segments.")] = None,
     voxel: Annotated[float | None, typer.Option(help="Voxel size in metres; default: from the point spacing.")] = None,
     dx: Annotated[

@@ -15,9 +15,15 @@ from steelnb.errors import (
     UnsupportedFormatError,
 )
 from steelnb.recordings.headers import read_pcd, read_ply
+from steelnb.recordings.las import las_step, read_las
 from steelnb.recordings.text import read_text
 
-READERS = {".ply": read_ply, ".pcd": read_pcd} | dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc"), read_text)
+LAS = (".las", ".laz")
+READERS = (
+    {".ply": read_ply, ".pcd": read_pcd}
+    | dict.fromkeys(LAS, read_las)
+    | dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc"), read_text)
+)
 SHIFT_FROM_M = 1e4
 """Clouds whose middle is further out than this are shifted. UTM coordinates are; a site's own are not."""
 SHIFT_STEP_M = 100.0
@@ -46,7 +52,7 @@ class Cloud:
 
 
 def read_cloud(path: Path | str) -> Cloud:
-    """Read the points of a PLY, PCD or text file (XYZ, TXT, CSV, PTS, ASC); the ending decides, in any case.
+    """Read the points of a PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, PTS, ASC); the ending decides, in any case.
 
     Raises `FileMissingError`, `UnsupportedFormatError`, `FileContentError` (truncated, or not what its ending
     promises), `EmptyCloudError` (no finite point) and `DegenerateCloudError` (one point, maybe repeated).
@@ -59,12 +65,13 @@ def read_cloud(path: Path | str) -> Cloud:
         raise UnsupportedFormatError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
     try:
         points = reader(path)
+        step_m = las_step(path) if path.suffix.lower() in LAS else 0.0
     except OSError as fault:
         raise FileMissingError(f"{path}: cannot be read: {fault.strerror or fault}") from None
-    return _cleaned(points, path)
+    return _cleaned(points, path, step_m)
 
 
-def _cleaned(points: Array, path: Path) -> Cloud:
+def _cleaned(points: Array, path: Path, step_m: float) -> Cloud:
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise EmptyCloudError(f"{path}: {len(points)} points, none finite; expected at least two")
@@ -79,7 +86,7 @@ def _cleaned(points: Array, path: Path) -> Cloud:
     far = np.abs(middle).max() > SHIFT_FROM_M
     origin = SHIFT_STEP_M * np.round(middle / SHIFT_STEP_M) if far else np.zeros(3)
     single = bool((distinct == distinct.astype(np.float32)).all())
-    resolution = np.spacing(np.float32(largest)) if single else np.spacing(largest)
+    resolution = max(step_m, np.spacing(np.float32(largest)) if single else np.spacing(largest))
     # Rounded to 0.1 µm: then a shifted cloud has the very numbers, and so the segments, that it would have at home.
     near = np.round(distinct - origin, 7) if far else distinct
     return Cloud(near, origin, len(points) - len(valid), len(valid) - len(distinct), float(resolution))

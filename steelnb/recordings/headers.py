@@ -6,11 +6,13 @@ Only the decompression of PCD is left to Open3D, whose tensor reader keeps 8 byt
 """
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.datatypes import Array
 from steelnb.errors import EmptyCloudError, FileContentError
@@ -31,13 +33,15 @@ _PCD_TYPES = {
 @dataclass(frozen=True)
 class PointLayout:
     """Where the points of a file are: ``count`` records of ``fields`` (name, numpy type, how many) after ``offset``
-    bytes or, in text, after ``lines`` lines."""
+    bytes or, in text, after ``lines`` lines. More than one of ``rows`` make
+    them an image."""
 
     encoding: Literal["ascii", "binary", "compressed"]
     fields: tuple[tuple[str, str, int], ...]
     count: int
     offset: int
     lines: int
+    rows: int = 1
 
     @property
     def dtype(self) -> np.dtype:
@@ -55,25 +59,68 @@ def read_pcd(path: Path) -> Array:
     return _read(path, _pcd_layout(path))
 
 
+def read_pcd_image(path: Path) -> Array:
+    """As `read_pcd`, but ``(H, W, 3)`` where the header tells of more than one row."""
+    layout = _pcd_layout(path)
+    points = _read(path, layout)
+    return points.reshape(layout.rows, -1, 3) if layout.rows > 1 else points
+
+
+def binary_chunks(path: Path, size: int) -> Iterator[Array] | None:
+    """Points ``(n, 3)`` of a binary PLY or PCD file, ``size`` at most at a time; None for one of another encoding."""
+    layout = _layout(path)
+    if layout.encoding != "binary":
+        return None
+    return _chunks(path, layout, size)
+
+
+def point_count(path: Path) -> int:
+    """How many points the header of a PLY or PCD file promises. Raises `FileContentError`."""
+    return _layout(path).count
+
+
+def _layout(path: Path) -> PointLayout:
+    return (_ply_layout if path.suffix.lower() == ".ply" else _pcd_layout)(path)
+
+
+def _chunks(path: Path, layout: PointLayout, size: int) -> Iterator[Array]:
+    axes = _axes(path, layout)
+    _refuse_short(path, layout)
+    for first in range(0, layout.count, size):
+        place = layout.offset + first * layout.dtype.itemsize
+        yield _coordinates(np.fromfile(path, layout.dtype, min(size, layout.count - first), offset=place), axes)
+
+
 def _read(path: Path, layout: PointLayout) -> Array:
-    names = [name for name, _, _ in layout.fields]
-    if not all(axis in names for axis in "xyz"):
-        raise FileContentError(f"{path}: its points have the fields {', '.join(names) or 'none'}; expected x, y and z")
-    axes = [names.index(axis) for axis in "xyz"]
-    if layout.count < 1:
-        raise EmptyCloudError(f"{path}: its header promises {layout.count} points, expected at least two")
+    axes = _axes(path, layout)
     if layout.encoding == "ascii":
         before = [sum(many for _, _, many in layout.fields[:axis]) for axis in axes]
         return read_lines(path, TextLayout(layout.lines, None, ".", (before[0], before[1], before[2]), layout.count))
-    size, record = path.stat().st_size, layout.dtype.itemsize
     if layout.encoding == "compressed":
-        return _decompressed(path, layout, size - layout.offset)
-    if layout.offset + layout.count * record > size:
+        return _decompressed(path, layout, path.stat().st_size - layout.offset)
+    _refuse_short(path, layout)
+    return _coordinates(np.fromfile(path, layout.dtype, layout.count, offset=layout.offset), axes)
+
+
+def _axes(path: Path, layout: PointLayout) -> list[int]:
+    """Which of the fields are x, y and z."""
+    names = [name for name, _, _ in layout.fields]
+    if not all(axis in names for axis in "xyz"):
+        raise FileContentError(f"{path}: its points have the fields {', '.join(names) or 'none'}; expected x, y and z")
+    if layout.count < 1:
+        raise EmptyCloudError(f"{path}: its header promises {layout.count} points, expected at least two")
+    return [names.index(axis) for axis in "xyz"]
+
+
+def _refuse_short(path: Path, layout: PointLayout) -> None:
+    size, expected = path.stat().st_size, layout.offset + layout.count * layout.dtype.itemsize
+    if expected > size:
         raise FileContentError(
-            f"{path}: {size} bytes; expected {layout.offset + layout.count * record} for the {layout.count} points "
-            "that its header promises"
+            f"{path}: {size} bytes; expected {expected} for the {layout.count} points that its header promises"
         )
-    records = np.fromfile(path, layout.dtype, layout.count, offset=layout.offset)
+
+
+def _coordinates(records: NDArray, axes: list[int]) -> Array:
     return np.stack([records[f"f{axis}"][:, 0].astype(np.float64) for axis in axes], axis=1)
 
 
@@ -157,12 +204,13 @@ def _pcd_layout(path: Path) -> PointLayout:
         key: _whole(f"{path}: {key}", " ".join(entry[key])) for key in ("POINTS", "WIDTH", "HEIGHT") if key in entry
     }
     count = size_of.get("POINTS", size_of.get("WIDTH", 0) * size_of.get("HEIGHT", 1))
+    rows = size_of.get("HEIGHT", 1) if size_of.get("WIDTH", 0) * size_of.get("HEIGHT", 1) == count else 1
     encodings: dict[str, Literal["ascii", "binary", "compressed"]]
     encodings = {"ascii": "ascii", "binary": "binary", "binary_compressed": "compressed"}
     encoding = " ".join(entry["DATA"])
     if encoding not in encodings:
         raise FileContentError(f"{path}: DATA {encoding!r}; expected one of {', '.join(encodings)}")
-    return PointLayout(encodings[encoding], tuple(fields), count, offset, len(header))
+    return PointLayout(encodings[encoding], tuple(fields), count, offset, len(header), rows)
 
 
 def _whole(where: str, number: str, most: int = 10**12) -> int:

@@ -162,7 +162,7 @@ def test_single_precision_utm_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "error", "message"),
     [
-        ("a.las", "x", UnsupportedFormatError, r"'\.las'; expected one of \.ply, \.pcd, \.xyz"),
+        ("a.e57", "x", UnsupportedFormatError, r"'\.e57'; expected one of \.ply, \.pcd, \.las"),
         ("plain", "1 2 3\n", UnsupportedFormatError, "ending ''"),
         ("a.xyz", "", EmptyCloudError, "no line with a point"),
         ("a.csv", "x,y,z\n", EmptyCloudError, "no line with a point"),
