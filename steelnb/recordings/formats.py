@@ -1,13 +1,17 @@
 """Any of the files that hold a flight ↔ `Recording`: which form they have, and who reads and writes it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from steelnb.errors import FileMissingError, OutputError, UnsupportedFormatError
+from steelnb.recordings.bag_files import is_bag
+from steelnb.recordings.bag_writer import write_bag
+from steelnb.recordings.bags import open_bag
 from steelnb.recordings.choice import Choice
 from steelnb.recordings.recording import Recording
 from steelnb.recordings.segments import new_folder
+from steelnb.recordings.trajectories import read_trajectory, write_tum
 
 __all__ = ["FORMS", "Choice", "open_recording", "save_recording", "truth_path"]
 
@@ -26,9 +30,13 @@ class Reader:
     open: Callable[[Path, Choice], Recording]
 
 
-READERS: tuple[Reader, ...] = ()
+READERS: tuple[Reader, ...] = (Reader(is_bag, open_bag),)
 """Asked in this order."""
-WRITERS: dict[str, Callable[[Path, Recording, Progress], None]] = {}
+WRITERS: dict[str, Callable[[Path, Recording, Progress], None]] = {
+    "ros1": lambda path, recording, on_progress: write_bag(path, recording, "ros1", on_progress),
+    "mcap": lambda path, recording, on_progress: write_bag(path, recording, "mcap", on_progress),
+    "sqlite": lambda path, recording, on_progress: write_bag(path, recording, "sqlite", on_progress),
+}
 """Each writes a new file or folder at a path; the truth is not theirs."""
 
 
@@ -48,7 +56,15 @@ def open_recording(path: Path | str, choice: Choice = Choice()) -> Recording:  #
         raise UnsupportedFormatError(
             f"{path}: {what}; expected .bag, .mcap, .db3, a ROS 2 folder, or a folder of depth images or clouds"
         )
-    return reader.open(path, choice)
+    recording = reader.open(path, choice)
+    if recording.truth is not None:
+        return recording
+    named = Path(choice.truth) if choice.truth else truth_path(path)
+    if not named.is_file():
+        if choice.truth:
+            raise FileMissingError(f"{named}: does not exist; expected a trajectory file")
+        return recording
+    return replace(recording, truth=read_trajectory(named), facts=recording.facts | {"truth": str(named)})
 
 
 def save_recording(
@@ -64,12 +80,23 @@ def save_recording(
     form = form or ENDING.get(path.suffix.lower())
     if form not in WRITERS:
         raise UnsupportedFormatError(f"{path}: form {form or path.suffix!r}; expected one of {', '.join(WRITERS)}")
+    own = ENDING[path.suffix.lower()] if path.suffix.lower() in ENDING and path.suffix else None
+    if form != own if own else form == "ros1":
+        raise UnsupportedFormatError(f"{path}: form {form} with ending {path.suffix!r}; expected {_endings(form)}")
     if path.is_dir() and any(path.iterdir()):
         raise OutputError(f"{path}: a folder that is not empty; expected a new one")
     if recording.truth is None and truth_path(path).exists():
         raise OutputError(f"{truth_path(path)}: would be taken for this recording's truth; expected no such file")
     with new_folder(path.parent) as folder:
         WRITERS[form](folder / path.name, recording, on_progress or (lambda _: None))
+        if recording.truth is not None:
+            write_tum(truth_path(folder / path.name), recording.truth)
+
+
+def _endings(form: str) -> str:
+    """The endings that a form may have, in words."""
+    own = next((ending for ending, name in ENDING.items() if name == form and ending), "")
+    return f"a path that ends in {own}" if form == "ros1" else f"{own + ' or ' if own else ''}none, for a folder"
 
 
 def truth_path(path: Path) -> Path:
