@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from steelnb.errors import FileMissingError, OutputError, UnsupportedFormatError
@@ -9,6 +10,8 @@ from steelnb.recordings.bag_files import is_bag
 from steelnb.recordings.bag_writer import write_bag
 from steelnb.recordings.bags import open_bag
 from steelnb.recordings.choice import Choice
+from steelnb.recordings.cloud_folders import is_cloud_folder, open_clouds, save_clouds
+from steelnb.recordings.depth_folders import is_scenes, is_tum, open_scenes, open_tum, save_scenes, save_tum
 from steelnb.recordings.recording import Recording
 from steelnb.recordings.segments import new_folder
 from steelnb.recordings.trajectories import read_trajectory, write_tum
@@ -30,12 +33,20 @@ class Reader:
     open: Callable[[Path, Choice], Recording]
 
 
-READERS: tuple[Reader, ...] = (Reader(is_bag, open_bag),)
+READERS: tuple[Reader, ...] = (
+    Reader(is_bag, open_bag),
+    Reader(is_tum, open_tum),
+    Reader(is_scenes, open_scenes),
+    Reader(is_cloud_folder, open_clouds),
+)
 """Asked in this order."""
 WRITERS: dict[str, Callable[[Path, Recording, Progress], None]] = {
     "ros1": lambda path, recording, on_progress: write_bag(path, recording, "ros1", on_progress),
     "mcap": lambda path, recording, on_progress: write_bag(path, recording, "mcap", on_progress),
     "sqlite": lambda path, recording, on_progress: write_bag(path, recording, "sqlite", on_progress),
+    **{ending[1:]: partial(save_clouds, ending=ending) for ending in (".ply", ".pcd", ".las", ".laz", ".npy")},
+    "tum-rgbd": save_tum,
+    "7-scenes": save_scenes,
 }
 """Each writes a new file or folder at a path; the truth is not theirs."""
 
@@ -77,6 +88,20 @@ def save_recording(
     Raises `UnsupportedFormatError` and `OutputError`, and what reading the recording raises.
     """
     path = Path(path).absolute()
+    form = form_to_write(path, form)
+    if recording.truth is None and truth_path(path).exists():
+        raise OutputError(f"{truth_path(path)}: would be taken for this recording's truth; expected no such file")
+    with new_folder(path.parent) as folder:
+        WRITERS[form](folder / path.name, recording, on_progress or (lambda _: None))
+        if recording.truth is not None:
+            write_tum(truth_path(folder / path.name), recording.truth)
+
+
+def form_to_write(path: Path, form: str | None = None) -> str:
+    """The form that `save_recording` would write at a path: the one named, else that of the ending.
+
+    Raises `UnsupportedFormatError`, and `OutputError` for a folder that is not empty.
+    """
     form = form or ENDING.get(path.suffix.lower())
     if form not in WRITERS:
         raise UnsupportedFormatError(f"{path}: form {form or path.suffix!r}; expected one of {', '.join(WRITERS)}")
@@ -85,12 +110,7 @@ def save_recording(
         raise UnsupportedFormatError(f"{path}: form {form} with ending {path.suffix!r}; expected {_endings(form)}")
     if path.is_dir() and any(path.iterdir()):
         raise OutputError(f"{path}: a folder that is not empty; expected a new one")
-    if recording.truth is None and truth_path(path).exists():
-        raise OutputError(f"{truth_path(path)}: would be taken for this recording's truth; expected no such file")
-    with new_folder(path.parent) as folder:
-        WRITERS[form](folder / path.name, recording, on_progress or (lambda _: None))
-        if recording.truth is not None:
-            write_tum(truth_path(folder / path.name), recording.truth)
+    return form
 
 
 def _endings(form: str) -> str:
@@ -101,5 +121,6 @@ def _endings(form: str) -> str:
 
 def truth_path(path: Path) -> Path:
     """Where the truth of the recording at a path is: X.bag and X/ have X.truth.tum."""
+    path = path if path.name not in ("", "..") else path.resolve()
     stem = path.with_suffix("") if path.suffix.lower() in ENDING else path
     return stem.with_name(stem.name + ".truth.tum")
