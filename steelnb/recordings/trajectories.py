@@ -111,38 +111,47 @@ def read_euroc(path: Path | str, skipped: Counter[str] | None = None) -> Traject
 def read_kitti(
     path: Path | str,
     skipped: Counter[str] | None = None,
-    times: Path | None = None,
+    times: Path | Array | None = None,
     rate_hz: float | None = None,
 ) -> Trajectory:
     """Read lines of 12 numbers, the first three rows of a pose in KITTI's order.
 
-    The stamps come from ``times``, from a file of stamps in the same folder, or from ``rate_hz``, in this order; as
-    many as poses. The poses are taken as they are: those of KITTI's own files are of its camera. Matrices that are no
-    rotations are dropped and counted. Raises as `read_trajectory`, and `RecordingError` where there are no stamps.
+    The stamps come from ``times`` (a file, or seconds), from a file of stamps in the same folder, or from ``rate_hz``,
+    in this order; as many as poses. The poses are taken as they are: those of KITTI's own files are of its camera.
+    Matrices that are no rotations are left out and counted. Raises as `read_trajectory`, and `RecordingError` where
+    there are no stamps.
     """
     from evo.tools.file_interface import read_kitti_poses_file
 
     path = Path(path)
     T = np.array(read_kitti_poses_file(_clean(_rows(path, KITTI), " ")).poses_se3)
-    times = times or stamps_beside(path)
+    times = stamps_beside(path) if times is None else times
     if times is not None:
-        stamp_s = read_stamps(times)
+        stamp_s = read_stamps(times) if isinstance(times, Path) else times
         if len(stamp_s) != len(T):
-            raise RecordingError(f"{times}: {len(stamp_s)} stamps; expected the {len(T)} of the poses in {path.name}")
+            where = times if isinstance(times, Path) else path
+            raise RecordingError(f"{where}: {len(stamp_s)} stamps; expected the {len(T)} of the poses in {path.name}")
     elif rate_hz is not None:
         stamp_s = np.arange(len(T)) / rate_hz
     else:
         raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them, or a rate")
-    R = T[:, :3, :3]
+    return trajectory_of_matrices(path, stamp_s, T, skipped)
+
+
+def trajectory_of_matrices(
+    path: Path, stamp_s: Array, T_world_drone: Array, skipped: Counter[str] | None = None
+) -> Trajectory:
+    """As `trajectory_of`, from ``T_world_drone (N, 4, 4)``; those that are no rotations are left out and counted."""
+    R = T_world_drone[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         rotates = (off < ROTATION_TOLERANCE) & (np.linalg.det(np.where(np.isfinite(R), R, 0.0)) > 0)
-    quaternion = np.full((len(T), 4), np.nan)
+    quaternion = np.full((len(R), 4), np.nan)
     quaternion[rotates] = Rotation.from_matrix(R[rotates]).as_quat()
     none = ~rotates & np.isfinite(R).all(axis=(1, 2))
     if skipped is not None:
         _count(skipped, "pose whose matrix is no rotation", none)
-    return trajectory_of(path, stamp_s[~none], T[~none, :3, 3], quaternion[~none], skipped)
+    return trajectory_of(path, stamp_s[~none], T_world_drone[~none, :3, 3], quaternion[~none], skipped)
 
 
 def trajectory_of(
