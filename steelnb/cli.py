@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 import steelnb
+from steelnb import cli_recordings
 from steelnb import reproduce as notebooks
 from steelnb.config import Tolerance
 from steelnb.errors import SettingsError, SteelnbError
@@ -278,6 +279,9 @@ def structure(
             print(f"{file} written")
         return
     print("\n".join(structures.describe_file(first)))
+
+
+app.add_typer(cli_recordings.app)
 
 
 def _short(folder: Path) -> Path:

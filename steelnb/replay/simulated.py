@@ -1,6 +1,7 @@
 """A simulated flight as a recording: sensor data, drifting poses at 125 Hz, and the truth apart."""
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from steelnb import experiment
 from steelnb.config import ExperimentSettings
 from steelnb.datatypes import Array, RangeScans, Scan
+from steelnb.errors import OutputError
 from steelnb.noise import drifting
+from steelnb.recordings.formats import form_to_write, save_recording
 from steelnb.recordings.recording import Picture, Recording
 
 PICTURE_PERIOD_S = 1.0
@@ -72,3 +75,28 @@ def simulated_recording(settings: ExperimentSettings, pictures: bool = False) ->
         pictures=RangePictures(scans, settings.tof.range_max_m) if pictures else None,
         facts=facts,
     )
+
+
+def record(
+    path: Path | str,
+    settings: ExperimentSettings,
+    form: str | None = None,
+    pictures: bool = False,
+    on_progress: Callable[[float, str], None] | None = None,
+) -> Recording:
+    """Simulate a flight and save it; the truth goes to ``STEM.truth.tum``. ``on_progress`` gets a share, and of what.
+
+    Where nothing can be written is said before anything is flown. Raises `OutputError`, `UnsupportedFormatError` and
+    `CollisionError`.
+    """
+    path, say = Path(path), on_progress or (lambda share, what: None)
+    form_to_write(path, form)
+    if path.is_file():
+        raise OutputError(f"{path}: exists already; expected a new name")
+    place = next(folder for folder in path.absolute().parents if folder.exists())
+    if not place.is_dir() or not os.access(place, os.W_OK):
+        raise OutputError(f"{path}: cannot be written: {place} is no folder that can be written to")
+    say(0.0, f"flying {settings.flight.duration_s:g} s")
+    recording = simulated_recording(settings, pictures)
+    save_recording(path, recording, form, lambda share: say(share, "writing"))
+    return recording
