@@ -1,0 +1,239 @@
+"""A flight, frame by frame → one .rrd file with a timeline, which rerun's viewers play."""
+
+import contextlib
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.datatypes import Array, OdometryStep, Segments
+from steelnb.errors import OutputError
+from steelnb.recordings import new_folder
+from steelnb.recordings.recording import Picture
+from steelnb.viewer.layout import BARS, CLOUD, SCAN, TIMELINE, TRACKS, WIDTHS, layout, rgb
+
+if TYPE_CHECKING:
+    from rerun import Points3D, RecordingStream
+
+SCAN_POINTS_MAX = 2000
+"""Points of one scan: a flight of 200 s at 5 Hz stays at 25 MB, and a bar is still told from another."""
+MAP_POINTS_MAX = 20_000
+MAP_PERIOD_S = 5.0
+FAR_M = 10_000.0
+"""Viewers compute in single precision: from here on coordinates are counted from the first pose."""
+EPOCH_S = 1e8
+"""Stamps beyond it (1973) are of the calendar, as bags have them; others count from the start of a flight."""
+JPEG_QUALITY = 80
+
+
+class Log:
+    """One .rrd file, written while a flight goes on; used as a context manager.
+
+    The file is written beside ``path`` and renamed at the end; nothing stays where an error, Ctrl-C included, came in
+    between. What is logged goes to the disk at once, so memory does not grow with the flight. Entities: ``world/scan``
+    (sensor's points at the pose shown), ``world/map``, ``world/bars``, ``world/true``, ``world/drifting``,
+    ``world/corrected`` (trajectories), ``error/…`` (distance to the truth in metres), ``matches`` and ``camera``;
+    ``range`` is the scan as a picture, where it is organised. Points and lines are metres in the world frame, single
+    precision, less `origin`.
+
+    Raises `OutputError` on entering where nothing can be written, and on leaving where the disk was full.
+    """
+
+    def __init__(self, path: Path | str, name: str, T_drone_sensor: Array) -> None:
+        self.path, self.name, self.T_drone_sensor = Path(path).absolute(), name, T_drone_sensor
+        self.origin = np.zeros(3)
+        """What is taken off all positions ``(3,)``: zero, but for flights far from the origin of the world."""
+        self._stack = contextlib.ExitStack()
+        self._stream: RecordingStream | None = None
+        self._last: dict[str, Array] = {}
+        self._map_stamp_s = -np.inf
+        self._waiting: tuple[float, Array | None, Segments | None] | None = None
+        self._views: tuple[str, ...] = ()
+        self._range_max_m = 0.0
+
+    def __enter__(self) -> Self:
+        import rerun as rr
+
+        folder = self._stack.enter_context(new_folder(self.path.parent))
+        self._file = folder / self.path.name
+        stream = rr.RecordingStream("steelnb")
+        stream.set_log_time_enabled(False)
+        stream.set_log_tick_enabled(False)
+        try:
+            stream.save(self._file)
+        except Exception as fault:  # rerun has no type for it
+            self._stack.close()
+            raise OutputError(f"{self.path}: cannot be written: {fault}") from None
+        self._stream = stream
+        stream.send_recording_name(self.name)
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for name, colour in TRACKS.items():
+            radius = rr.Radius.ui_points(WIDTHS[name] / 2)
+            stream.log(f"world/{name}", rr.LineStrips3D.from_fields(colors=[rgb(colour)], radii=[radius]), static=True)
+            if name != "true":
+                series = rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2])
+                stream.log(f"error/{name}", series, static=True)
+        stream.log("matches", rr.SeriesLines(colors=[rgb(BARS)], names=["pairs matched"], widths=[2]), static=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if fault is None and self._waiting:
+                self._log_map(*self._waiting)
+            self._finish(check=fault is None)
+        except BaseException as other:
+            if not self._stack.__exit__(type(other), other, other.__traceback__):
+                raise
+        else:
+            self._stack.__exit__(kind, fault, trace)
+
+    def map_due(self, stamp_s: float) -> bool:
+        """Whether `frame` would log a map now: for callers to whom a map is work."""
+        return stamp_s - self._map_stamp_s >= MAP_PERIOD_S
+
+    def frame(
+        self,
+        stamp_s: float,
+        points_sensor: Array,
+        step: OdometryStep | None,
+        T_world_drone_prior: Array,
+        T_world_drone_true: Array | None = None,
+        map_points: Array | None = None,
+        segments: Segments | None = None,
+        picture: Picture | NDArray[np.uint8] | None = None,
+    ) -> None:
+        """Log one scan ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, NaN for no return, and what came of it.
+
+        ``step`` is None where nothing corrects; the drone is then shown at its prior pose. Maps ``(N, 3)`` and the
+        segments of a map are in the world frame, and logged once in `MAP_PERIOD_S`, and the last given at the end.
+        """
+        poses = {"true": T_world_drone_true, "drifting": T_world_drone_prior}
+        poses["corrected"] = step.T_world_drone if step else None
+        if not self._last and np.abs(T_world_drone_prior[:3, 3]).max() > FAR_M:
+            self.origin = np.round(T_world_drone_prior[:3, 3])
+        views = {"error": T_world_drone_true is not None, "matches": step is not None}
+        self._show(*(name for name, given in views.items() if given))
+        self._at(stamp_s)
+        T_world_drone = T_world_drone_prior if step is None else step.T_world_drone
+        self._log_scan(points_sensor, T_world_drone @ self.T_drone_sensor)
+        self._log_poses(poses, step)
+        if picture is not None:
+            self._log_picture(picture)
+        if map_points is not None or segments is not None:
+            self._waiting = (stamp_s, map_points, segments)
+            if self.map_due(stamp_s):
+                self._log_map(*self._waiting)
+
+    def _at(self, stamp_s: float) -> None:
+        if stamp_s > EPOCH_S:
+            self._out.set_time(TIMELINE, timestamp=stamp_s)
+        else:
+            self._out.set_time(TIMELINE, duration=stamp_s)
+
+    @property
+    def _out(self) -> "RecordingStream":
+        if self._stream is None:
+            raise ValueError("a Log is used within `with`")
+        return self._stream
+
+    def _show(self, *names: str) -> None:
+        """Lay out what there is; again where something new comes in."""
+        wanted = tuple(dict.fromkeys((*self._views, *names)))
+        if wanted != self._views or not self._views:
+            self._views = wanted
+            self._out.send_blueprint(layout(wanted))
+
+    def _log_scan(self, points_sensor: Array, T_world_sensor: Array) -> None:
+        import rerun as rr
+
+        points = points_sensor.reshape(-1, 3)
+        points = thinned(points[np.isfinite(points).all(axis=1)], SCAN_POINTS_MAX)
+        world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
+        self._out.log(
+            "world/scan", rr.Points3D(self._single(world), colors=[rgb(SCAN)], radii=[rr.Radius.ui_points(1.5)])
+        )
+        if points_sensor.ndim == 3 and len(points):
+            range_m = np.linalg.norm(points_sensor, axis=2)
+            self._range_max_m = max(self._range_max_m, float(np.nanmax(range_m)))
+            near = np.nan_to_num(255 * (1 - 0.9 * range_m / self._range_max_m)).astype(np.uint8)
+            self._out.log("range", rr.Image(near, color_model="L").compress(jpeg_quality=JPEG_QUALITY))
+            self._show("range")
+
+    def _log_poses(self, poses: dict[str, Array | None], step: OdometryStep | None) -> None:
+        import rerun as rr
+
+        true = poses["true"]
+        for name, T_world_drone in poses.items():
+            if T_world_drone is None:
+                self._last.pop(name, None)
+                continue
+            here = T_world_drone[:3, 3]
+            way = np.stack([self._last.get(name, here), here])
+            self._out.log(f"world/{name}", rr.LineStrips3D.from_fields(strips=[self._single(way)]))
+            self._last[name] = here
+            if true is not None and name != "true":
+                self._out.log(f"error/{name}", rr.Scalars(float(np.linalg.norm(here - true[:3, 3]))))
+        if step is not None:
+            self._out.log("matches", rr.Scalars(float(step.matches)))
+
+    def _log_picture(self, picture: Picture | NDArray[np.uint8]) -> None:
+        import rerun as rr
+
+        pixels = picture.pixels if isinstance(picture, Picture) else picture
+        self._show("camera")
+        if isinstance(picture, Picture):
+            self._at(picture.stamp_s)
+        model = "L" if pixels.ndim == 2 else "RGB"
+        self._out.log("camera", rr.Image(pixels, color_model=model).compress(jpeg_quality=JPEG_QUALITY))
+
+    def _log_map(self, stamp_s: float, points: Array | None, segments: Segments | None) -> None:
+        import rerun as rr
+
+        self._at(stamp_s)
+        self._map_stamp_s, self._waiting = stamp_s, None
+        if points is not None:
+            cloud = thinned(points[np.isfinite(points).all(axis=1)], MAP_POINTS_MAX)
+            self._out.log(
+                "world/map", rr.Points3D(self._single(cloud), colors=[rgb(CLOUD)], radii=[rr.Radius.ui_points(1.0)])
+            )
+        if segments is not None:
+            bars = self._single(np.stack([segments.start, segments.end], axis=1))
+            self._out.log("world/bars", rr.LineStrips3D(bars, colors=[rgb(BARS)], radii=[rr.Radius.ui_points(1.5)]))
+
+    def _cloud(self, points: Array, colour: str, pixels: float) -> "Points3D":
+        import rerun as rr
+
+        return rr.Points3D(self._single(points), colors=[rgb(colour)], radii=[rr.Radius.ui_points(pixels)])
+
+    def _single(self, positions: Array) -> NDArray[np.float32]:
+        return (positions - self.origin).astype(np.float32)
+
+    def _finish(self, check: bool) -> None:
+        """End the file; with ``check``, see that it has its end, since rerun tells nobody that a disk is full."""
+        stream, self._stream = self._stream, None
+        if stream is None:
+            return
+        stream.disconnect()
+        if check:
+            complete(self._file, self.path)
+
+
+def complete(file: Path, called: Path) -> None:
+    """Raise `OutputError` about ``called`` where an .rrd file has no table of contents at its end."""
+    from rerun.chunk import RrdReader
+
+    try:
+        RrdReader(file).store()
+    except Exception as fault:  # rerun raises several
+        raise OutputError(f"{called}: cannot be written: no whole file reached the disk ({fault})") from None
+
+
+def thinned(points: Array, points_max: int) -> Array:
+    """At most so many of the points ``(N, 3)``, evenly taken."""
+    if len(points) <= points_max:
+        return points
+    return points[np.linspace(0, len(points) - 1, points_max).astype(int)]
