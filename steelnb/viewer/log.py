@@ -12,6 +12,7 @@ from steelnb.datatypes import Array, OdometryStep, Segments
 from steelnb.errors import OutputError
 from steelnb.recordings import new_folder
 from steelnb.recordings.recording import Picture
+from steelnb.viewer.drain import Drain
 from steelnb.viewer.layout import BARS, CLOUD, SCAN, TIMELINE, TRACKS, WIDTHS, layout, rgb
 
 if TYPE_CHECKING:
@@ -57,15 +58,15 @@ class Log:
         import rerun as rr
 
         folder = self._stack.enter_context(new_folder(self.path.parent))
-        self._file = folder / self.path.name
         stream = rr.RecordingStream("steelnb")
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         try:
-            stream.save(self._file)
-        except Exception as fault:  # rerun has no type for it
+            self._drain = Drain(folder / self.path.name)
+            stream.save(self._drain.entry)
+        except OSError as fault:
             self._stack.close()
-            raise OutputError(f"{self.path}: cannot be written: {fault}") from None
+            raise OutputError(f"{self.path}: cannot be written: {fault.strerror or fault}") from None
         self._stream = stream
         stream.send_recording_name(self.name)
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -84,7 +85,7 @@ class Log:
         try:
             if fault is None and self._waiting:
                 self._log_map(*self._waiting)
-            self._finish(check=fault is None)
+            self._finish()
         except BaseException as other:
             if not self._stack.__exit__(type(other), other, other.__traceback__):
                 raise
@@ -115,6 +116,7 @@ class Log:
         poses["corrected"] = step.T_world_drone if step else None
         if not self._last and np.abs(T_world_drone_prior[:3, 3]).max() > FAR_M:
             self.origin = np.round(T_world_drone_prior[:3, 3])
+        self._check()
         views = {"error": T_world_drone_true is not None, "matches": step is not None}
         self._show(*(name for name, given in views.items() if given))
         self._at(stamp_s)
@@ -212,24 +214,17 @@ class Log:
     def _single(self, positions: Array) -> NDArray[np.float32]:
         return (positions - self.origin).astype(np.float32)
 
-    def _finish(self, check: bool) -> None:
-        """End the file; with ``check``, see that it has its end, since rerun tells nobody that a disk is full."""
+    def _finish(self) -> None:
         stream, self._stream = self._stream, None
-        if stream is None:
-            return
-        stream.disconnect()
-        if check:
-            complete(self._file, self.path)
+        if stream is not None:
+            stream.disconnect()
+            self._drain.close()
+            self._check()
 
-
-def complete(file: Path, called: Path) -> None:
-    """Raise `OutputError` about ``called`` where an .rrd file has no table of contents at its end."""
-    from rerun.chunk import RrdReader
-
-    try:
-        RrdReader(file).store()
-    except Exception as fault:  # rerun raises several
-        raise OutputError(f"{called}: cannot be written: no whole file reached the disk ({fault})") from None
+    def _check(self) -> None:
+        if self._drain.fault is not None:
+            fault = self._drain.fault
+            raise OutputError(f"{self.path}: cannot be written: {fault.strerror or fault}")
 
 
 def thinned(points: Array, points_max: int) -> Array:
