@@ -72,20 +72,19 @@ def decode_points(message: Any) -> Array:
     data = _bytes(message.data)
     if len(data) < height * row:
         raise FileContentError(f"data of {len(data)} bytes; expected {height * row} for {height} rows of {row}")
-    records = np.ndarray((height, width), layout, data, strides=(row, step))
     points = np.empty((height, width, 3))
     with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN; sums of the largest numbers
-        for k, axis in enumerate("xyz"):
-            points[..., k] = records[axis]
+        for k, (kind, offset) in enumerate(layout):
+            points[..., k] = np.ndarray((height, width), kind, data, offset, (row, step))
         invalid = ~np.isfinite(points @ np.ones(3))
     if invalid.any():
         points[invalid] = np.nan
     return points if height > 1 and width > 1 else points.reshape(-1, 3)
 
 
-def _layout(fields: Sequence[Any], step: int, order: str) -> np.dtype:
-    """Where x, y and z lie in a record of ``step`` bytes."""
-    formats, offsets = [], []
+def _layout(fields: Sequence[Any], step: int, order: str) -> list[tuple[str, int]]:
+    """Type and offset of x, y and z in a record of ``step`` bytes."""
+    layout = []
     names = [field.name for field in fields]
     for axis in "xyz":
         if names.count(axis) != 1:
@@ -97,14 +96,13 @@ def _layout(fields: Sequence[Any], step: int, order: str) -> np.dtype:
             raise FileContentError(f"field {axis} of datatype {named}; expected FLOAT32 or FLOAT64")
         if _whole(field, "count") > 1:  # old drivers write 0 for 1
             raise FileContentError(f"field {axis} with count {field.count}; expected 1")
-        formats.append(order + FLOATS[field.datatype])
-        offsets.append(_whole(field, "offset"))
-    end = [offset + np.dtype(kind).itemsize for offset, kind in zip(offsets, formats, strict=True)]
-    if max(end) > step:
-        raise FileContentError(f"point_step {step}; expected at least {max(end)}, where its fields end")
-    if any(start < end_before for (_, end_before), (start, _) in pairwise(sorted(zip(offsets, end, strict=True)))):
-        raise FileContentError(f"x, y, z at bytes {offsets}; expected fields that do not overlap")
-    return np.dtype({"names": ["x", "y", "z"], "formats": formats, "offsets": offsets, "itemsize": step})
+        layout.append((order + FLOATS[field.datatype], _whole(field, "offset")))
+    spans = sorted((offset, offset + np.dtype(kind).itemsize) for kind, offset in layout)
+    if spans[-1][1] > step:
+        raise FileContentError(f"point_step {step}; expected at least {spans[-1][1]}, where its fields end")
+    if any(start < end for (_, end), (start, _) in pairwise(spans)):
+        raise FileContentError(f"x, y, z at bytes {[at for _, at in layout]}; expected fields that do not overlap")
+    return layout
 
 
 def _whole(holder: Any, name: str) -> int:
