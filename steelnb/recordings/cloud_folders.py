@@ -9,15 +9,16 @@ import numpy as np
 from steelnb.datatypes import Array, Trajectory
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, TopicError
 from steelnb.recordings.choice import Choice, read_settings
-from steelnb.recordings.file_scans import FileScans, chosen, in_order
+from steelnb.recordings.file_scans import FilePictures, FileScans, chosen, in_order, rising
+from steelnb.recordings.images import read_picture, write_png
+from steelnb.recordings.imu_files import IMU, read_imu, write_imu
 from steelnb.recordings.points import READERS, WRITERS, read_points
 from steelnb.recordings.recording import Recording
 from steelnb.recordings.stamps import STAMP_FILES, name_of, read_list, stamps_beside, stamps_of_names
 from steelnb.recordings.trajectories import KITTI, form_of, read_kitti, read_trajectory, write_tum
 
-SETTINGS = "settings.toml"
-TRAJECTORY = "trajectory.txt"
-"""What we write beside the scans: the drone's poses as recorded, and where the sensor is on it."""
+SETTINGS, TRAJECTORY, PICTURES = "settings.toml", "trajectory.txt", "pictures"
+"""What we write beside the scans: where the sensor is on the drone, the drone's poses as recorded, camera images."""
 TEXTS = (".tum", ".txt", ".csv", ".kitti", ".poses")
 TRUE = ("groundtruth", "ground_truth", "gt")
 Progress = Callable[[float], None]
@@ -36,7 +37,7 @@ def open_clouds(path: Path, choice: Choice) -> Recording:
     those of the trajectory. Raises `RecordingError`, `TopicError`, `FileContentError`, and what settings raise.
     """
     skipped: Counter[str] = Counter()
-    facts = {"format": "folder of clouds"}
+    facts = {"form": "folder of clouds"}
     files = _files(path, choice.scans)
     T_drone_sensor, _ = read_settings(settings_file(path, choice))
     stamp_s, source = scan_stamps(path, files)
@@ -56,11 +57,12 @@ def open_clouds(path: Path, choice: Choice) -> Recording:
         truth, facts["poses"] = poses, "true poses"
     mount = np.eye(4) if T_drone_sensor is None else T_drone_sensor
     scans = FileScans(stamp_s, files, read_points, skipped, facts)
-    return Recording(path, scans, poses, mount, truth=truth, skipped=skipped, facts=facts)
+    imu, pictures = read_imu(path / IMU, skipped), _pictures(path / PICTURES, skipped)
+    return Recording(path, scans, poses, mount, imu, truth, pictures, skipped, facts)
 
 
 def save_clouds(target: Path, recording: Recording, on_progress: Progress, ending: str) -> None:
-    """Write each scan as a file named after its stamp, the poses as ``trajectory.txt``, and ``settings.toml``.
+    """Write each scan as a file named after its stamp, and what else there is beside: poses, extrinsics, IMU, pictures.
 
     NPY and PCD keep images; the others hold the finite points alone. NPY is exact; PLY and PCD are in single
     precision, LAS and LAZ in steps of 10 µm.
@@ -71,6 +73,11 @@ def save_clouds(target: Path, recording: Recording, on_progress: Progress, endin
         on_progress((k + 1) / len(recording.scans.stamp_s))
     write_tum(target / TRAJECTORY, recording.poses)
     write_settings(target / SETTINGS, recording.T_drone_sensor)
+    write_imu(target / IMU, recording.imu)
+    if recording.pictures is not None and len(recording.pictures.stamp_s):
+        (target / PICTURES).mkdir()
+        for picture in recording.pictures.walk():
+            write_png(target / PICTURES / f"{name_of(picture.stamp_s)}.png", picture.pixels)
 
 
 def write_settings(path: Path, T_drone_sensor: Array, intrinsics: str = "") -> None:
@@ -162,6 +169,16 @@ def _poses(file: Path, stamp_s: Array | None, skipped: Counter[str]) -> Trajecto
     if form_of(file) is KITTI and stamps_beside(file) is None and stamp_s is not None:
         return read_kitti(file, skipped, times=stamp_s)
     return read_trajectory(file, skipped)
+
+
+def _pictures(folder: Path, skipped: Counter[str]) -> FilePictures | None:
+    """Images named after their stamps."""
+    files = in_order([file for file in folder.iterdir() if file.suffix.lower() == ".png"]) if folder.is_dir() else []
+    stamp_s = stamps_of_names([file.stem for file in files])
+    if stamp_s is None:
+        return None
+    kept = rising(stamp_s, skipped, "picture: ")
+    return FilePictures(stamp_s[kept], [files[k] for k in kept], read_picture, skipped)
 
 
 def _holds_poses(file: Path) -> bool:

@@ -24,16 +24,10 @@ from steelnb.recordings.cloud_folders import (
     truth_of,
     write_settings,
 )
-from steelnb.recordings.depth_images import (
-    LARGEST,
-    camera_of,
-    camera_of_scans,
-    depths_of,
-    read_depth,
-    read_picture,
-    write_png,
-)  # fmt: skip
+from steelnb.recordings.depth_images import LARGEST, camera_of, camera_of_scans, depths_of
 from steelnb.recordings.file_scans import FilePictures, FileScans, chosen, rising
+from steelnb.recordings.images import read_depth, read_picture, write_png
+from steelnb.recordings.imu_files import IMU, read_imu, write_imu
 from steelnb.recordings.pinhole import T_OPTICAL_SENSOR, depth_points
 from steelnb.recordings.recording import GAP_MAX_S, Recording, interpolate
 from steelnb.recordings.stamps import name_of, read_list, read_stamps, text_lines
@@ -67,7 +61,7 @@ def open_tum(path: Path, choice: Choice) -> Recording:
     Raises `RecordingError` without images or poses, `FileContentError`, and `SettingsError` without intrinsics.
     """
     skipped: Counter[str] = Counter()
-    facts = {"format": "TUM RGB-D"}
+    facts = {"form": "TUM RGB-D"}
     stamp_s, files = _listed(path / "depth.txt")
     default = next(numbers for name, numbers in TUM_CAMERAS.items() if name in path.absolute().as_posix())
     said = f"published default of {next(n for n in TUM_CAMERAS if n in path.absolute().as_posix()) or 'the driver'}"
@@ -76,7 +70,7 @@ def open_tum(path: Path, choice: Choice) -> Recording:
     stamp_s, files = chosen(path, stamp_s, files, skipped)
     load = partial(_load, camera=camera, scale=camera.depth_scale or TUM_SCALE, invalid=0)
     return Recording(
-        path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor,
+        path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor, read_imu(path / IMU, skipped),
         truth=_truth(path, choice, T_drone_sensor, skipped, poses if true else None),
         pictures=_pictures(*_listed(path / "rgb.txt"), skipped) if (path / "rgb.txt").is_file() else None,
         skipped=skipped, facts=facts,
@@ -89,7 +83,7 @@ def open_scenes(path: Path, choice: Choice) -> Recording:
     Raises as `open_tum`.
     """
     skipped: Counter[str] = Counter()
-    facts = {"format": "7-Scenes"}
+    facts = {"form": "7-Scenes"}
     files = sorted((f for f in path.iterdir() if _FRAME.fullmatch(f.name)), key=lambda f: (_number(f), f.name))
     stamp_s = np.array([_number(file) / SCENES_RATE_HZ for file in files])
     facts["stamps"] = f"frame numbers at {SCENES_RATE_HZ:g} Hz"
@@ -109,7 +103,7 @@ def open_scenes(path: Path, choice: Choice) -> Recording:
     stamp_s, files = chosen(path, stamp_s, files, skipped)
     load = partial(_load, camera=camera, scale=camera.depth_scale or SCENES_SCALE, invalid=LARGEST)
     return Recording(
-        path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor,
+        path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor, read_imu(path / IMU, skipped),
         truth=_truth(path, choice, T_drone_sensor, skipped, None if name else poses),
         pictures=_pictures(np.array([s for s, _ in colours]), [f for _, f in colours], skipped) if colours else None,
         skipped=skipped, facts=facts,
@@ -175,6 +169,7 @@ def _save_depths(
     write_tum(target / TRAJECTORY, Trajectory(recording.poses.stamp_s, T))
     intrinsics = camera.model_copy(update={"depth_scale": scale}).model_dump()
     table = "".join(f"{name} = {value!r}\n" for name, value in intrinsics.items())
+    write_imu(target / IMU, recording.imu)
     write_settings(target / SETTINGS, recording.T_drone_sensor, f"\n[intrinsics]\n{table}")
 
 
