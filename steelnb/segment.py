@@ -17,6 +17,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.preprocess import voxel_grid
 from steelnb.recordings import Cloud, new_folder, read_cloud, write_segments
+from steelnb.recordings.thinning import is_large, read_thinned
 
 MIN_VOTES = 8
 STRAIGHT = 0.7
@@ -53,6 +54,9 @@ def segment_file(
 ) -> SegmentReport:
     """Find the bars in the cloud of a file and write them to the folder ``output``, default ``<stem>_segments`` here.
 
+    A cloud too large for memory is thinned while it is read, to voxels a fraction of dx wide (`recordings.thinning`);
+    what follows then sees their means alone.
+
     ``dx_m`` is the radius of the tube that holds a bar's points (default: `tube_radius`), ``voxel_m`` the edge of the
     voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
     filtered points of a bar, and the least number by which those in its tube outweigh those around it. With
@@ -67,7 +71,7 @@ def segment_file(
     if votes < 2:
         raise SettingsError(f"min_votes = {votes}: expected at least 2")
     with new_folder(Path(output) if output else Path(f"{path.stem}_segments")) as folder:
-        cloud = read_cloud(path)
+        cloud = read_thinned(path) if is_large(path) else read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
         dx = dx_m or max(tube_radius(cloud.points), math.sqrt(3) * (voxel_m or 0.0))
@@ -76,9 +80,10 @@ def segment_file(
         found = segment_structure(points, dx, votes)
         found = found.take(np.argsort(-found.length, kind="stable"))
         groups = orientation(found)
-        explained, filtered = (float(within(some, found, dx).mean()) for some in (cloud.points, points))
+        explained = float(np.average(within(cloud.points, found, dx), weights=cloud.count))
+        filtered = float(within(points, found, dx).mean())
         about = {
-            "source": path.name, "points": len(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
+            "source": path.name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
             "explained": explained, "explained_filtered": filtered,
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
@@ -181,12 +186,22 @@ def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
         raise SettingsError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
 
 
+def _size(cloud: Cloud) -> int:
+    return len(cloud) if cloud.count is None else int(cloud.count.sum())
+
+
 def _summary_of_cloud(name: str, cloud: Cloud, filtered: int, voxel: float, dx: float) -> list[str]:
     dropped = f"{cloud.dropped_duplicates} duplicates and {cloud.dropped_invalid} invalid ones dropped"
+    apart = f"{point_spacing(cloud.points):.3g} m apart"
+    if cloud.thinned_m:
+        dropped = f"{cloud.dropped_invalid} invalid ones dropped"
+        apart = f"too many to hold: thinned to the {len(cloud)} means of voxels of {cloud.thinned_m:.2g} m, {apart}"
     lines = [
-        f"read      {name}: {len(cloud)} points ({dropped}), {point_spacing(cloud.points):.3g} m apart",
+        f"read      {name}: {_size(cloud)} points ({dropped}), {apart}",
         f"settings  voxel {voxel:.3g} m ({filtered} points after it), dx {dx:.3g} m",
     ]
+    if cloud.thinned_m > voxel:
+        lines.append(f"warning   the thinned cloud is coarser than voxels of {voxel:.3g} m")
     if cloud.resolution_m > dx / 20:
         lines.insert(1, f"warning   coordinates of {cloud.resolution_m:.3g} m resolution: stored in single precision")
     return lines

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from steelnb.datatypes import Array
+from steelnb.datatypes import Array, IntArray
 from steelnb.errors import (
     DegenerateCloudError,
     EmptyCloudError,
@@ -39,6 +39,9 @@ class Cloud:
     coordinates are large (UTM): add it to whatever is derived from the points. ``dropped_invalid`` counts the points
     with a NaN or infinite coordinate, ``dropped_duplicates`` the exact repeats. ``resolution_m`` is the step between
     the numbers that the file can hold: 0.25 m where UTM coordinates were stored in single precision.
+
+    A cloud too large for memory comes as the means of its points in voxels of ``thinned_m`` (`recordings.thinning`),
+    0 for any other, and ``count (N,)`` is how many points each mean is of.
     """
 
     points: Array
@@ -46,6 +49,8 @@ class Cloud:
     dropped_invalid: int
     dropped_duplicates: int
     resolution_m: float
+    count: IntArray | None = None
+    thinned_m: float = 0.0
 
     def __len__(self) -> int:
         return len(self.points)
