@@ -145,9 +145,10 @@ def save_scenes(target: Path, recording: Recording, on_progress: Progress) -> No
     stamp_s = recording.scans.stamp_s
     _save_depths(target, recording, on_progress, SCENES_SCALE, lambda k, _: target / f"frame-{k:06d}.depth.png")
     T_world_drone, covered = interpolate(recording.poses, stamp_s, GAP_MAX_S)
-    T_world_optical = T_world_drone @ recording.T_drone_sensor @ np.linalg.inv(T_OPTICAL_SENSOR)
+    # The layout's world is a camera's too: y down.
+    T_level_optical = T_OPTICAL_SENSOR @ T_world_drone @ recording.T_drone_sensor @ np.linalg.inv(T_OPTICAL_SENSOR)
     for k in np.flatnonzero(covered):
-        np.savetxt(target / f"frame-{k:06d}.pose.txt", T_world_optical[k], fmt="%.17e", delimiter="\t")
+        np.savetxt(target / f"frame-{k:06d}.pose.txt", T_level_optical[k], fmt="%.17e", delimiter="\t")
     (target / "timestamps.txt").write_text("".join(f"{stamp!r}\n" for stamp in stamp_s.tolist()))
 
 
@@ -223,7 +224,10 @@ def _turned(camera: Trajectory, T_drone_sensor: Array) -> Trajectory:
 
 
 def _frame_poses(path: Path, files: list[Path], stamp_s: Array, skipped: Counter[str]) -> Trajectory:
-    """The poses ``frame-000000.pose.txt``, of the camera; missing ones are counted, broken ones an error."""
+    """The poses ``frame-000000.pose.txt``, of the camera; missing ones are counted, broken ones an error.
+
+    The world of 7-Scenes has the axes of a camera held level, y down; it is turned, so that z is up.
+    """
     found = [_pose(_beside(file, "pose.txt")) for file in files]
     missing = sum(pose is None for pose in found)
     if missing:
@@ -231,7 +235,8 @@ def _frame_poses(path: Path, files: list[Path], stamp_s: Array, skipped: Counter
     kept = np.array([k for k, pose in enumerate(found) if pose is not None], dtype=np.int64)
     if not len(kept):
         raise RecordingError(f"{path}: no poses; expected frame-000000.pose.txt beside each image, or {TRAJECTORY}")
-    return trajectory_of_matrices(path, stamp_s[kept], np.array([found[k] for k in kept]), skipped)
+    camera = trajectory_of_matrices(path, stamp_s[kept], np.array([found[k] for k in kept]), skipped)
+    return Trajectory(camera.stamp_s, np.linalg.inv(T_OPTICAL_SENSOR) @ camera.T_world_drone)
 
 
 def _pose(file: Path) -> Array | None:
