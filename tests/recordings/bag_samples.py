@@ -33,7 +33,7 @@ def poses(count: int, step_s: float = 0.2, seed: int = 0) -> Trajectory:
     T = np.tile(np.eye(4), (count, 1, 1))
     T[:, :3, 3] = rng.normal(size=(count, 3))
     T[:, :3, :3] = Rotation.random(count, rng).as_matrix()
-    return Trajectory(step_s * np.arange(count), T)
+    return Trajectory(np.round(step_s * np.arange(count), 9), T)
 
 
 def made_up(count: int = 6, rows: int = 5, columns: int = 7, pictures: bool = True) -> Recording:
@@ -45,7 +45,7 @@ def made_up(count: int = 6, rows: int = 5, columns: int = 7, pictures: bool = Tr
         points = rng.normal(size=(rows, columns, 3)).astype(np.float32).astype(np.float64)
         points[0, 0] = np.nan
         scans.append(Scan(float(stamp), points))
-    time = np.arange(0, trajectory.stamp_s[-1], 0.02)
+    time = np.round(np.arange(0, trajectory.stamp_s[-1], 0.02), 9)
     imu = Imu(time, rng.normal(size=(len(time), 3)), rng.normal(size=(len(time), 3)))
     images = [Picture(float(t) + 0.05, rng.integers(0, 255, (4, 6, 3), np.uint8)) for t in trajectory.stamp_s]
     T_drone_sensor = np.eye(4)
