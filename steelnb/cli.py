@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
     if code == INTERRUPTED:  # Typer catches KeyboardInterrupt itself
         return _complain(
-            "interrupted; nothing is half-written, and the next call resumes where this one stopped",
+            "interrupted; nothing is half-written, and notebooks and studies resume where they stopped",
             code=INTERRUPTED,
         )
     return int(code or 0)

@@ -1,13 +1,14 @@
 """What is replayed: a recording's flight, with drift added where it is asked for, and the truth to judge it by."""
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.config import NoiseSettings
-from steelnb.datatypes import Flight, Trajectory
+from steelnb.datatypes import Flight, Scan, Trajectory
 from steelnb.errors import RecordingError, SettingsError
 from steelnb.noise import drifting
 from steelnb.recordings.recording import GAP_MAX_S, Recording, interpolate
@@ -40,8 +41,7 @@ def course_of(
     Noise is added to the truth, or where there is none to the poses, taken as true. Raises `RecordingError` where no
     scan has a pose, and `SettingsError` for a gap that is not positive.
     """
-    if not 0 < gap_max_s < math.inf:
-        raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")
+    check_gap(gap_max_s)
     notes, truth = [], recording.truth
     if noise is not None:
         if truth is None:
@@ -49,6 +49,7 @@ def course_of(
             notes.append("the recorded poses are taken as true: errors are those of the drift added to them")
         recording = replace(recording, poses=with_drift(truth, noise, seed, gap_max_s))
     flight = recording.flight(gap_max_s)
+    flight = replace(flight, scans=Returns(flight.scans))
     if truth is None:
         return Course(flight, None, ("no truth: nothing is said of errors",))
     T_world_drone, known = interpolate(truth, flight.prior.stamp_s, gap_max_s)
@@ -67,6 +68,43 @@ def course_of(
         )
         true = Trajectory(true.stamp_s, T_first @ true.T_world_drone)
     return Course(flight, true, tuple(notes))
+
+
+def check_gap(gap_max_s: float) -> None:
+    """Raise `SettingsError` for a bound on gaps that bounds nothing."""
+    if not 0 < gap_max_s < math.inf:
+        raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")
+
+
+class Returns(Sequence[Scan]):
+    """Scans without the points that are none: those at the sensor's own place, by which many drivers mark no return.
+
+    They become NaN. What lies square to the optical axis, at x = 0, is moved by a nanometre, for slopes are taken.
+    """
+
+    def __init__(self, scans: Sequence[Scan]) -> None:
+        self._scans = scans
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __iter__(self) -> Iterator[Scan]:
+        return map(without_zeros, self._scans)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
+        found = self._scans[index]
+        return Returns(found) if isinstance(index, slice) else without_zeros(found)
+
+
+def without_zeros(scan: Scan) -> Scan:
+    """The same scan, or one without points at the sensor; see `Returns`."""
+    zero = scan.points[..., 0] == 0
+    if not zero.any():
+        return scan
+    points = scan.points.copy()
+    points[zero, 0] = 1e-9
+    points[zero & (scan.points == 0).all(axis=-1)] = np.nan
+    return Scan(scan.stamp_s, points)
 
 
 def with_drift(true: Trajectory, noise: NoiseSettings, seed: int, gap_max_s: float) -> Trajectory:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.datatypes import Array, Trajectory
 from steelnb.recordings.recording import GAP_MAX_S, Recording, interpolate, span
+from steelnb.replay.course import check_gap
 from steelnb.replay.offline import periods
 
 LONG_GAP = 1.5
@@ -18,8 +19,9 @@ _SHOWN_ELSEWHERE = ("form", "scans", "poses", "truth", "imu", "pictures", "extri
 def describe_recording(recording: Recording, *, quick: bool = False, gap_max_s: float = GAP_MAX_S) -> tuple[str, ...]:
     """What a recording holds, as lines of text. ``quick``: of the scans only the first that holds a point is read.
 
-    Raises what reading the recording raises.
+    Raises `SettingsError` for a gap that is not positive, and what reading the recording raises.
     """
+    check_gap(gap_max_s)
     facts, stamp_s = recording.facts, recording.scans.stamp_s
     count, finite, scans, shape = 0, 0, 0, ""
     for scan in recording.scans.walk():

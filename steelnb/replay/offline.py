@@ -10,6 +10,7 @@ import numpy as np
 
 from steelnb.config import ExperimentSettings
 from steelnb.datatypes import Array, Flight, IntArray, OdometryStep, Scan, Segments, Trajectory
+from steelnb.errors import RecordingError
 from steelnb.odometry import Odometry, make_odometry
 
 WARM_UP_SCANS = 3
@@ -64,9 +65,9 @@ def replay(flight: Flight, settings: ExperimentSettings, observers: Sequence[Obs
     T_world_drone, seconds = np.empty((total, 4, 4)), np.empty(total)
     matches, reason = np.empty(total, dtype=np.int64), []
     began_s, on_time = time.perf_counter(), 0
-    for k, (scan, T_world_drone_prior) in enumerate(zip(flight.scans, flight.prior.T_world_drone, strict=True)):
+    for k, scan in enumerate(flight.scans):
         begin = time.perf_counter()
-        step = odometry.update(scan, T_world_drone_prior)
+        step = odometry.update(scan, flight.prior.T_world_drone[k])
         seconds[k] = time.perf_counter() - begin
         T_world_drone[k], matches[k] = step.T_world_drone, step.matches
         reason.append("" if step.used else step.reason)
@@ -74,6 +75,8 @@ def replay(flight: Flight, settings: ExperimentSettings, observers: Sequence[Obs
         frame = Frame(k, total, scan, step, float(seconds[k]), on_time, began_s)
         for observe in observers:
             observe(frame, odometry)
+    if len(reason) < total:
+        raise RecordingError(f"{len(reason)} scans could be read; expected the {total} found when it was opened")
     corrected = Trajectory(flight.prior.stamp_s, T_world_drone)
     return Replayed(
         flight.prior, corrected, matches, tuple(reason), seconds, period_s, odometry.map_points(),

@@ -9,7 +9,7 @@ import numpy as np
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, Trajectory
-from steelnb.errors import EmptyCloudError, SettingsError
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
 from steelnb.exports import export_structure, orientation
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
@@ -59,7 +59,7 @@ def run_recording(
     settings, structure_settings = options.settings(), options.structure()
     course = course_of(recording, options.drift, options.seed, options.gap_max_s)
     flight = course.flight
-    target = Path(output) if output else Path(f"{recording.path.stem}_run")
+    target = Path(output) if output else Path(f"{recording.path.resolve().stem}_run")
     with new_folder(target) as folder, contextlib.ExitStack() as stack:
         with uncounted(recording.skipped):
             warm_up(flight, settings)
@@ -141,5 +141,9 @@ class _Latest:
 def _rebuilt(spool: Spool, corrected: Trajectory, T_drone_sensor: Array, settings: StructureSettings) -> Structure:
     try:
         return reconstruct(spool, corrected.T_world_drone[spool.number], T_drone_sensor, settings)
-    except (EmptyCloudError, SettingsError) as fault:  # no return above the floor; voxels that cannot be numbered
+    except (
+        EmptyCloudError,
+        DegenerateCloudError,
+        SettingsError,
+    ) as fault:  # no return above the floor; voxels that cannot be numbered
         return Structure.empty(str(fault))

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from steelnb import experiment
 from steelnb.config import ExperimentSettings
 from steelnb.datatypes import Array, RangeScans, Scan
-from steelnb.errors import OutputError
+from steelnb.errors import OutputError, SettingsError
 from steelnb.noise import drifting
 from steelnb.recordings.formats import form_to_write, save_recording
 from steelnb.recordings.recording import Picture, Recording
 
 PICTURE_PERIOD_S = 1.0
+DURATION_MIN_S = 1.0
 
 
 class HeldScans:
@@ -86,10 +87,12 @@ def record(
 ) -> Recording:
     """Simulate a flight and save it; the truth goes to ``STEM.truth.tum``. ``on_progress`` gets a share, and of what.
 
-    Where nothing can be written is said before anything is flown. Raises `OutputError`, `UnsupportedFormatError` and
-    `CollisionError`.
+    Where nothing can be written is said before anything is flown. Raises `OutputError`, `UnsupportedFormatError`,
+    `SettingsError` for less than a second, and `CollisionError`.
     """
     path, say = Path(path), on_progress or (lambda share, what: None)
+    if settings.flight.duration_s < DURATION_MIN_S:
+        raise SettingsError(f"duration = {settings.flight.duration_s:g}: expected at least {DURATION_MIN_S:g} s")
     form_to_write(path, form)
     if path.is_file():
         raise OutputError(f"{path}: exists already; expected a new name")
