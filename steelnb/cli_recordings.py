@@ -168,6 +168,41 @@ def info(
 
 
 @app.command()
+def view(
+    path: Annotated[
+        Path, typer.Argument(help="An .rrd file, a folder of `steelnb run`, a recording, a cloud, or bars (.json).")
+    ],
+    web: Annotated[bool, typer.Option("--web", help="In a browser on this machine; needs no display here.")] = False,
+    port: Annotated[int, typer.Option(help="Of --web, on 127.0.0.1; 0: any free one.")] = 0,
+    scans: Scans = None,
+    poses: Poses = None,
+    truth: TruthFile = None,
+    pictures: Camera = None,
+    settings: SettingsFile = None,
+    gap: Gap = 0.5,
+) -> None:
+    """Look at a flight on its timeline, in a window or a browser, with rerun's viewer. Nothing leaves this machine."""
+    from steelnb.recordings.choice import Choice
+    from steelnb.replay.look import as_rrd
+    from steelnb.viewer import native
+    from steelnb.viewer.web import WebViewer
+
+    if not web:
+        native.need_display()
+    with contextlib.ExitStack() as stack:
+        with _progress() as show:
+            choice = Choice(scans, poses, truth, pictures, settings)
+            rrd = stack.enter_context(as_rrd(path, choice, gap, show))
+        if not web:
+            native.show(rrd)
+            return
+        server = stack.enter_context(WebViewer(rrd, port))
+        print(f"{path.name} is at {server.address} until Ctrl-C", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
+
+
+@app.command()
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="A recording, a trajectory, or a cloud.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Its ending says what to write.")],

@@ -23,7 +23,7 @@ SCAN_POINTS_MAX = 2000
 MAP_POINTS_MAX = 20_000
 MAP_PERIOD_S = 5.0
 FAR_M = 10_000.0
-"""Viewers compute in single precision: from here on coordinates are counted from the first pose."""
+"""Viewers compute in single precision: beyond, coordinates are counted from where the flight begins."""
 EPOCH_S = 1e8
 """Stamps beyond it (1973) are of the calendar, as bags have them; others count from the start of a flight."""
 JPEG_QUALITY = 80
@@ -48,6 +48,7 @@ class Log:
         """What is taken off all positions ``(3,)``: zero, but for flights far from the origin of the world."""
         self._stack = contextlib.ExitStack()
         self._stream: RecordingStream | None = None
+        self._placed = False
         self._last: dict[str, Array] = {}
         self._map_stamp_s = -np.inf
         self._waiting: tuple[float, Array | None, Segments | None] | None = None
@@ -84,7 +85,7 @@ class Log:
     ) -> None:
         try:
             if fault is None and self._waiting:
-                self._log_map(*self._waiting)
+                self.map(*self._waiting)
             self._finish()
         except BaseException as other:
             if not self._stack.__exit__(type(other), other, other.__traceback__):
@@ -114,9 +115,8 @@ class Log:
         """
         poses = {"true": T_world_drone_true, "drifting": T_world_drone_prior}
         poses["corrected"] = step.T_world_drone if step else None
-        if not self._last and np.abs(T_world_drone_prior[:3, 3]).max() > FAR_M:
-            self.origin = np.round(T_world_drone_prior[:3, 3])
         self._check()
+        self._place(T_world_drone_prior[None, :3, 3])
         views = {"error": T_world_drone_true is not None, "matches": step is not None}
         self._show(*(name for name, given in views.items() if given))
         self._at(stamp_s)
@@ -124,11 +124,45 @@ class Log:
         self._log_scan(points_sensor, T_world_drone @ self.T_drone_sensor)
         self._log_poses(poses, step)
         if picture is not None:
-            self._log_picture(picture)
+            self.picture(picture)
+            self._at(stamp_s)
         if map_points is not None or segments is not None:
             self._waiting = (stamp_s, map_points, segments)
             if self.map_due(stamp_s):
-                self._log_map(*self._waiting)
+                self.map(*self._waiting)
+
+    def picture(self, picture: Picture | NDArray[np.uint8]) -> None:
+        """Log one image of the camera, at its own stamp, or without one at that of the frame."""
+        import rerun as rr
+
+        pixels = picture.pixels if isinstance(picture, Picture) else picture
+        self._show("camera")
+        if isinstance(picture, Picture):
+            self._at(picture.stamp_s)
+        model = "L" if pixels.ndim == 2 else "RGB"
+        self._out.log("camera", rr.Image(pixels, color_model=model).compress(jpeg_quality=JPEG_QUALITY))
+
+    def map(
+        self,
+        stamp_s: float,
+        points: Array | None,
+        segments: Segments | None = None,
+        points_max: int = MAP_POINTS_MAX,
+    ) -> None:
+        """Log a map at once: at most ``points_max`` of ``points (N, 3)``, and segments, in the world frame."""
+        import rerun as rr
+
+        ends = None if segments is None else np.stack([segments.start, segments.end], axis=1)
+        self._place(*(each.reshape(-1, 3) for each in (points, ends) if each is not None))
+        self._show()
+        self._at(stamp_s)
+        self._map_stamp_s, self._waiting = stamp_s, None
+        if points is not None:
+            cloud = thinned(points[np.isfinite(points).all(axis=1)], points_max)
+            self._out.log("world/map", self._cloud(cloud, CLOUD, 1.0))
+        if ends is not None:
+            bars = self._single(ends)
+            self._out.log("world/bars", rr.LineStrips3D(bars, colors=[rgb(BARS)], radii=[rr.Radius.ui_points(1.5)]))
 
     def _at(self, stamp_s: float) -> None:
         if stamp_s > EPOCH_S:
@@ -182,34 +216,19 @@ class Log:
         if step is not None:
             self._out.log("matches", rr.Scalars(float(step.matches)))
 
-    def _log_picture(self, picture: Picture | NDArray[np.uint8]) -> None:
-        import rerun as rr
-
-        pixels = picture.pixels if isinstance(picture, Picture) else picture
-        self._show("camera")
-        if isinstance(picture, Picture):
-            self._at(picture.stamp_s)
-        model = "L" if pixels.ndim == 2 else "RGB"
-        self._out.log("camera", rr.Image(pixels, color_model=model).compress(jpeg_quality=JPEG_QUALITY))
-
-    def _log_map(self, stamp_s: float, points: Array | None, segments: Segments | None) -> None:
-        import rerun as rr
-
-        self._at(stamp_s)
-        self._map_stamp_s, self._waiting = stamp_s, None
-        if points is not None:
-            cloud = thinned(points[np.isfinite(points).all(axis=1)], MAP_POINTS_MAX)
-            self._out.log(
-                "world/map", rr.Points3D(self._single(cloud), colors=[rgb(CLOUD)], radii=[rr.Radius.ui_points(1.0)])
-            )
-        if segments is not None:
-            bars = self._single(np.stack([segments.start, segments.end], axis=1))
-            self._out.log("world/bars", rr.LineStrips3D(bars, colors=[rgb(BARS)], radii=[rr.Radius.ui_points(1.5)]))
-
     def _cloud(self, points: Array, colour: str, pixels: float) -> "Points3D":
         import rerun as rr
 
         return rr.Points3D(self._single(points), colors=[rgb(colour)], radii=[rr.Radius.ui_points(pixels)])
+
+    def _place(self, *positions: Array) -> None:
+        """Choose the origin by what comes first."""
+        if self._placed or not any(map(len, positions)):
+            return
+        middle = np.nanmean(np.concatenate(positions), axis=0)
+        self._placed = True
+        if np.abs(middle).max() > FAR_M:
+            self.origin = np.round(middle)
 
     def _single(self, positions: Array) -> NDArray[np.float32]:
         return (positions - self.origin).astype(np.float32)
