@@ -64,7 +64,7 @@ class Frames:
         if self.body is None or not is_optical(self.body):
             return poses, ""
         turned = poses.T_world_drone @ self._T_body_drone()
-        return Trajectory(poses.stamp_s, turned), f"turned from the camera's axes of {self.body}"
+        return Trajectory(poses.stamp_s, turned), " turned from a camera's axes"
 
     def R_drone(self, frame: str) -> Array:
         """Rotation ``(3, 3)`` from a frame's axes to the drone's, by tf; identity where it is not known."""

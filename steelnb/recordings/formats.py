@@ -1,5 +1,6 @@
 """Any of the files that hold a flight ↔ `Recording`: which form they have, and who reads and writes it."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -75,7 +76,10 @@ def open_recording(path: Path | str, choice: Choice = Choice()) -> Recording:  #
         if choice.truth:
             raise FileMissingError(f"{named}: does not exist; expected a trajectory file")
         return recording
-    return replace(recording, truth=read_trajectory(named), facts=recording.facts | {"truth": str(named)})
+    reasons: Counter[str] = Counter()
+    truth = read_trajectory(named, reasons)
+    recording.skipped.update({f"truth: {reason}": count for reason, count in reasons.items()})
+    return replace(recording, truth=truth, facts=recording.facts | {"truth": str(named)})
 
 
 def save_recording(

@@ -1,10 +1,11 @@
 """Which topics of a bag hold what: by their types, by name where several fit."""
 
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from steelnb.errors import RecordingError, TopicError
+from steelnb.errors import FileContentError, RecordingError, TopicError
 from steelnb.recordings.bag_files import TRANSFORMS, Bag
 from steelnb.recordings.bag_images import DEPTHS, PICTURES
 from steelnb.recordings.choice import Choice
@@ -61,8 +62,10 @@ def choose_topics(bag: Bag, choice: Choice) -> Topics:
     poses = None
     from_file = choice.poses is not None and choice.poses not in bag.types and Path(choice.poses).is_file()
     if not from_file and choice.poses not in transforms:
-        fits = [topic for topic in of_type(bag, *POSES) if topic != truth]
-        poses = _one(bag, "poses", fits, choice.poses, fits)
+        possible = of_type(bag, *POSES)
+        poses = _one(bag, "poses", [topic for topic in possible if topic != truth], choice.poses, possible)
+        if poses is None and not transforms:
+            poses = truth  # all that there is; noise can be added to them
     pictures = _optional(
         bag,
         "pictures",
@@ -121,12 +124,13 @@ def _optional(bag: Bag, what: str, fits: Collection[str], named: str | None, unc
 
 
 def _encodings(bag: Bag, topics: Collection[str]) -> dict[str, str]:
-    """The encoding of the first image of each topic."""
+    """The encoding of the first image of each topic that can be read."""
     found = {}
     for topic in topics:
-        first = next(bag.walk([topic]), None)
-        if first is not None:
-            found[topic] = str(bag.decode(first).encoding)
+        for message in bag.walk([topic]):
+            with suppress(FileContentError):
+                found[topic] = str(bag.decode(message).encoding)
+                break
     return found
 
 

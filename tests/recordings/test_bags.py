@@ -179,6 +179,25 @@ def test_poses_and_truth_from_files(bag1, tmp_path):
     np.testing.assert_allclose(recording.truth.position, poses(7, seed=2).position)
 
 
+def test_a_topic_may_be_both_poses_and_truth(bag1):
+    path = bag1.clouds().odometry("/truth").write()
+    for choice in (Choice(truth="/truth"), Choice(truth="/truth", poses="/truth")):
+        recording = open_recording(path, choice)
+        np.testing.assert_array_equal(recording.truth.T_world_drone, recording.poses.T_world_drone)
+        assert recording.facts["poses"] == "true poses, /truth"
+
+
+def test_pictures_that_cannot_be_read_are_counted_once(bag1):
+    path = bag1.clouds().odometry().images("/camera", np.ones((4, 6, 3), np.uint8), "rgb8")
+    images = [message for _, kind, _, message in path.rows if kind == IMAGE]
+    images[1].encoding, images[2].step = "yuv", 3
+    recording = open_recording(path.write())
+    for _ in range(2):
+        assert [picture.stamp_s for picture in recording.pictures.walk()] == [0.0, 0.6, 0.8]
+    assert sum(recording.skipped.values()) == 2
+    assert all(reason.startswith("malformed picture: ") for reason in recording.skipped)
+
+
 def test_several_cameras_are_said_and_one_may_be_named(bag1):
     pixels = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
     path = bag1.clouds().odometry().images("/left", pixels, "bgr8").images("/right", pixels[..., 0], "mono8").write()
@@ -275,7 +294,9 @@ def test_a_camera_frame_is_turned_to_the_drones_axes(bag1):
     np.testing.assert_allclose(recording.T_drone_sensor, np.eye(4), atol=1e-14)
     scan = next(recording.scans.walk()).points
     np.testing.assert_array_equal(scan, np.stack([POINTS[..., 2], -POINTS[..., 0], -POINTS[..., 1]], axis=-1))
-    assert "turned from the camera's axes" in recording.facts["poses"]
+    assert recording.facts["frames"] == (
+        "poses of cam_optical_frame turned from a camera's axes, scans in cam_optical_frame"
+    )
 
 
 def test_tf_to_a_camera_frame_and_its_turn_cancel(bag1):
@@ -304,6 +325,7 @@ def test_depth_images_are_scans_where_there_are_no_clouds(bag, encoding, kind, u
     np.testing.assert_allclose(points[0, 0], (1, 1 * (1 - 0) / 2, 1 * 0.5 / 4))
     np.testing.assert_allclose(points[1, 2], (3, 3 * (1 - 2) / 2, 3 * (0.5 - 1) / 4))
     assert recording.facts["intrinsics"] == "/depth/camera_info"
+    assert recording.facts["size"] == "3 × 2"
 
 
 def test_depth_images_need_intrinsics(tmp_path):
