@@ -36,7 +36,9 @@ def las_chunks(path: Path, size: int = CHUNK) -> Iterator[Array]:
             if len(record) < min(size, left):
                 raise FileContentError(f"{path}: cut short: {left - len(record)} points are missing")
             left -= len(record)
-            yield np.stack([np.asarray(record[axis]) * scale[k] + offset[k] for k, axis in enumerate("XYZ")], axis=1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                points = [np.asarray(record[axis]) * scale[k] + offset[k] for k, axis in enumerate("XYZ")]
+            yield np.stack(points, axis=1)
 
 
 def las_count(path: Path) -> int:
@@ -131,7 +133,7 @@ def _refuse_chunks(path: Path, start: int, size: int, record: int) -> None:
         if table < 0 and size >= 8:  # written by a program that could not go back: it stands at the end
             file.seek(size - 8)
             table = int.from_bytes(file.read(8), "little", signed=True)
-        file.seek(max(table, 0))
+        file.seek(min(max(table, 0), size))
         head = file.read(8)
     chunks = int.from_bytes(head[4:], "little")
     # The first point of each chunk stands there as it is.

@@ -11,10 +11,12 @@ from steelnb.recordings.clouds import FARTHEST_M, LAS, SHIFT_FROM_M, SHIFT_STEP_
 from steelnb.recordings.headers import binary_chunks, point_count
 from steelnb.recordings.las import las_chunks, las_count, las_step
 
-FITS = 10_000_000
-"""Points of the largest cloud that is read whole: with it, `steelnb segment` needs some 2 GB."""
-VOXELS = 8_000_000
+FITS = 5_000_000
+"""Points of the largest cloud that is read whole: with it, `steelnb segment` needs up to 3 GB."""
+VOXELS = 2_000_000
 CHUNK = 1 << 20
+WAITING = 1 << 22
+"""Sums of chunks that are added to the voxels at once."""
 FINEST_M = 2.0**-10
 _BITS = 21
 _REACH = 1 << (_BITS - 1)
@@ -87,7 +89,7 @@ class _Voxels:
         while np.abs(points).max() >= (_REACH - 1) * self.edge_m:  # so that the voxels can be numbered
             self._merge(coarser=True)
         self._waiting.append(_summed(np.column_stack([np.ones(len(points)), points]), self.edge_m))
-        if sum(map(len, self._waiting)) > VOXELS // 2:
+        if sum(map(len, self._waiting)) > WAITING:
             self._merge()
 
     def means(self) -> tuple[Array, IntArray]:
