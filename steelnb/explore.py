@@ -7,7 +7,7 @@ import functools
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from steelnb.config import (
 )
 from steelnb.datatypes import Array, Flight, Segments, Trajectory
 from steelnb.errors import SteelnbError
-from steelnb.figures import HEIGHT_PX, LABELS, figure_scene
+from steelnb.figures import HEIGHT_PX, LABELS, figure_scene, plotly_bundle
 from steelnb.hough.blocks import segment_structure
 from steelnb.segment import MIN_VOTES, tube_radius
 from steelnb.simulation import Truth
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 POINTS_MAX = 20_000
 NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
-PLOTLY_TYPE = "application/vnd.plotly.v1+json"
 
 
 @dataclass(frozen=True)
@@ -177,10 +176,4 @@ class Panel:
         return f"computed in {self.view.seconds:.1f} s"
 
     def _bundle(self) -> dict[str, Any]:
-        """The picture as JupyterLab's renderer of Plotly takes it, whatever renderer the user's settings name."""
-        import json
-
-        figure = figure_scene(self.view.result, self.view.cloud, self.view.segments)
-        content = json.loads(cast(str, figure.to_json()))
-        return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}},
-                "text/plain": self.view.summary}  # fmt: skip
+        return plotly_bundle(figure_scene(self.view.result, self.view.cloud, self.view.segments), self.view.summary)

@@ -12,6 +12,7 @@ from steelnb import experiment, explore
 from steelnb.config import NoiseSettings
 from steelnb.datatypes import Flight, Scan, Trajectory
 from steelnb.errors import CollisionError, SettingsError
+from steelnb.figures.scene import PLOTLY_TYPE
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 SHORT = {"tof.rate_hz": 2.5}
@@ -109,8 +110,8 @@ def test_the_panel_redraws_the_picture_when_a_control_moves(view: explore.View, 
     panel = explore.Panel(view, "random-walk", 1.0, SHORT)
     panel.show()
     kinds = [(kind, next(iter(data))) for kind, data in shown]
-    assert kinds[-1] == ("display", explore.PLOTLY_TYPE)
-    drawn = shown[-1][1][explore.PLOTLY_TYPE]
+    assert kinds[-1] == ("display", PLOTLY_TYPE)
+    drawn = shown[-1][1][PLOTLY_TYPE]
     assert {trace["name"] for trace in drawn["data"]} == {
         "true members", "cloud", "bars found", "true", "drifting", "corrected"
     }  # fmt: skip
@@ -122,7 +123,7 @@ def test_the_panel_redraws_the_picture_when_a_control_moves(view: explore.View, 
     assert panel.view.result.settings.tof.rate_hz == 2.5
     assert panel.view.result.metrics["raw_ate_rmse_m"] == pytest.approx(3 * view.result.metrics["raw_ate_rmse_m"])
     assert [kind for kind, _ in shown] == ["update"] * len(shown)
-    assert shown[-1][1][explore.PLOTLY_TYPE] != drawn
+    assert shown[-1][1][PLOTLY_TYPE] != drawn
     panel.controls["method"].value = "least_squares"
     assert panel.view.result.settings.odometry.method == "least_squares"
     assert panel.status.value.startswith("computed in")

@@ -12,8 +12,10 @@ from steelnb.figures.clouds import (
     figure_false_convergence,
 )
 from steelnb.figures.maps import figure_maps
+from steelnb.figures.recorded import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.figures.report import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, REPORT_TIME_RATIO
-from steelnb.figures.scene import HEIGHT_PX, figure_flight, figure_scene
+from steelnb.figures.scan import figure_scan
+from steelnb.figures.scene import HEIGHT_PX, figure_flight, figure_recorded_scene, figure_scene, plotly_bundle
 from steelnb.figures.segmentation import (
     USUAL,
     figure_conditions,
@@ -22,6 +24,7 @@ from steelnb.figures.segmentation import (
     figure_sequence,
     figure_tuning,
 )
+from steelnb.figures.segments import figure_segments
 from steelnb.figures.structure import (
     figure_near_side,
     figure_recall,
@@ -38,7 +41,8 @@ __all__ = [
     "figure_accuracy", "figure_basins", "figure_bend", "figure_claims", "figure_cloud_comparison",
     "figure_cloud_errors", "figure_cloud_methods", "figure_conditions", "figure_drift", "figure_error_bands",
     "figure_error_curves", "figure_false_convergence", "figure_flight", "figure_found", "figure_maps",
-    "figure_near_side", "figure_over_seeds", "figure_recall", "figure_scene", "figure_segment_odometry",
+    "figure_near_side", "figure_over_seeds", "figure_recall", "figure_recorded_errors", "figure_recorded_scene",
+    "figure_recorded_trajectories", "figure_scan", "figure_scene", "figure_segment_odometry", "figure_segments",
     "figure_sequence", "figure_structure_errors", "figure_structure_goals", "figure_structures", "figure_tower",
-    "figure_tuning",
+    "figure_tuning", "plotly_bundle",
 ]  # fmt: skip

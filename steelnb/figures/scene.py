@@ -1,10 +1,11 @@
 """A flight to turn around with the mouse: cloud, bars and three trajectories, above the curve of the error."""
 
-from typing import TYPE_CHECKING, Any
+import json
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from steelnb.datatypes import Array, Segments
+from steelnb.datatypes import Array, Segments, Trajectory
 from steelnb.experiment import Result
 from steelnb.figures.style import COLOURS, LABELS, Figure, draw_bars, frame_3d, style
 from steelnb.metrics import position_error_m
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
 
 HEIGHT_PX = 860
+PLOTLY_TYPE = "application/vnd.plotly.v1+json"
 CLOUD, MEMBERS = "#8a94a6", "#c4c4c4"
 TRACKS = {"true": COLOURS["truth"], "drifting": COLOURS["none"], "corrected": COLOURS["average"]}
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
@@ -25,27 +27,69 @@ def figure_scene(result: Result, cloud: Array, segments: Segments) -> "PlotlyFig
 
     ``cloud (N, 3)`` are the scans at the corrected poses, ``segments`` the bars found in them, both in the world frame.
     """
+    low, high, near = _seen(result, cloud)
+    return _scene(_tracks(result), _errors(result), result.prior.stamp_s, cloud, segments, low, high, near)
+
+
+def figure_recorded_scene(
+    prior: Trajectory, corrected: Trajectory, truth: Trajectory | None, cloud: Array, segments: Segments
+) -> "PlotlyFigure":
+    """The same of a recorded flight, whose true members nobody knows; errors at the poses of ``truth``."""
+    tracks = {"drifting": prior.position, "corrected": corrected.position}
+    errors, stamp_s = {}, prior.stamp_s
+    if truth is not None:
+        tracks = {"true": truth.position} | tracks
+        stamp_s = truth.stamp_s
+        errors = {
+            name: position_error_m(path.at(stamp_s), truth)
+            for name, path in {"drifting": prior, "corrected": corrected}.items()
+        }
+    points = np.concatenate([cloud, *tracks.values()])
+    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+    return _scene(tracks, errors, stamp_s - stamp_s[0], cloud, segments, low, high)
+
+
+def plotly_bundle(figure: "PlotlyFigure", text: str) -> dict[str, Any]:
+    """A figure as JupyterLab's renderer of Plotly takes it, whatever renderer the user's settings name; and as text."""
+    content = json.loads(cast(str, figure.to_json()))
+    return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": text}
+
+
+def _scene(
+    tracks: dict[str, Array],
+    errors: dict[str, Array],
+    time_s: Array,
+    cloud: Array,
+    segments: Segments,
+    low: Array,
+    high: Array,
+    members: Array | None = None,
+) -> "PlotlyFigure":
+    """The scene between the corners ``low`` and ``high (3,)``, with true ``members (M, 2, 3)`` where they are known,
+    and the errors ``(N,)`` at ``time_s (N,)`` below it, where there are any."""
     from plotly.graph_objects import Scatter, Scatter3d
     from plotly.subplots import make_subplots
 
-    figure = make_subplots(
-        rows=2, cols=1, row_heights=(0.7, 0.3), vertical_spacing=0.06, specs=[[{"type": "scene"}], [{"type": "xy"}]]
-    )
-    low, high, near = _seen(result, cloud)
-    members = Scatter3d(**_lines(near), name="true members", line={"color": MEMBERS, "width": 2})
+    rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
+    if not errors:
+        rows = {"rows": 1, "specs": [[{"type": "scene"}]]}
+    figure = make_subplots(cols=1, vertical_spacing=0.06, **rows)
+    if members is not None:
+        line = {"color": MEMBERS, "width": 2}
+        figure.add_trace(Scatter3d(**_lines(members), name="true members", line=line), row=1, col=1)
     points = Scatter3d(
         **_columns(cloud), mode="markers", name="cloud", marker={"size": 1, "color": CLOUD, "opacity": 0.5}
     )
     bars = np.stack([segments.start, segments.end], axis=1)
     found = Scatter3d(**_lines(bars), name="bars found", line={"color": COLOURS["least_squares"], "width": 6})
-    figure.add_traces([members, points, found], rows=1, cols=1)
-    for name, trajectory in _tracks(result).items():
+    figure.add_traces([points, found], rows=1, cols=1)
+    for name, trajectory in tracks.items():
         line = {"color": TRACKS[name], "width": WIDTHS[name]}
         path = Scatter3d(**_columns(trajectory), mode="lines", name=name, legendgroup=name, line=line)
         figure.add_trace(path, row=1, col=1)
-    for name, error in _errors(result).items():
+    for name, error in errors.items():
         line = {"color": TRACKS[name], "width": 2}
-        curve = Scatter(x=result.prior.stamp_s, y=error, name=name, legendgroup=name, showlegend=False, line=line)
+        curve = Scatter(x=time_s, y=error, name=name, legendgroup=name, showlegend=False, line=line)
         figure.add_trace(curve, row=2, col=1)
     axes = {
         f"{name}axis": {"title": {"text": f"{name} (m)"}, "range": [low[k], high[k]], "backgroundcolor": "white",

@@ -27,17 +27,21 @@ FAR_M = 10_000.0
 EPOCH_S = 1e8
 """Stamps beyond it (1973) are of the calendar, as bags have them; others count from the start of a flight."""
 JPEG_QUALITY = 80
+GOLDEN = (5**0.5 - 1) / 2
+AXES_M = 0.6
+"""Of the cross that shows how the drone is turned."""
 
 
 class Log:
     """One .rrd file, written while a flight goes on; used as a context manager.
 
     The file is written beside ``path`` and renamed at the end; nothing stays where an error, Ctrl-C included, came in
-    between. What is logged goes to the disk at once, so memory does not grow with the flight. Entities: ``world/scan``
-    (sensor's points at the pose shown), ``world/map``, ``world/bars``, ``world/true``, ``world/drifting``,
-    ``world/corrected`` (trajectories), ``error/…`` (distance to the truth in metres), ``matches`` and ``camera``;
-    ``range`` is the scan as a picture, where it is organised. Points and lines are metres in the world frame, single
-    precision, less `origin`.
+    between. What is logged goes to the disk at once, so memory does not grow with the flight.
+
+    Entities: ``world/drone``; ``world/scan``, the sensor's points at that pose; ``world/map``; ``world/bars``; the
+    trajectories ``world/true``, ``world/drifting`` and ``world/corrected``; ``error/…``, their distance to the truth in
+    metres; ``matches``; ``camera``; and ``range``, the scan as a picture, where it is organised. Positions are metres
+    in the world frame, single precision, less `origin`.
 
     Raises `OutputError` on entering where nothing can be written, and on leaving where the disk was full.
     """
@@ -72,11 +76,15 @@ class Log:
         stream.send_recording_name(self.name)
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, colour in TRACKS.items():
-            radius = rr.Radius.ui_points(WIDTHS[name] / 2)
-            stream.log(f"world/{name}", rr.LineStrips3D.from_fields(colors=[rgb(colour)], radii=[radius]), static=True)
+            stream.log(
+                f"world/{name}",
+                rr.LineStrips3D.from_fields(colors=[rgb(colour)], radii=[_pixels(WIDTHS[name])]),
+                static=True,
+            )
             if name != "true":
                 series = rr.SeriesLines(colors=[rgb(colour)], names=[name], widths=[2])
                 stream.log(f"error/{name}", series, static=True)
+        stream.log("world/drone", rr.TransformAxes3D(AXES_M), static=True)
         stream.log("matches", rr.SeriesLines(colors=[rgb(BARS)], names=["pairs matched"], widths=[2]), static=True)
         return self
 
@@ -113,6 +121,8 @@ class Log:
         ``step`` is None where nothing corrects; the drone is then shown at its prior pose. Maps ``(N, 3)`` and the
         segments of a map are in the world frame, and logged once in `MAP_PERIOD_S`, and the last given at the end.
         """
+        import rerun as rr
+
         poses = {"true": T_world_drone_true, "drifting": T_world_drone_prior}
         poses["corrected"] = step.T_world_drone if step else None
         self._check()
@@ -122,6 +132,8 @@ class Log:
         self._at(stamp_s)
         T_world_drone = T_world_drone_prior if step is None else step.T_world_drone
         self._log_scan(points_sensor, T_world_drone @ self.T_drone_sensor)
+        pose = rr.Transform3D(translation=T_world_drone[:3, 3] - self.origin, mat3x3=T_world_drone[:3, :3])
+        self._out.log("world/drone", pose)
         self._log_poses(poses, step)
         if picture is not None:
             self.picture(picture)
@@ -139,8 +151,8 @@ class Log:
         self._show("camera")
         if isinstance(picture, Picture):
             self._at(picture.stamp_s)
-        model = "L" if pixels.ndim == 2 else "RGB"
-        self._out.log("camera", rr.Image(pixels, color_model=model).compress(jpeg_quality=JPEG_QUALITY))
+        image = rr.Image(pixels, color_model="L" if pixels.ndim == 2 else "RGB")
+        self._out.log("camera", image.compress(jpeg_quality=JPEG_QUALITY))
 
     def map(
         self,
@@ -159,10 +171,10 @@ class Log:
         self._map_stamp_s, self._waiting = stamp_s, None
         if points is not None:
             cloud = thinned(points[np.isfinite(points).all(axis=1)], points_max)
-            self._out.log("world/map", self._cloud(cloud, CLOUD, 1.0))
+            self._out.log("world/map", self._cloud(cloud, CLOUD, 2))
         if ends is not None:
             bars = self._single(ends)
-            self._out.log("world/bars", rr.LineStrips3D(bars, colors=[rgb(BARS)], radii=[rr.Radius.ui_points(1.5)]))
+            self._out.log("world/bars", rr.LineStrips3D(bars, colors=[rgb(BARS)], radii=[_pixels(3)]))
 
     def _at(self, stamp_s: float) -> None:
         if stamp_s > EPOCH_S:
@@ -189,9 +201,7 @@ class Log:
         points = points_sensor.reshape(-1, 3)
         points = thinned(points[np.isfinite(points).all(axis=1)], SCAN_POINTS_MAX)
         world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        self._out.log(
-            "world/scan", rr.Points3D(self._single(world), colors=[rgb(SCAN)], radii=[rr.Radius.ui_points(1.5)])
-        )
+        self._out.log("world/scan", rr.Points3D(self._single(world), colors=[rgb(SCAN)], radii=[_pixels(3)]))
         if points_sensor.ndim == 3 and len(points):
             range_m = np.linalg.norm(points_sensor, axis=2)
             self._range_max_m = max(self._range_max_m, float(np.nanmax(range_m)))
@@ -216,16 +226,16 @@ class Log:
         if step is not None:
             self._out.log("matches", rr.Scalars(float(step.matches)))
 
-    def _cloud(self, points: Array, colour: str, pixels: float) -> "Points3D":
+    def _cloud(self, points: Array, colour: str, width: float) -> "Points3D":
         import rerun as rr
 
-        return rr.Points3D(self._single(points), colors=[rgb(colour)], radii=[rr.Radius.ui_points(pixels)])
+        return rr.Points3D(self._single(points), colors=[rgb(colour)], radii=[_pixels(width)])
 
     def _place(self, *positions: Array) -> None:
         """Choose the origin by what comes first."""
         if self._placed or not any(map(len, positions)):
             return
-        middle = np.nanmean(np.concatenate(positions), axis=0)
+        middle: Array = np.nanmean(np.concatenate(positions), axis=0)
         self._placed = True
         if np.abs(middle).max() > FAR_M:
             self.origin = np.round(middle)
@@ -247,7 +257,13 @@ class Log:
 
 
 def thinned(points: Array, points_max: int) -> Array:
-    """At most so many of the points ``(N, 3)``, evenly taken."""
+    """At most so many of the points ``(N, 3)``, evenly taken, and not in step with the rows of an image."""
     if len(points) <= points_max:
         return points
-    return points[np.linspace(0, len(points) - 1, points_max).astype(int)]
+    order = np.arange(len(points)) * GOLDEN % 1.0
+    return points[order < np.partition(order, points_max)[points_max]]
+
+
+def _pixels(width: float) -> float:
+    """A width on the screen as rerun writes it: radii below zero are pixels, others metres."""
+    return -width / 2

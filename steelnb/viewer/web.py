@@ -13,6 +13,7 @@ from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import cast
 
 from steelnb.errors import FileMissingError, SettingsError
 
@@ -48,7 +49,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(body=False)
 
     def _answer(self, body: bool) -> None:
-        port = self.server.server_address[1]
+        port = cast(tuple[str, int], self.server.server_address)[1]
         known = self.headers.get("Host") in (f"{LOCALHOST}:{port}", f"localhost:{port}")
         path = self._files.get(self.path.partition("?")[0]) if known else None
         if path is None:
@@ -102,14 +103,23 @@ class WebViewer(ThreadingHTTPServer):
 @contextlib.contextmanager
 def served(rrd: Path, port: int = 0) -> Iterator[str]:
     """The address at which a file can be seen within the `with`."""
-    with WebViewer(rrd, port) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True)
-        thread.start()
+    with serve_behind(rrd, port) as server:
         try:
             yield server.address
         finally:
             server.shutdown()
-            thread.join()
+
+
+def serve_behind(rrd: Path, port: int = 0) -> WebViewer:
+    """A viewer that is served by a thread, as long as the process lives or until it is shut down.
+
+    Raises `FileMissingError` for a file that is not there, and `SettingsError` as `WebViewer`.
+    """
+    if not rrd.is_file():
+        raise FileMissingError(f"{rrd}: does not exist; expected an .rrd file")
+    server = WebViewer(rrd, port)
+    threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True).start()
+    return server
 
 
 def _assets() -> Path:
