@@ -1,7 +1,6 @@
 """`steelnb run`: a recording through an odometry → a folder with all that comes of it."""
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from steelnb.replay.offline import Frame, Observer, Replayed, replay, uncounted,
 from steelnb.replay.options import Options
 from steelnb.replay.outputs import draw_figures, summarised, true_poses, write_frames, write_map, write_table
 from steelnb.replay.spool import Spool
+from steelnb.viewer import Log
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,10 @@ def run_recording(
         if structure:
             spool = stack.enter_context(Spool(folder.parent / "scans", len(flight.prior)))
             observers.append(spool.observe)
+        log = None
         if viewer:
-            observers.append(stack.enter_context(_watched(folder / "recording.rrd", recording, course)))
+            log = stack.enter_context(Log(folder / "recording.rrd", recording.path.name, flight.T_drone_sensor))
+            observers.append(_watching(log, recording, course))
         replayed = replay(flight, settings, observers)
         built = None
         if spool is not None:
@@ -77,6 +79,8 @@ def run_recording(
         bars = replayed.segments
         if not len(bars) and built is not None:
             bars = built.segments
+        if log is not None:
+            log.map(replayed.prior.stamp_s[-1], replayed.points, bars)
         numbers = judged(course, replayed, recording.skipped)
         numbers |= {"map_points": len(replayed.points), "segments": len(bars)}
         if built is not None:
@@ -98,30 +102,26 @@ def run_recording(
     )
 
 
-@contextlib.contextmanager
-def _watched(path: Path, recording: Recording, course: Course) -> Iterator[Observer]:
+def _watching(log: Log, recording: Recording, course: Course) -> Observer:
     """An observer that writes every frame to a file for the viewer."""
-    from steelnb.viewer import Log
-
     flight, true = course.flight, true_poses(course)
     pictures = _Latest(recording)
-    with Log(path, recording.path.name, flight.T_drone_sensor) as log:
 
-        def observe(frame: Frame, odometry: Odometry) -> None:
-            stamp_s, k = frame.scan.stamp_s, frame.index
-            whole = log.map_due(stamp_s) or k + 1 == frame.total
-            log.frame(
-                stamp_s,
-                frame.scan.points,
-                frame.step,
-                flight.prior.T_world_drone[k],
-                T_world_drone_true=true.get(k),
-                map_points=odometry.map_points() if whole else None,
-                segments=odometry.map_segments() if whole else None,
-                picture=pictures.until(stamp_s),
-            )
+    def observe(frame: Frame, odometry: Odometry) -> None:
+        stamp_s, k = frame.scan.stamp_s, frame.index
+        whole = log.map_due(stamp_s)
+        log.frame(
+            stamp_s,
+            frame.scan.points,
+            frame.step,
+            flight.prior.T_world_drone[k],
+            T_world_drone_true=true.get(k),
+            map_points=odometry.map_points() if whole else None,
+            segments=odometry.map_segments() if whole else None,
+            picture=pictures.until(stamp_s),
+        )
 
-        yield observe
+    return observe
 
 
 class _Latest:
