@@ -40,7 +40,7 @@ Scans = Annotated[str | None, typer.Option(help="Topic or sub-folder of the scan
 Poses = Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")]
 TruthFile = Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")]
 Camera = Annotated[str | None, typer.Option(help="Topic of the camera.")]
-SettingsFile = Annotated[Path | None, typer.Option(help="TOML file with the tables [extrinsics] and [intrinsics].")]
+SettingsFile = Annotated[Path | None, typer.Option(help="TOML file with the tables \\[extrinsics] and \\[intrinsics].")]
 Gap = Annotated[float, typer.Option(help="Seconds between two poses beyond which there is none between them.")]
 RangeMax = Annotated[float | None, typer.Option(help="Metres that the sensor sees, in place of the preset's crop.")]
 Floor = Annotated[float | None, typer.Option(help="Height in metres below which points are the ground.")]

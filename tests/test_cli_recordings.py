@@ -203,6 +203,11 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(saved, place, capfd, monkeypatch)
     assert list(place.iterdir()) == []
 
 
+def test_help_names_the_tables_of_a_settings_file(capfd):
+    assert cli.main(["run", "--help"]) == 0
+    assert "[extrinsics]" in capfd.readouterr().out
+
+
 def test_asking_for_help_loads_nothing_heavy():
     heavy = ("numpy", "scipy", "numba", "rosbags", "rerun", "laspy", "open3d", "evo", "matplotlib")
     code = f"import sys; from steelnb import cli; cli.main(['run', '--help']); print(set({heavy}) & set(sys.modules))"

@@ -45,7 +45,8 @@ def describe_recording(recording: Recording, *, quick: bool = False, gap_max_s: 
         f"{_fact(facts, 'poses')}",
         f"gaps      scans: {_gaps(stamp_s, LONG_GAP * _period(stamp_s))}; "
         f"poses: {_gaps(recording.poses.stamp_s, gap_max_s)}",
-        f"covered   {np.count_nonzero(covered)} of {len(covered)} scans have a pose",
+        f"covered   {np.count_nonzero(covered)} of {len(covered)} scans have a pose"
+        f"{'' if covered.all() else f'; the poses are from {span(recording.poses.stamp_s)}'}",
         f"truth     {_truth(recording)}{_fact(facts, 'truth')}",
         f"sensor    {_mount(recording.T_drone_sensor)}{_fact(facts, 'extrinsics')}",
     ]

@@ -126,7 +126,7 @@ def test_info_says_what_a_recording_lacks():
     text = "\n".join(describe_recording(recording))
     for word in (
         "none with a point", "0 % of the points valid", "poses: 1 longer than 0.5 s, up to 0.8 s",
-        "5 of 8 scans have a pose", "truth     none", "skipped   4 empty cloud",
+        "5 of 8 scans have a pose; the poses are from ", "truth     none", "skipped   4 empty cloud",
     ):  # fmt: skip
         assert word in text, text
     with pytest.raises(SettingsError, match="gap"):
