@@ -83,7 +83,7 @@ def throughput(scratch: Path) -> None:
     rows, columns = recording.scans.scans[0].points.shape[:2]  # type: ignore[attr-defined]
     print(
         f"{SPEED_SCANS} clouds of {columns} × {rows} points, {megabytes:.0f} MB, from and to the page cache; MB/s of\n"
-        f"wall time, the best of {REPEATS} in turns. Reading ends with float64 points and NaN rows. The peers: rosbags'\n"
+        f"wall time, best of {REPEATS} in turns. Reading ends with float64 points and NaN rows. The peers: rosbags'\n"
         "own loop with the fields gathered one after the other, as ros_numpy does; and rosbags' writer given messages\n"
         "made field by field, clouds alone, where ours writes poses and tf too.\n\n"
         "| form | write | peer | ratio | read | peer | ratio | open |\n|---|---|---|---|---|---|---|---|"

@@ -134,6 +134,10 @@ class Samples:
 
     def samples(self, skipped: Counter[str], R_drone_imu: Array) -> Imu:
         rows = np.array(self._rows).reshape(-1, 7)
+        finite = np.isfinite(rows).all(axis=1)
+        if not finite.all():
+            skipped["IMU sample not finite"] += int((~finite).sum())
+        rows = rows[finite]
         kept, stamp_s = rising(rows[:, 0], skipped, "IMU sample")
         return Imu(stamp_s, rows[kept, 1:4] @ R_drone_imu.T, rows[kept, 4:] @ R_drone_imu.T)
 

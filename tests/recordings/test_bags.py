@@ -17,7 +17,7 @@ from steelnb.errors import (
     TopicError,
     UnsupportedFormatError,
 )
-from steelnb.recordings.bag_files import TRANSFORMS
+from steelnb.recordings.bag_files import TRANSFORMS, typestore
 from steelnb.recordings.choice import Choice
 from steelnb.recordings.formats import open_recording, save_recording
 from steelnb.recordings.pinhole import T_OPTICAL_SENSOR
@@ -125,6 +125,35 @@ def test_compressed_chunks_of_mcap(tmp_path):
     assert len(list(open_recording(path).scans.walk())) == 5
 
 
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+@pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
+def test_compressed_folders_of_ros2(tmp_path, mode, plugin):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    rows = Bagged(tmp_path / "a.mcap").clouds().odometry().rows
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[plugin])
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        topics = {key: writer.add_connection(*key, typestore=typestore(2)) for key in {row[:2] for row in rows}}
+        for topic, kind, stamp, message in rows:
+            writer.write(topics[topic, kind], ns(stamp), typestore(2).serialize_cdr(message, kind))
+    scans = list(open_recording(tmp_path / "bag").scans.walk())
+    np.testing.assert_array_equal([scan.points for scan in scans], [POINTS] * 5)
+
+
+def test_messages_of_the_other_byte_order(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry()
+    store = typestore(2)
+    bag.rows = [
+        (topic, kind, stamp, bytes(store.serialize_cdr(message, kind, little_endian=False)))
+        for topic, kind, stamp, message in bag.rows
+    ]
+    recording = open_recording(bag.write())
+    np.testing.assert_array_equal(recording.scans.stamp_s, STAMPS)
+    np.testing.assert_allclose(recording.poses.position, poses(5).position)
+    np.testing.assert_array_equal(next(recording.scans.walk()).points, POINTS)
+
+
 def test_several_topics_that_fit_are_listed(bag1):
     path = bag1.clouds("/left").clouds("/right").odometry("/vio").odometry("/gps", kind=POSE).write()
     with pytest.raises(TopicError, match=r"2 topics fit for the scans; .* /left \(PointCloud2\), /right"):
@@ -219,6 +248,35 @@ def test_extrinsics_follow_tf_from_the_body_to_the_cloud(bag):
     recording = open_recording(bag.write())
     np.testing.assert_allclose(recording.T_drone_sensor, a @ c, atol=1e-14)
     assert recording.facts["extrinsics"] == "tf body → tof"
+
+
+def test_poses_that_name_no_body_are_those_of_the_usual_one(bag1):
+    T = T_of((1, 2, 3))
+    recording = open_recording(bag1.clouds().odometry(kind=POSE).tf("base_link", "tof", T).write())
+    np.testing.assert_allclose(recording.T_drone_sensor, T)
+    assert recording.facts["extrinsics"] == "tf base_link → tof"
+    assert recording.facts["frames"] == "poses of the body, scans in tof"
+
+
+def test_poses_of_a_frame_that_tf_does_not_know(bag1):
+    T = T_of((1, 2, 3))
+    recording = open_recording(bag1.clouds().odometry(child="vio").tf("base_link", "tof", T).write())
+    np.testing.assert_allclose(recording.T_drone_sensor, T)
+    assert recording.facts["extrinsics"] == "tf base_link → tof, since the poses' frame vio is not in tf"
+
+
+def test_inertial_samples_are_turned_to_the_drones_axes(bag):
+    T = T_of((1, 0, 0), (0, 0, np.pi / 2))
+    bag.clouds().odometry().tf("base_link", "imu_link", T)
+    for stamp, force in ((0.1, (1.0, 2.0, 3.0)), (0.2, (np.inf, 0.0, 0.0)), (0.3, (4.0, 5.0, 6.0))):
+        message = bag.make.imu(ns(stamp), np.array(force), np.array([0.1, 0.2, 0.3]))
+        message.header.frame_id = "imu_link"
+        bag.rows.append(("/imu", IMU, stamp, message))
+    recording = open_recording(bag.write())
+    np.testing.assert_allclose(recording.imu.stamp_s, [0.1, 0.3])
+    np.testing.assert_allclose(recording.imu.specific_force, [(-2, 1, 3), (-5, 4, 6)], atol=1e-14)
+    np.testing.assert_allclose(recording.imu.angular_rate, [(-0.2, 0.1, 0.3)] * 2, atol=1e-14)
+    assert recording.skipped == {"IMU sample not finite": 1}
 
 
 def test_extrinsics_against_the_tree(bag1):
