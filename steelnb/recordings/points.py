@@ -14,7 +14,9 @@ def read_npy(path: Path) -> Array:
     """Points ``(N, 3)`` or ``(H, W, 3)`` of a NumPy file; further columns are ignored. Raises `FileContentError`."""
     try:
         values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as fault:
+    except OSError:
+        raise
+    except Exception as fault:  # its header is read as Python, so a damaged one raises whatever Python's parts do
         said = (str(fault).splitlines() or [type(fault).__name__])[0][:100]
         raise FileContentError(f"{path}: no whole NumPy file: {said}") from None
     good = isinstance(values, np.ndarray) and values.ndim in (2, 3) and values.shape[-1] >= 3
