@@ -42,7 +42,7 @@ def test_drift_goes_on_over_a_gap_and_the_gap_stays_one():
 
 
 def test_poses_over_years_are_refused_before_they_fill_the_memory():
-    with pytest.raises(RecordingError, match="less than a day"):
+    with pytest.raises(RecordingError, match="less than four hours"):
         with_drift(straight(np.array([0.0, 1e9])), WALK, 7, 0.5)
 
 
