@@ -209,6 +209,7 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
             panel.set_xlim(-0.03, 1.03)
         panels[2].set_xscale("log")
         panels[2].xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panels[2].xaxis.set_minor_formatter(lambda value, _: "")
         panels[0].set_yticks(range(len(methods)), [_label(name) for name in methods])
         panels[0].set_ylim(len(methods) - 0.5, -0.5)
     return figure

@@ -40,39 +40,65 @@ def pages(chromium: Browser, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made.index.parent
 
 
+@pytest.fixture(scope="module")
+def whole(chromium: Browser, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The gallery of this project at its smoke budget; `tests/test_notebooks.py` looks at the same runs."""
+    made = gallery.make([], "smoke", output=tmp_path_factory.mktemp("gallery"), root=ROOT)
+    assert not made.missing
+    return made.index.parent
+
+
 @pytest.mark.parametrize("scheme", READERS)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_shows_all_it_holds_and_asks_for_nothing(chromium: Browser, pages: Path, name: str, scheme: str) -> None:
-    complaints: list[str] = []
-    asked: list[str] = []
+    assert look(chromium, pages / name, scheme) == []
+
+
+def test_every_page_of_the_project_shows_all_it_holds_and_asks_for_nothing(chromium: Browser, whole: Path) -> None:
+    found = {
+        path.name: look(chromium, path, list(READERS)[k % 2]) for k, path in enumerate(sorted(whole.glob("*.html")))
+    }
+    assert len(found) > len(list((ROOT / "notebooks").glob("*.ipynb")))
+    assert {name: faults for name, faults in found.items() if faults} == {}
+
+
+def look(chromium: Browser, path: Path, scheme: str) -> list[str]:
+    """Open a page as one of `READERS`, and say what is wrong with it."""
+    faults: list[str] = []
+    width, address = READERS[scheme]["width"], path.as_uri()
 
     def note(request: Request) -> None:
-        if not request.url.startswith(("data:", "blob:")):
-            asked.append(request.url)
+        if not request.url.startswith(("data:", "blob:")) and request.url != address:
+            faults.append(f"asks for {request.url}")
 
     with chromium.new_context(viewport=READERS[scheme], color_scheme=scheme, offline=True) as context:
         page: Page = context.new_page()
         page.on("request", note)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-        page.goto((pages / name).as_uri(), wait_until="load")
-        for picture in page.locator("img").element_handles():
-            assert picture.evaluate("picture => picture.naturalWidth") > 0
-            assert picture.evaluate(COLOURS) > 10
-            assert picture.evaluate("picture => picture.clientWidth") <= READERS[scheme]["width"]
+        page.on("pageerror", lambda error: faults.append(f"error: {error}"))
+        page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+        page.goto(address, wait_until="load")
+        for k, picture in enumerate(page.locator("img").element_handles()):
+            if picture.evaluate("picture => picture.naturalWidth") == 0 or picture.evaluate(COLOURS) <= 10:
+                faults.append(f"picture {k} is empty")
+            if picture.evaluate("picture => picture.clientWidth") > width:
+                faults.append(f"picture {k} is wider than the window")
         for view in page.locator(".plot").all():
             view.locator(".main-svg").first.wait_for()
-        if name == "explore.html":
-            canvas = page.locator(".plot canvas").first
+        for canvas in page.locator(".plot .gl-container canvas").all()[:1]:
             canvas.wait_for()
-            page.wait_for_function("() => document.querySelector('.plot')._fullLayout.scene._scene.glplot")
-            assert len(set(pixels(canvas.screenshot()))) > 10
+            page.wait_for_function("() => document.querySelector('.plot:has(canvas)')._fullLayout.scene._scene.glplot")
+            if len(set(pixels(canvas.screenshot()))) <= 10:
+                faults.append("the 3D view is empty")
+        if path.name == "explore.html" and not page.locator(".plot canvas").count():
+            faults.append("no 3D view")
         ground = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
-        assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 30)"}[scheme]
-        assert page.evaluate(SIDEWAYS) == 0
-        assert page.locator("nav a, article a").first.get_attribute("href")
-    assert asked == [(pages / name).as_uri()]
-    assert complaints == []
+        if ground != {"light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 30)"}[scheme]:
+            faults.append(f"{ground} is no {scheme} ground")
+        if page.evaluate(SIDEWAYS):
+            faults.append(f"{page.evaluate(SIDEWAYS)} pixels wider than a window of {width}")
+        if not page.locator("nav a, article a").first.get_attribute("href"):
+            faults.append("leads nowhere")
+    return faults
 
 
 def pixels(picture: bytes) -> list[tuple[int, ...]]:
