@@ -62,6 +62,8 @@ class Log:
     def __enter__(self) -> Self:
         import rerun as rr
 
+        if self.path.is_dir():
+            raise OutputError(f"{self.path}: is a folder; expected the name of a file")
         folder = self._stack.enter_context(new_folder(self.path.parent))
         stream = rr.RecordingStream("steelnb")
         stream.set_log_time_enabled(False)
