@@ -116,6 +116,9 @@ def run(
 def play(
     recording: Source,
     rate: Annotated[str, typer.Option(help="Times the sensor's speed; max: look for the highest.")] = "1.0",
+    alone: Annotated[
+        bool, typer.Option("--alone", help="Count processor time, as if nothing else ran here, and wait for nobody.")
+    ] = False,
     odometry: Method = "best",
     noise: Noise = None,
     sensor: Sensor = "starling2",
@@ -141,10 +144,12 @@ def play(
     say = _lines()
     if number is None:
         _, summary = fastest_rate(
-            opened, options, lambda trial, played: say(f"{trial:.3g} x: {played.missed:.1%} missed", True)
+            opened, options, lambda trial, played: say(f"{trial:.3g} x: {played.missed:.1%} missed", True), alone
         )
     else:
-        report = play_recording(opened, number, options, lambda done, total: say(f"scan {done} of {total}", False))
+        report = play_recording(
+            opened, number, options, lambda done, total: say(f"scan {done} of {total}", False), alone
+        )
         summary = report.summary
     print("\n".join(summary))
 

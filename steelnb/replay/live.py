@@ -6,7 +6,8 @@ What time it is comes from a `Clock`, so that the rules can be tried without wai
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self
@@ -29,6 +30,9 @@ class Clock(Protocol):
     def sleep_until(self, moment_s: float) -> None:
         """Come back at that time, or at once if it has passed."""
 
+    def working(self) -> AbstractContextManager[None]:
+        """What happens within is work on a scan."""
+
 
 class WallClock:
     """The machine's."""
@@ -40,6 +44,35 @@ class WallClock:
     def sleep_until(self, moment_s: float) -> None:
         """Sleep."""
         time.sleep(max(0.0, moment_s - time.perf_counter()))
+
+    def working(self) -> AbstractContextManager[None]:
+        """Nothing more: time passes by itself."""
+        return nullcontext()
+
+
+class LoneClock:
+    """Time as it would pass if nothing else ran on this machine: by processor time of the work, and by sleeping.
+
+    It does not wait, so a flight is played as fast as it goes.
+    """
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+
+    def now(self) -> float:
+        """Seconds since the clock was made."""
+        return self._now_s
+
+    def sleep_until(self, moment_s: float) -> None:
+        """Be there."""
+        self._now_s = max(self._now_s, moment_s)
+
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """Let the processor time of the process pass."""
+        began_s = time.process_time()
+        yield
+        self._now_s += time.process_time() - began_s
 
 
 class Arrival(NamedTuple):
@@ -110,7 +143,8 @@ def play(
         clock.sleep_until(arrived_s(arrival))
         while (newer := arrivals.peek()) is not None and arrived_s(newer) <= clock.now():
             arrival = arrivals.take() or newer
-        update(arrival.k, arrival.scan)
+        with clock.working():
+            update(arrival.k, arrival.scan)
         index.append(arrival.k)
         latency_s.append(clock.now() - arrived_s(arrival))
         late.append(latency_s[-1] > period_s[arrival.k])
@@ -121,25 +155,32 @@ def play(
     )  # fmt: skip
 
 
-class Held:
-    """Scans that are in memory: read long ago."""
+class Ready:
+    """Scans that are always there in time, from memory or read when they are asked for, while the clock stands."""
 
-    def __init__(self, scans: Sequence[Scan]) -> None:
-        self._scans, self._next = scans, 0
+    def __init__(self, scans: Iterable[Scan]) -> None:
+        self._scans = scans
+        self._left: Iterator[tuple[int, Scan]] = iter(())
+        self._next: Arrival | None = None
 
     def begin(self, due_s: Array) -> None:
         """From the first scan on."""
-        self._next = 0
+        self._left = enumerate(self._scans)
+        self._read()
 
     def take(self) -> Arrival | None:
         """The next scan."""
-        found = self.peek()
-        self._next += 1
+        found = self._next
+        self._read()
         return found
 
     def peek(self) -> Arrival | None:
         """The next scan."""
-        return Arrival(self._next, self._scans[self._next], -np.inf) if self._next < len(self._scans) else None
+        return self._next
+
+    def _read(self) -> None:
+        found = next(self._left, None)
+        self._next = None if found is None else Arrival(*found, ready_s=-np.inf)
 
 
 class Reader:

@@ -13,13 +13,14 @@ from steelnb.odometry import make_odometry
 from steelnb.recordings.recording import Recording
 from steelnb.replay.course import Course, course_of
 from steelnb.replay.judge import score
-from steelnb.replay.live import Arrivals, Clock, Held, Played, Reader, WallClock, highest_rate, play
+from steelnb.replay.live import Arrivals, Clock, LoneClock, Played, Reader, Ready, WallClock, highest_rate, play
 from steelnb.replay.offline import periods, replay, uncounted, warm_up
 from steelnb.replay.options import Options
 
 MISSED_MAX = 0.01
 SCANS_MIN = 100
 """Fewer could not tell one missed in a hundred."""
+ALONE = ", by processor time, as if nothing else ran here"
 HELD_BYTES = 512_000_000
 """Of scans that are held in memory while the highest rate is looked for."""
 
@@ -43,11 +44,16 @@ class PlayReport:
 
 
 def play_recording(
-    recording: Recording, rate: float = 1.0, options: Options | None = None, on_scan: OnScan | None = None
+    recording: Recording,
+    rate: float = 1.0,
+    options: Options | None = None,
+    on_scan: OnScan | None = None,
+    alone: bool = False,
 ) -> PlayReport:
     """Play a recording by the clock. ``on_scan`` is told how many of how many scans are through.
 
-    Raises `SettingsError`, `RecordingError` and what reading the recording raises.
+    ``alone``: the time that passes is the processor's (`LoneClock`), and reading takes none. Raises `SettingsError`,
+    `RecordingError` and what reading the recording raises.
     """
     options = options or Options()
     if not 0 < rate < math.inf:
@@ -56,12 +62,16 @@ def play_recording(
     course = course_of(recording, options.drift, options.seed, options.gap_max_s)
     with uncounted(recording.skipped):
         warm_up(course.flight, settings)
-    clock = WallClock()
-    with Reader(course.flight.scans, clock) as reader:
-        played, poses = played_through(course.flight, settings, rate, reader, clock, on_scan)
+    if alone:
+        ready = Ready(course.flight.scans)
+        played, poses = played_through(course.flight, settings, rate, ready, LoneClock(), on_scan)
+    else:
+        clock = WallClock()
+        with Reader(course.flight.scans, clock) as reader:
+            played, poses = played_through(course.flight, settings, rate, reader, clock, on_scan)
     with uncounted(recording.skipped):
         ate, undropped = _accuracy(course, settings, played, poses)
-    summary = _summary(recording, course, options, rate, played, ate, undropped)
+    summary = _summary(recording, course, options, rate, played, ate, undropped, alone)
     return PlayReport(rate, played, ate, undropped, summary)
 
 
@@ -88,12 +98,12 @@ def played_through(
 
 
 def fastest_rate(
-    recording: Recording, options: Options | None = None, on_trial: OnTrial | None = None
+    recording: Recording, options: Options | None = None, on_trial: OnTrial | None = None, alone: bool = False
 ) -> tuple[float, tuple[str, ...]]:
     """The highest rate at which less than one scan in a hundred is missed; and what to say of it.
 
-    Every trial plays the same scans, from memory, the first `HELD_BYTES` of them. Raises as `play_recording`, and
-    `RecordingError` for a recording too short to tell.
+    Every trial plays the same scans, from memory, the first `HELD_BYTES` of them; ``alone`` as in `play_recording`.
+    Raises what that does, and `RecordingError` for a recording too short to tell.
     """
     options = options or Options()
     settings = options.settings()
@@ -105,10 +115,11 @@ def fastest_rate(
         )
     stamp_s = flight.prior.stamp_s[: len(scans)]
     through = replay(_beginning(flight, scans), settings)  # loads what is compiled, and says where to begin
-    clock, last = WallClock(), {}
+    last = {}
 
     def missed(rate: float) -> float:
-        played, _ = played_through(flight, settings, rate, Held(scans), clock, total=len(scans))
+        clock = LoneClock() if alone else WallClock()
+        played, _ = played_through(flight, settings, rate, Ready(scans), clock, total=len(scans))
         last[rate] = played
         if on_trial:
             on_trial(rate, played)
@@ -122,7 +133,7 @@ def fastest_rate(
         return rate, (f"fastest   no rate with less than {MISSED_MAX:.0%} missed, {options.method}, {name}",)
     return rate, (
         f"fastest   {rate:.3g} x, {rate / period_s:.1f} scans a second: {last[rate].missed:.1%} missed of "
-        f"{len(scans)} scans, {options.method}, {name}",
+        f"{len(scans)} scans, {options.method}{ALONE if alone else ''}, {name}",
         *_latency(last[rate], period_s / rate),
         f"trials    {len(last)}, each of the same {len(scans)} scans from memory, {np.ptp(stamp_s):.0f} s of flight",
     )
@@ -177,6 +188,7 @@ def _summary(
     played: Played,
     ate: float | None,
     undropped: float | None,
+    alone: bool,
 ) -> tuple[str, ...]:
     period_s = float(np.median(periods(course.flight.prior.stamp_s))) / rate
     skipped = [f"{count} {reason}" for reason, count in sorted(recording.skipped.items()) if count]
@@ -184,13 +196,13 @@ def _summary(
     read = f"{len(behind)} scans were read late, by up to {1e3 * behind.max(initial=0):.1f} ms; that is not counted"
     lines = [
         f"played    {recording.path.name}: {played.total} scans at {rate:g} x, {1 / period_s:.1f} a second, "
-        f"through {options.method}",
+        f"through {options.method}{ALONE if alone else ''}",
         *([f"skipped   {'; '.join(skipped)}"] if skipped else []),
         *(f"note      {note}" for note in course.notes),
         f"missed    {played.missed:.1%}: {int(played.late.sum())} results came after the next scan was due, "
         f"{played.dropped} scans were dropped",
         *_latency(played, period_s),
-        *([f"reading   {read}"] if len(behind) else ["reading   every scan was read before it was due"]),
+        *([] if alone else [f"reading   {read}" if len(behind) else "reading   every scan was read before it was due"]),
     ]
     if ate is not None and undropped is not None:
         lost = "no scan was dropped, so nothing is lost"

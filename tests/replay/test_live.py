@@ -2,12 +2,14 @@
 
 import itertools
 import threading
+import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
 from steelnb.datatypes import Scan
-from steelnb.replay.live import Arrival, Held, Reader, WallClock, highest_rate, play
+from steelnb.replay.live import Arrival, LoneClock, Reader, Ready, WallClock, highest_rate, play
 
 
 class MadeClock:
@@ -21,6 +23,9 @@ class MadeClock:
 
     def sleep_until(self, moment_s: float) -> None:
         self.now_s = max(self.now_s, moment_s)
+
+    def working(self):
+        return nullcontext()
 
     def work(self, seconds: float) -> None:
         self.now_s += seconds
@@ -53,7 +58,7 @@ def scans(count: int) -> list[Scan]:
 def played(work_s, count=10, rate=1.0, ready_s=None, stamp_s=None):
     """Play ``count`` scans a second apart, the work on scan k taking ``work_s(k)``."""
     clock, done = MadeClock(), []
-    arrivals = Held(scans(count)) if ready_s is None else Read(clock, ready_s)
+    arrivals = Ready(scans(count)) if ready_s is None else Read(clock, ready_s)
 
     def update(k, given):
         assert given.points[0, 0] == k
@@ -116,12 +121,29 @@ def test_uneven_stamps_have_deadlines_of_their_own():
     assert found.dropped == 0
 
 
-def test_held_scans_can_be_played_again():
-    held = Held(scans(3))
+def test_scans_in_memory_can_be_played_again():
+    held = Ready(scans(3))
     for _ in range(2):
         held.begin(np.zeros(3))
         assert [held.take().k for _ in range(3)] == [0, 1, 2]
         assert held.take() is None
+
+
+def test_the_lone_clock_counts_the_processors_time_of_work_alone():
+    clock = LoneClock()
+    clock.sleep_until(5.0)
+    assert clock.now() == 5.0
+    time.sleep(0.02)  # the machine's time does not count, nor what is done between two scans
+    sum(range(100_000))
+    assert clock.now() == 5.0
+    with clock.working():
+        began_s = time.process_time()
+        while time.process_time() - began_s < 0.02:
+            pass
+    assert clock.now() >= 5.02
+    assert clock.now() - 5.0 <= time.process_time() - began_s + 0.02
+    clock.sleep_until(1.0)
+    assert clock.now() >= 5.02
 
 
 def test_reader_hands_over_every_scan_in_order_while_none_is_due():

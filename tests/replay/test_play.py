@@ -7,7 +7,7 @@ from steelnb.errors import RecordingError, SettingsError
 from steelnb.replay import play as module
 from steelnb.replay.course import course_of
 from steelnb.replay.judge import score
-from steelnb.replay.live import Held
+from steelnb.replay.live import Ready
 from steelnb.replay.offline import replay
 from steelnb.replay.options import Options
 from steelnb.replay.play import fastest_rate, play_recording, played_through
@@ -25,7 +25,7 @@ def through(recording, work_s):
     """Play by a made clock on which each update takes ``work_s``."""
     course, clock = course_of(recording), MadeClock()
     found = played_through(
-        course.flight, settings(), 1.0, Held(list(course.flight.scans)), clock, lambda *_: clock.work(work_s)
+        course.flight, settings(), 1.0, Ready(list(course.flight.scans)), clock, lambda *_: clock.work(work_s)
     )
     return course, *found
 
@@ -61,6 +61,17 @@ def test_a_report_by_the_wall_clock(recording):
         assert report.ate_m == report.ate_undropped_m
 
 
+def test_a_report_by_processor_time(recording):
+    report = play_recording(recording, 0.01, alone=True)  # twenty seconds a scan, which nobody waits for
+    assert (report.played.missed, report.played.dropped) == (0.0, 0)
+    assert "as if nothing else ran here" in report.summary[0]
+    assert report.ate_m == report.ate_undropped_m
+    fast = play_recording(recording, 1e6, alone=True)
+    assert fast.played.dropped > 30
+    assert fast.played.missed == 1.0
+    assert (fast.played.reading_s == 0).all()
+
+
 def test_without_truth_nothing_is_said_of_accuracy():
     report = play_recording(made(lambda k: lattice(np.random.default_rng(k))), 50.0)
     assert report.ate_m is None
@@ -79,6 +90,13 @@ def test_the_fastest_rate_is_one_that_was_tried_and_good(monkeypatch, recording)
     else:
         assert "no rate" in summary[0]
     assert all(played.total == 40 for played in tried.values())
+
+
+def test_the_fastest_rate_by_processor_time(monkeypatch, recording):
+    monkeypatch.setattr(module, "SCANS_MIN", 20)
+    rate, summary = fastest_rate(recording, alone=True)
+    assert rate > 0
+    assert "as if nothing else ran here" in summary[0]
 
 
 def test_scans_that_fit_into_memory_are_tried(monkeypatch, recording):
