@@ -29,7 +29,7 @@ def figure_scan(scan: Scan, poses: Trajectory, truth: Trajectory | None, title: 
         path.set(xlabel="time (s)", ylabel="position (m)", title="poses as recorded")
         if truth is not None:
             path.plot([], [], "--", color=COLOURS["report"], label="truth")
-        path.legend()
+        figure.legend(*path.get_legend_handles_labels(), loc="outside lower right", ncols=4)
         figure.suptitle(title, fontsize=12)
     return figure
 
