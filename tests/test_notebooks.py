@@ -267,3 +267,17 @@ def test_the_notebook_of_the_structure_over_seeds_flies_towers_of_other_sections
     assert (final["recall"] > 0.4).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["vertical.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
+
+
+def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smoke):
+    folder = smoke / "your-own-recording"
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["frames"] == metrics["frames_with_truth"] == 60
+    assert metrics["corrected_ate_rmse_m"] < 0.5 * metrics["prior_ate_rmse_m"]
+    assert metrics["structure_bars"] >= 10
+    assert not any(name.endswith(("_ms", "_share")) for name in metrics)
+    table = pd.read_csv(folder / "table.csv")
+    assert table["recording"].tolist() == ["flight.bag"]
+    assert pd.read_csv(folder / "timing.csv")["stage"].tolist() == ["run", "play at 20 x"]
+    for name in ("scan", "trajectories", "errors", "map"):
+        assert (folder / f"fig_{name}.png").stat().st_size > 30_000
