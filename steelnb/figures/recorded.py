@@ -51,9 +51,8 @@ def figure_recorded_trajectories(
             panel.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)", aspect="equal", title=name)
             panel.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
             for axis in (panel.xaxis, panel.yaxis):
-                axis.set_major_locator(
-                    MaxNLocator(max(1, min(8, int(1.4 * inches * np.ptp(axis.get_view_interval())))))
-                )
+                most = int(1.4 * inches * np.ptp(axis.get_view_interval()))
+                axis.set_major_locator(MaxNLocator(max(1, min(8, most)), steps=[1, 2, 5, 10]))
         figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=4)
         figure.suptitle(title, fontsize=12)
     return figure

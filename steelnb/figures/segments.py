@@ -45,7 +45,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     extent = np.array([0.0, 0.0])
     extent[along], extent[across] = sizes[:, along].sum(), sizes[:, across].max()
     with style():
-        size = extent * inches + ([2.4, 1.7] if beside else [1.4, 3.4])
+        size = extent * inches + ([2.4, 2.2] if beside else [1.4, 3.4])
         figure = Figure(figsize=(max(size[0], 6.0), size[1]))
         ratios = list(sizes[:, along])
         grid = (
