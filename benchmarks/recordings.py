@@ -3,7 +3,8 @@
     .venv/bin/python benchmarks/recordings.py > benchmarks/recordings.md
 
 All files lie in a scratch folder (4 GB) that is removed at the end, and in the page cache: what is measured is this
-program, not the disk; in processor time, the kernel's included, since it is that of one thread. Seconds belong to the machine named in the table; on another only their ratios hold.
+program, not the disk. Times are processor time of its one thread, the kernel's included. They belong to the machine
+named in the table; on another only their ratios hold.
 """
 
 import argparse
@@ -82,10 +83,10 @@ def throughput(scratch: Path) -> None:
     alone = replace(recording, imu=None)
     rows, columns = recording.scans.scans[0].points.shape[:2]  # type: ignore[attr-defined]
     print(
-        f"{SPEED_SCANS} clouds of {columns} × {rows} points, {megabytes:.0f} MB, from and to the page cache; MB a second of\n"
-        f"processor time, best of {REPEATS} in turns. Reading ends with float64 points and NaN rows. The peers: rosbags'\n"
-        "own loop with the fields gathered one after the other, as ros_numpy does; and rosbags' writer given messages\n"
-        "made field by field, clouds alone, where ours writes poses and tf too.\n\n"
+        f"{SPEED_SCANS} clouds of {columns} × {rows} points, {megabytes:.0f} MB, from and to the page cache.\n"
+        f"MB a second of processor time, best of {REPEATS} in turns. Reading ends with float64 points and NaN rows.\n"
+        "The peers: rosbags' own loop with the fields gathered one after the other, as ros_numpy does; and rosbags'\n"
+        "writer given messages made field by field, clouds alone, where ours writes poses and tf too.\n\n"
         "| form | write | peer | ratio | read | peer | ratio | open |\n|---|---|---|---|---|---|---|---|"
     )
     for form, name in FORMS.items():
