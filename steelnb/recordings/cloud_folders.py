@@ -52,7 +52,7 @@ def open_clouds(path: Path, choice: Choice) -> Recording:
         stamp_s, source = poses.stamp_s, poses_file.name
     facts |= {"scans": f"{len(files)} × {files[0].suffix.lower()}", "stamps": source, "poses": poses_file.name}
     stamp_s, files = chosen(path, stamp_s, files, skipped)
-    truth = truth_of(path, choice, poses_file, skipped)
+    truth = truth_of(path, choice, poses_file, skipped, facts)
     if truth is None and poses_file.stem.lower() in TRUE:
         truth, facts["poses"] = poses, "true poses"
     mount = np.eye(4) if T_drone_sensor is None else T_drone_sensor
@@ -142,19 +142,21 @@ def named_file(path: Path, name: str) -> Path:
     raise FileMissingError(f"{name}: no such file, here or in {path}; expected a trajectory")
 
 
-def truth_of(path: Path, choice: Choice, poses_file: Path, skipped: Counter[str]) -> Trajectory | None:
+def truth_of(
+    path: Path, choice: Choice, poses_file: Path, skipped: Counter[str], facts: dict[str, str]
+) -> Trajectory | None:
     """The truth that a user names or that lies beside the folder or, under a name that says so, in it."""
-    beside = truth_beside(path)
-    counted: Counter[str] = Counter()
-    truth = None
     if choice.truth is not None:
-        truth = read_trajectory(named_file(path, choice.truth), counted)
-    elif beside.is_file():
-        truth = read_trajectory(beside, counted)
+        file = named_file(path, choice.truth)
+    elif truth_beside(path).is_file():
+        file = truth_beside(path)
     else:
         inside = [file for file in sorted(path.iterdir()) if file.stem.lower() in TRUE and file.suffix.lower() in TEXTS]
-        if inside and inside[0] != poses_file and _holds_poses(inside[0]):
-            truth = read_trajectory(inside[0], counted)
+        if not inside or inside[0] == poses_file or not _holds_poses(inside[0]):
+            return None
+        file = inside[0]
+    counted: Counter[str] = Counter()
+    truth, facts["truth"] = read_trajectory(file, counted), file.name
     skipped.update({f"truth: {reason}": number for reason, number in counted.items()})
     return truth
 

@@ -71,7 +71,7 @@ def open_tum(path: Path, choice: Choice) -> Recording:
     load = partial(_load, camera=camera, scale=camera.depth_scale or TUM_SCALE, invalid=0)
     return Recording(
         path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor, read_imu(path / IMU, skipped),
-        truth=_truth(path, choice, T_drone_sensor, skipped, poses if true else None),
+        truth=_truth(path, choice, T_drone_sensor, skipped, facts, poses if true else None),
         pictures=_pictures(*_listed(path / "rgb.txt"), skipped) if (path / "rgb.txt").is_file() else None,
         skipped=skipped, facts=facts,
     )  # fmt: skip
@@ -104,7 +104,7 @@ def open_scenes(path: Path, choice: Choice) -> Recording:
     load = partial(_load, camera=camera, scale=camera.depth_scale or SCENES_SCALE, invalid=LARGEST)
     return Recording(
         path, FileScans(stamp_s, files, load, skipped, facts), poses, T_drone_sensor, read_imu(path / IMU, skipped),
-        truth=_truth(path, choice, T_drone_sensor, skipped, None if name else poses),
+        truth=_truth(path, choice, T_drone_sensor, skipped, facts, None if name else poses),
         pictures=_pictures(np.array([s for s, _ in colours]), [f for _, f in colours], skipped) if colours else None,
         skipped=skipped, facts=facts,
     )  # fmt: skip
@@ -208,11 +208,16 @@ def _tum_poses(
 
 
 def _truth(
-    path: Path, choice: Choice, T_drone_sensor: Array, skipped: Counter[str], true: Trajectory | None
+    path: Path,
+    choice: Choice,
+    T_drone_sensor: Array,
+    skipped: Counter[str],
+    facts: dict[str, str],
+    true: Trajectory | None,
 ) -> Trajectory | None:
     """The true poses themselves, or those of a file: beside the folder the drone's, in it the camera's."""
     beside = truth_beside(path)
-    found = truth_of(path, choice, path / "groundtruth.txt" if true else path / TRAJECTORY, skipped)
+    found = truth_of(path, choice, path / "groundtruth.txt" if true else path / TRAJECTORY, skipped, facts)
     if found is None:
         return true
     return found if choice.truth is None and beside.is_file() else _turned(found, T_drone_sensor)

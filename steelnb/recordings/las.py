@@ -1,6 +1,7 @@
 """LAS and LAZ files ↔ points, a chunk at a time, by laspy and lazrs; what they raise for broken files is wrapped."""
 
 import contextlib
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def las_step(path: Path) -> float:
 def write_las(path: Path, points: Array) -> None:
     """Write finite points ``(N, 3)``, LAZ if the ending says so, in steps of 10 µm or what the extent allows.
 
-    Points that are not finite are left out: the format has no place for them.
+    Points that are not finite are left out: the format has no place for them. Raises OSError.
     """
     import laspy
 
@@ -66,12 +67,15 @@ def write_las(path: Path, points: Array) -> None:
     header.offsets = np.floor(points.mean(axis=0)) if len(points) else np.zeros(3)
     extent = np.abs(points - header.offsets).max(initial=0.0)
     header.scales = np.full(3, STEP_M * 10.0 ** max(0, np.ceil(np.log10(max(extent, 1.0) / (2e9 * STEP_M)))))
-    with laspy.open(path, "w", header=header, do_compress=path.suffix.lower() == ".laz") as writer:
-        for first in range(0, len(points), CHUNK):
-            some = points[first : first + CHUNK]
-            record = laspy.ScaleAwarePointRecord.zeros(len(some), header=header)
-            record.x, record.y, record.z = some.T
-            writer.write_points(record)
+    try:
+        with laspy.open(path, "w", header=header, do_compress=path.suffix.lower() == ".laz") as writer:
+            for first in range(0, len(points), CHUNK):
+                some = points[first : first + CHUNK]
+                record = laspy.ScaleAwarePointRecord.zeros(len(some), header=header)
+                record.x, record.y, record.z = some.T
+                writer.write_points(record)
+    except RuntimeError as fault:  # lazrs has no other way to tell of a full disk
+        raise OSError(errno.EIO, f"{fault} (is the disk full?)") from None
 
 
 @contextlib.contextmanager

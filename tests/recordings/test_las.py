@@ -105,3 +105,11 @@ def test_a_file_without_points_is_an_empty_cloud(tmp_path: Path, ending: str) ->
     write_las(tmp_path / f"a{ending}", np.full((4, 3), np.nan))
     with pytest.raises(EmptyCloudError):
         read_cloud(tmp_path / f"a{ending}")
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_full_disk_is_an_error_of_the_system(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"a{ending}"
+    path.symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"No space left|is the disk full"):
+        write_las(path, made_up())
