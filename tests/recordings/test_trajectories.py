@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 
 from steelnb.datatypes import Trajectory
 from steelnb.errors import FileContentError, FileMissingError, OutputError, RecordingError, SteelnbError
+from steelnb.recordings.depth_images import read_camera
+from steelnb.recordings.imu_files import read_imu
 from steelnb.recordings.stamps import read_list, read_stamps
 from steelnb.recordings.trajectories import (
     form_of,
@@ -193,6 +195,7 @@ LINES = st.one_of(
 READERS: tuple[Callable, ...] = (
     read_trajectory, read_tum, read_euroc, form_of, read_stamps, read_list,
     lambda path: read_trajectory(path, rate_hz=30.0), lambda path: read_kitti(path, rate_hz=30.0),
+    read_camera, lambda path: read_imu(path, Counter()),
 )  # fmt: skip
 
 
