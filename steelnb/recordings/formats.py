@@ -62,7 +62,10 @@ def open_recording(path: Path | str, choice: Choice = Choice()) -> Recording:  #
     path = Path(path)
     if not path.exists():
         raise FileMissingError(f"{path}: does not exist; expected a recording")
-    reader = next((reader for reader in READERS if reader.fits(path)), None)
+    try:
+        reader = next((reader for reader in READERS if reader.fits(path)), None)
+    except OSError as fault:
+        raise FileMissingError(f"{path}: cannot be read: {fault.strerror}; expected a recording") from None
     if reader is None:
         what = "a folder of an unknown kind" if path.is_dir() else f"ending {path.suffix!r}"
         raise UnsupportedFormatError(

@@ -580,6 +580,15 @@ def test_paths_that_are_no_recordings(tmp_path):
         open_recording(tmp_path / "a.xyz")
 
 
+def test_a_folder_that_may_not_be_listed(tmp_path, monkeypatch):
+    def refused(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    with pytest.raises(FileMissingError, match="cannot be read: Permission denied; expected a recording"):
+        open_recording(tmp_path)
+
+
 def test_a_folder_without_its_metadata_is_read_by_its_files(tmp_path):
     save_recording(tmp_path / "bag", made_up(), "mcap")
     (tmp_path / "bag" / "metadata.yaml").unlink()
