@@ -162,13 +162,9 @@ def test_poses_from_a_file_that_do_not_cover_the_scans(saved, place, capfd):
     ("arguments", "limit"),
     [
         ("run {bag} -o deep/out", 20_000),
-        ("run {bag} -o deep/out", 300_000),
         ("run {bag} -o deep/out --no-structure", 20_000),
         ("run {bag} -o deep/out --no-structure --no-viewer", 20_000),
         ("convert {bag} deep/b.mcap", 300_000),
-        ("convert {bag} deep/b.db3", 300_000),
-        ("convert {bag} deep/b.bag", 300_000),
-        ("convert {bag} deep/c", 20_000),
         ("record deep/b.mcap --duration 1", 300_000),
     ],
 )
@@ -186,7 +182,7 @@ def test_where_files_may_not_grow_nothing_is_left(saved, place, arguments, limit
     assert shown.returncode == 2, shown.stderr
     assert shown.stderr.startswith("steelnb: error: ")
     assert shown.stderr.count("\n") == 1, shown.stderr
-    assert any(name in shown.stderr for name in ("/deep", " b.db3"))
+    assert "/deep" in shown.stderr
     assert "cannot be written" in shown.stderr
     assert list(place.iterdir()) == []
 

@@ -48,6 +48,8 @@ def course_of(
             truth = recording.poses
             notes.append("the recorded poses are taken as true: errors are those of the drift added to them")
         recording = replace(recording, poses=with_drift(truth, noise, seed, gap_max_s))
+    elif recording.facts.get("poses", "").startswith("true poses"):
+        notes.append("the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift")
     flight = recording.flight(gap_max_s)
     flight = replace(flight, scans=Returns(flight.scans))
     if truth is None:

@@ -70,6 +70,13 @@ def test_noise_goes_onto_the_truth_and_not_onto_drifting_poses():
     np.testing.assert_array_equal(course_of(recording).flight.prior.position, wrong.position)
 
 
+def test_true_poses_do_not_drift_and_that_is_said():
+    recording = made(lambda k: lattice(np.random.default_rng(k)), facts={"poses": "true poses, /ground_truth"})
+    recording = replace(recording, truth=recording.poses)
+    assert "--noise" in course_of(recording).notes[0]
+    assert course_of(recording, WALK).notes == ()
+
+
 def test_truth_in_another_frame_is_moved_onto_the_first_pose_and_said():
     stamp_s = 0.2 * np.arange(8)
     turn = np.eye(4)
