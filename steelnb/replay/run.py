@@ -1,6 +1,7 @@
 """`steelnb run`: a recording through an odometry → a folder with all that comes of it."""
 
 import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from steelnb.config import StructureSettings
 from steelnb.datatypes import Array, Trajectory
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, SettingsError
 from steelnb.exports import export_structure, orientation
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
@@ -60,7 +61,7 @@ def run_recording(
     course = course_of(recording, options.drift, options.seed, options.gap_max_s)
     flight = course.flight
     target = Path(output) if output else Path(f"{recording.path.resolve().stem}_run")
-    with new_folder(target) as folder, contextlib.ExitStack() as stack:
+    with new_folder(target) as folder, _called(folder, target), contextlib.ExitStack() as stack:
         with uncounted(recording.skipped):
             warm_up(flight, settings)
         observers: list[Observer] = [on_frame] if on_frame else []
@@ -100,6 +101,15 @@ def run_recording(
     return RunReport(
         target, replayed, course, built, numbers, summarised(recording, course, numbers, built, target, files)
     )
+
+
+@contextlib.contextmanager
+def _called(folder: Path, target: Path) -> Iterator[None]:
+    """Where a file cannot be written, the error names it as the user will see it."""
+    try:
+        yield
+    except OutputError as fault:
+        raise OutputError(str(fault).replace(str(folder), str(target))) from None
 
 
 def _watching(log: Log, recording: Recording, course: Course) -> Observer:
