@@ -156,12 +156,13 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
     with style():
         figure = Figure(figsize=(1.0 + 2.5 * max(len(cases), 2), 0.9 + 2.0 * len(methods)))
         grid = figure.subplots(len(methods), len(cases), sharex=True, sharey=True, squeeze=False)
+        of_report = False
         for row, method in enumerate(methods):
             for column, (noise, trajectory) in enumerate(cases):
                 panel = grid[row, column]
                 case = (runs["noise"] == noise) & (runs["trajectory"] == trajectory) & (runs["method"] == method)
                 _draw_bands(panel, runs[case & (runs["status"] == "ok")], method)
-                _draw_report(panel, noise, trajectory, method)
+                of_report |= _draw_report(panel, noise, trajectory, method)
                 if row == 0:
                     panel.set_title(f"{trajectory}\n{noise.replace('+yaw-random-walk', ' + yaw')}", fontsize=11)
                 if row == len(methods) - 1:
@@ -174,7 +175,7 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
             Line2D([], [], color=COLOURS["none"], linestyle="--", label="no correction: median, 10–90 %"),
             Line2D([], [], color="#333333", label="corrected: median, 10–90 %"),
         ]
-        if any(noise in REPORT_CLOUD_ODOMETRY for noise, _ in cases):
+        if of_report:
             handles.append(
                 Line2D(
                     [], [], color=COLOURS["report"], alpha=0.35, linewidth=8, label="corrected, the report's one seed"
@@ -199,13 +200,14 @@ def _draw_bands(panel: Axes, runs: pd.DataFrame, method: str) -> None:
     panel.text(0.97, 0.04, f"{runs['seed'].nunique()} seeds", transform=panel.transAxes, ha="right", fontsize=9)
 
 
-def _draw_report(panel: Axes, noise: str, trajectory: str, method: str) -> None:
-    """The range of the report's corrected error, where it shows one."""
+def _draw_report(panel: Axes, noise: str, trajectory: str, method: str) -> bool:
+    """The range of the report's corrected error, where it shows one; True then."""
     found = REPORT_CLOUD_ODOMETRY.get(noise, {}).get(method, {}).get(trajectory)
     if method == "average" and noise in REPORT_CLOUD_ODOMETRY and trajectory in REPORT_SEGMENT_ODOMETRY:
         found = (0.0, REPORT_SEGMENT_ODOMETRY[trajectory]["max_m"])
     if found:
         panel.axhspan(max(found[0], ERROR_LIMITS_M[0]), found[1], color=COLOURS["report"], alpha=0.18, linewidth=0)
+    return found is not None
 
 
 def bands(runs: pd.DataFrame, name: str) -> tuple[Array, Array]:
