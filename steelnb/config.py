@@ -420,10 +420,15 @@ class StructureSettings(Settings):
 
     @classmethod
     def for_cloud(cls, tube_m: float) -> "StructureSettings":
-        """For a plain cloud whose bars' points lie within ``tube_m``: every length in proportion, and no floor."""
+        """For a plain cloud whose bars' points lie within ``tube_m``: every length in proportion, and no floor.
+
+        Bars may run as near to each other as two tubes: what a flight sees twice, the flanges of a wide leg, a coarse
+        cloud does not tell apart.
+        """
         scale = tube_m / cls.model_fields["tube_m"].default
         lengths = [name for name in cls.model_fields if name.endswith("_m") and name not in ("floor_m", "range_max_m")]
-        return cls(floor_m=-1e6, **{name: scale * cls.model_fields[name].default for name in lengths})
+        scaled = {name: scale * cls.model_fields[name].default for name in lengths}
+        return cls(**{**scaled, "floor_m": -1e6, "copy_distance_m": 2 * tube_m})
 
 
 class Tolerance(Settings):

@@ -110,18 +110,9 @@ def segment_file(
     return SegmentReport(target, segments, built, voxel, dx, explained, filtered, seconds, summary)
 
 
-def structure_settings(tube_m: float) -> StructureSettings:
-    """How a cloud is reconstructed whose bars' points lie within ``tube_m``.
-
-    Bars of a coarse cloud may run as near to each other as two tubes; what a flight sees twice, the flanges of a wide
-    leg, such a cloud does not tell apart.
-    """
-    return StructureSettings.for_cloud(tube_m).but(copy_distance_m=2 * tube_m)
-
-
 def _structure(cloud: Cloud, dx_m: float, folder: Path, source: str) -> Structure:
     """Bars and joints of a cloud in the coordinates of its file, written to ``structure.json``."""
-    settings = structure_settings(dx_m)
+    settings = StructureSettings.for_cloud(dx_m)
     try:
         found = reconstruct_cloud(cloud.points, settings)
     except SettingsError as fault:  # so fine a dx that the cloud's voxels cannot be numbered

@@ -61,7 +61,8 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
     for r in range(rows):
         for c in range(columns):
             x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
-            distance[r, c] = np.sqrt(x * x + y * y + z * z)
+            # What is not before the sensor has no slope to it: zeros, by which many drivers mark no return, too.
+            distance[r, c] = np.sqrt(x * x + y * y + z * z) if x > 0.0 else np.nan
     along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
     measure_runs(image, distance, 1, along_row)
     measure_runs(image.transpose(1, 0, 2), distance.T, 2, along_column.T)

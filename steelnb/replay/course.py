@@ -79,10 +79,7 @@ def check_gap(gap_max_s: float) -> None:
 
 
 class Returns(Sequence[Scan]):
-    """Scans without the points that are none: those at the sensor's own place, by which many drivers mark no return.
-
-    They become NaN. What lies square to the optical axis, at x = 0, is moved by a nanometre, for slopes are taken.
-    """
+    """Scans without the points that are none: those at the sensor's own place, by which many drivers mark no return."""
 
     def __init__(self, scans: Sequence[Scan]) -> None:
         self._scans = scans
@@ -100,12 +97,11 @@ class Returns(Sequence[Scan]):
 
 def without_zeros(scan: Scan) -> Scan:
     """The same scan, or one without points at the sensor; see `Returns`."""
-    zero = scan.points[..., 0] == 0
+    zero = (scan.points == 0).all(axis=-1)
     if not zero.any():
         return scan
     points = scan.points.copy()
-    points[zero, 0] = 1e-9
-    points[zero & (scan.points == 0).all(axis=-1)] = np.nan
+    points[zero] = np.nan
     return Scan(scan.stamp_s, points)
 
 

@@ -21,7 +21,6 @@ from steelnb.study.clouds import (
 from steelnb.study.runs import (
     compare,
     metrics,
-    over_seeds,
     provenance,
     summarise,
     summary_metrics,
@@ -114,7 +113,6 @@ __all__ = [
     "near_side_summary",
     "offset_grid",
     "over_cases",
-    "over_seeds",
     "paired_clouds",
     "provenance",
     "ranking",

@@ -41,37 +41,6 @@ def compare(
     return results
 
 
-def over_seeds(
-    trajectory: TrajectoryName,
-    sensor: SensorName,
-    noise: Sequence[str],
-    method: Sequence[MethodName],
-    seeds: Sequence[int],
-    duration_s: float,
-    blind_s: Sequence[Sequence[float]] = (),
-    overrides: dict[str, Any] | None = None,
-    on_progress: Callable[[float], None] | None = None,
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """`compare` for many seeds: its tables of runs and of times, one seed after the other, and nothing else is kept.
-
-    The column ``case`` is the noise; where ``blind_s`` names intervals (from, to), the last noise is flown once more
-    without any return in them, as ``<noise>, blind``.
-    """
-    gaps = {"tof.blind_s": [list(interval) for interval in blind_s]}
-    flights: list[tuple[str, Sequence[str], dict[str, Any]]] = [("", noise, {})]
-    if blind_s:
-        flights.append((", blind", noise[-1:], gaps))
-    tables, times = [], []
-    for k, seed in enumerate(seeds):
-        for j, (suffix, some, extra) in enumerate(flights):
-            within = share(on_progress, k * len(flights) + j, len(seeds) * len(flights)) if on_progress else None
-            runs = compare(trajectory, sensor, some, method, seed, duration_s, {**(overrides or {}), **extra}, within)
-            rows = table(runs)
-            tables.append(rows.assign(case=rows["noise"] + suffix))
-            times.append(timing(runs))
-    return pd.concat(tables, ignore_index=True), pd.concat(times, ignore_index=True)
-
-
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Mean, worst and number of seeds of ``ate_rmse_m`` for each case and method, and of what lies outside gaps."""
     named = {"seeds": ("seed", "count"), "ate_mean_m": ("ate_rmse_m", "mean"), "ate_worst_m": ("ate_rmse_m", "max")}

@@ -31,6 +31,15 @@ def test_walls_and_lone_pixels_do_not_count():
     assert apparent_width(lone) == (0.0, 0)
 
 
+@pytest.mark.parametrize("x", [0.0, -1.0])
+def test_what_is_not_before_the_sensor_is_no_return(x):
+    scan = strip(0.1, 30)
+    marked = np.where(np.isfinite(scan), scan, [x, 0.0, 0.0])
+    assert apparent_width(marked) == apparent_width(scan)
+    scan[:, :2] = [x, 0.5, 0.1]
+    assert np.isfinite(apparent_width(scan)[0])
+
+
 def test_a_step_in_range_ends_a_run():
     near, far = strip(0.1, 0), strip(0.6, 0, distance_m=4.0)
     both = np.where(np.isfinite(near), near, far)
