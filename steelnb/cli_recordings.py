@@ -24,7 +24,8 @@ Source = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder, or a folder of clouds or of depth images.")
 ]
 Form = Annotated[
-    str | None, typer.Option(help="ros1, mcap, sqlite, ply, pcd, las, laz or npy; default: by the ending.")
+    str | None,
+    typer.Option(help="ros1, mcap, sqlite, ply, pcd, las, laz, npy, tum-rgbd or 7-scenes; default: by the ending."),
 ]
 Sensor = Annotated[str, typer.Option(help="Whose settings to take: starling2 or report.")]
 Method = Annotated[
