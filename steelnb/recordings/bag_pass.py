@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steelnb.datatypes import Array, Imu, Trajectory
 from steelnb.errors import FileContentError
 from steelnb.recordings.bag_files import Bag, Message
 from steelnb.recordings.choice import Intrinsics
-from steelnb.recordings.stamps import NANO
+from steelnb.recordings.stamps import NANO, rising
 from steelnb.recordings.topics import CAMERA, IMU, ODOMETRY, POSE, TRANSFORM, Topics
 from steelnb.recordings.trajectories import trajectory_of
 from steelnb.recordings.transforms import Transforms
@@ -138,25 +137,8 @@ class Samples:
         if not finite.all():
             skipped["IMU sample not finite"] += int((~finite).sum())
         rows = rows[finite]
-        kept, stamp_s = rising(rows[:, 0], skipped, "IMU sample")
-        return Imu(stamp_s, rows[kept, 1:4] @ R_drone_imu.T, rows[kept, 4:] @ R_drone_imu.T)
-
-
-def rising(stamp_s: Array, skipped: Counter[str], what: str) -> tuple[NDArray[np.bool_], Array]:
-    """Which stamps are later than all before them, and those stamps; the others are counted."""
-    finite = np.isfinite(stamp_s)
-    latest = np.maximum.accumulate(np.where(finite, stamp_s, -np.inf))
-    before = np.concatenate([[-np.inf], latest[:-1]])
-    reasons = {
-        f"{what} without a stamp": ~finite,
-        f"{what}: duplicate stamp": finite & (stamp_s == before),
-        f"{what}: time ran backwards": finite & (stamp_s < before),
-    }
-    for reason, which in reasons.items():
-        if which.any():
-            skipped[reason] += int(which.sum())
-    kept = finite & (stamp_s > before)
-    return kept, stamp_s[kept]
+        rows = rows[rising(rows[:, 0], skipped, "IMU sample: ")]
+        return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:

@@ -16,11 +16,12 @@ from steelnb.errors import FileContentError, RecordingError
 from steelnb.recordings.bag_files import Bag, Message
 from steelnb.recordings.bag_frames import Frames, is_optical, poses_of_transforms
 from steelnb.recordings.bag_images import decode_depth, decode_picture
-from steelnb.recordings.bag_pass import Contents, rising
+from steelnb.recordings.bag_pass import Contents
 from steelnb.recordings.choice import Choice, Intrinsics, read_settings
 from steelnb.recordings.pinhole import depth_points, from_optical
 from steelnb.recordings.pointcloud2 import decode_points
 from steelnb.recordings.recording import Picture, Recording
+from steelnb.recordings.stamps import rising
 from steelnb.recordings.topics import Topics, choose_topics, held
 from steelnb.recordings.trajectories import read_trajectory
 
@@ -37,8 +38,9 @@ def open_bag(path: Path, choice: Choice) -> Recording:
     read = Contents(bag, topics, series=topics.poses is None)
     skipped = read.skipped
     facts = {"form": bag.form, "scans": topics.scans, "size": read.size, **topics.unclear}
-    kept, stamp_s = rising(read.stamps[topics.scans].seconds(), skipped, "scan")
-    if not len(stamp_s):
+    stamp_s = read.stamps[topics.scans].seconds()
+    kept = rising(stamp_s, skipped, "scan: ", "scan without a stamp")
+    if not kept.any():
         raise RecordingError(f"{path}: {topics.scans} has no scan with a stamp; expected at least one")
     sensor = read.frame_of.get(topics.scans, "")
     optical = topics.depth or is_optical(sensor)
@@ -54,15 +56,16 @@ def open_bag(path: Path, choice: Choice) -> Recording:
         imu = read.imu.samples(skipped, frames.R_drone(read.imu.frame))
         facts["imu"] = topics.imu
     if topics.pictures is not None:
-        shown = rising(read.stamps[topics.pictures].seconds(), skipped, "picture")
-        pictures = BagPictures(bag, topics.pictures, *shown, skipped)
+        taken_s = read.stamps[topics.pictures].seconds()
+        shown = rising(taken_s, skipped, "picture: ", "picture without a stamp")
+        pictures = BagPictures(bag, topics.pictures, shown, taken_s[shown], skipped)
         facts["pictures"] = topics.pictures
     if topics.truth is not None:
         reasons: Counter[str] = Counter()
         truth, _ = frames.of_drone(read.poses[topics.truth].trajectory(path, reasons))
         skipped.update({f"truth: {reason}": count for reason, count in reasons.items()})
         facts["truth"] = topics.truth
-    scans = BagScans(bag, topics.scans, kept, stamp_s, decode, skipped)
+    scans = BagScans(bag, topics.scans, kept, stamp_s[kept], decode, skipped)
     return Recording(path, scans, poses, T_drone_sensor, imu, truth, pictures, skipped, facts)
 
 

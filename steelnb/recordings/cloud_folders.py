@@ -9,12 +9,12 @@ import numpy as np
 from steelnb.datatypes import Array, Trajectory
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, TopicError
 from steelnb.recordings.choice import Choice, read_settings
-from steelnb.recordings.file_scans import FilePictures, FileScans, chosen, in_order, rising
+from steelnb.recordings.file_scans import FilePictures, FileScans, chosen, in_order
 from steelnb.recordings.images import read_picture, write_png
 from steelnb.recordings.imu_files import IMU, read_imu, write_imu
 from steelnb.recordings.points import READERS, WRITERS, read_points
 from steelnb.recordings.recording import Recording
-from steelnb.recordings.stamps import STAMP_FILES, name_of, read_list, stamps_beside, stamps_of_names
+from steelnb.recordings.stamps import STAMP_FILES, name_of, read_list, rising, stamps_beside, stamps_of_names
 from steelnb.recordings.trajectories import KITTI, form_of, read_kitti, read_trajectory, write_tum
 
 SETTINGS, TRAJECTORY, PICTURES = "settings.toml", "trajectory.txt", "pictures"
@@ -180,7 +180,7 @@ def _pictures(folder: Path, skipped: Counter[str]) -> FilePictures | None:
     if stamp_s is None:
         return None
     kept = rising(stamp_s, skipped, "picture: ")
-    return FilePictures(stamp_s[kept], [files[k] for k in kept], read_picture, skipped)
+    return FilePictures(stamp_s[kept], [files[k] for k in np.flatnonzero(kept).tolist()], read_picture, skipped)
 
 
 def _holds_poses(file: Path) -> bool:

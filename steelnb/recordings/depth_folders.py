@@ -25,12 +25,12 @@ from steelnb.recordings.cloud_folders import (
     write_settings,
 )
 from steelnb.recordings.depth_images import LARGEST, camera_of, camera_of_scans, depths_of
-from steelnb.recordings.file_scans import FilePictures, FileScans, chosen, rising
+from steelnb.recordings.file_scans import FilePictures, FileScans, chosen
 from steelnb.recordings.images import read_depth, read_picture, write_png
 from steelnb.recordings.imu_files import IMU, read_imu, write_imu
 from steelnb.recordings.pinhole import T_OPTICAL_SENSOR, depth_points
 from steelnb.recordings.recording import GAP_MAX_S, Recording, interpolate
-from steelnb.recordings.stamps import name_of, read_list, read_stamps, text_lines
+from steelnb.recordings.stamps import name_of, read_list, read_stamps, rising, text_lines
 from steelnb.recordings.trajectories import read_trajectory, trajectory_of_matrices, write_tum
 
 TUM_SCALE, SCENES_SCALE = 1 / 5000, 1 / 1000
@@ -264,7 +264,7 @@ def _pose(file: Path) -> Array | None:
 
 def _pictures(stamp_s: Array, files: list[Path], skipped: Counter[str]) -> FilePictures:
     kept = rising(stamp_s, skipped, "picture: ")
-    return FilePictures(stamp_s[kept], [files[k] for k in kept], read_picture, skipped)
+    return FilePictures(stamp_s[kept], [files[k] for k in np.flatnonzero(kept).tolist()], read_picture, skipped)
 
 
 def _kinect(numbers: tuple[float, float, float, float]) -> Intrinsics:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.datatypes import Array, IntArray, Scan
+from steelnb.datatypes import Array, Scan
 from steelnb.errors import EmptyCloudError, RecordingError, SteelnbError
 from steelnb.recordings.recording import Picture
+from steelnb.recordings.stamps import rising
 
 
 class FileScans:
@@ -82,21 +83,6 @@ class FilePictures:
             yield Picture(stamp_s, pixels)
 
 
-def rising(stamp_s: Array, skipped: Counter[str], what: str = "") -> IntArray:
-    """Which of some stamps to keep so that they rise strictly; the others are counted, ``what`` in front."""
-    finite = np.flatnonzero(np.isfinite(stamp_s))
-    kept = stamp_s[finite]
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(kept)[:-1]]) if len(kept) else np.zeros(0)
-    for reason, number in (
-        ("stamp not finite", len(stamp_s) - len(finite)),
-        ("duplicate stamp", int((kept == before).sum())),
-        ("time ran backwards", int((kept < before).sum())),
-    ):
-        if number:
-            skipped[what + reason] += number
-    return np.asarray(finite[kept > before], dtype=np.int64)
-
-
 def in_order(files: Sequence[Path]) -> list[Path]:
     """Files in the order of the numbers in their names: 9 before 10."""
 
@@ -110,6 +96,6 @@ def in_order(files: Sequence[Path]) -> list[Path]:
 def chosen(path: Path, stamp_s: Array, files: Sequence[Path], skipped: Counter[str]) -> tuple[Array, list[Path]]:
     """Scans' stamps that rise strictly, and their files. Raises `RecordingError` where none is left."""
     kept = rising(stamp_s, skipped)
-    if not len(kept):
+    if not kept.any():
         raise RecordingError(f"{path}: {len(files)} scans, none with a stamp of use; expected seconds that rise")
-    return stamp_s[kept], [files[k] for k in kept]
+    return stamp_s[kept], [files[k] for k in np.flatnonzero(kept).tolist()]

@@ -7,8 +7,7 @@ import numpy as np
 
 from steelnb.datatypes import Imu
 from steelnb.errors import FileContentError
-from steelnb.recordings.file_scans import rising
-from steelnb.recordings.stamps import NANO, nanoseconds, text_lines
+from steelnb.recordings.stamps import NANO, nanoseconds, rising, text_lines
 
 IMU = "imu.csv"
 _HEADER = (

@@ -1,12 +1,14 @@
 """Stamps of scans and poses from files of stamps, lists of files, and names of files."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.datatypes import Array
 from steelnb.errors import FileContentError, FileMissingError
@@ -84,6 +86,25 @@ def stamps_beside(path: Path) -> Path | None:
     """The file of stamps in a folder, or in that of a file."""
     folder = path if path.is_dir() else path.parent
     return next((folder / name for name in STAMP_FILES if (folder / name).is_file() and folder / name != path), None)
+
+
+def rising(stamp_s: Array, skipped: Counter[str], what: str = "", missing: str = "") -> NDArray[np.bool_]:
+    """Which stamps ``(N,)`` are later than all before them; the others are counted, ``what`` in front of the reason.
+
+    ``missing`` is the whole reason of those that are not finite, if they have one of their own.
+    """
+    finite = np.isfinite(stamp_s)
+    latest = np.maximum.accumulate(np.where(finite, stamp_s, -np.inf))
+    before = np.concatenate([[-np.inf], latest[:-1]])
+    reasons = {
+        missing or f"{what}stamp not finite": ~finite,
+        f"{what}duplicate stamp": finite & (stamp_s == before),
+        f"{what}time ran backwards": finite & (stamp_s < before),
+    }
+    for reason, which in reasons.items():
+        if which.any():
+            skipped[reason] += int(which.sum())
+    return np.asarray(finite & (stamp_s > before))
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
