@@ -1,3 +1,58 @@
-"""steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans."""
+"""steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
-__version__ = "0.1.0"
+``import steelnb`` imports nothing heavy: each public name is loaded when it is first used. A library of an extra that
+is missing is named with the command that installs it.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from steelnb.errors import MissingExtraError, SteelnbError
+
+if TYPE_CHECKING:
+    from steelnb.experiment import Result, run
+    from steelnb.fusion import SegmentMap
+    from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
+    from steelnb.fusion.structure import Structure
+    from steelnb.hough import detect_lines, detect_segments
+    from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
+    from steelnb.odometry import CloudOdometry, CombinedOdometry, SegmentOdometry, make_odometry
+    from steelnb.registration import RegistrationResult, register
+    from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
+    from steelnb.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
+
+__version__ = "0.2.0"
+
+_MODULES = {
+    "experiment": ("Result", "run"),
+    "fusion": ("SegmentMap",),
+    "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
+    "fusion.structure": ("Structure",),
+    "hough": ("detect_lines", "detect_segments"),
+    "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
+    "odometry": ("CloudOdometry", "CombinedOdometry", "SegmentOdometry", "make_odometry"),
+    "registration": ("RegistrationResult", "register"),
+    "settings": ("ExperimentSettings", "OdometrySettings", "StructureSettings"),
+    "types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
+}
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "Flight", "Lines", "MissingExtraError",
+    "OdometrySettings", "OdometryStep", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry",
+    "Segments", "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
+    "detect_segments", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth", "reconstruct",
+    "reconstruct_cloud", "register", "run", "write_flight", "write_structure",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'steelnb' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"steelnb.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,5 +1,8 @@
 """One exception type per cause; the command line prints each as one line and exits 2."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class SteelnbError(Exception):
     """Base of every error that a user can cause and mend. The message names the value and what was expected."""
@@ -83,3 +86,12 @@ class TopicError(SteelnbError):
 
 class ExtrinsicsError(SteelnbError):
     """A transform that is missing, or is none: a quaternion of length zero, numbers that are not finite."""
+
+
+@contextmanager
+def needs(extra: str) -> Iterator[None]:
+    """Imports of the libraries of an extra: one that is missing raises `MissingExtraError` with the command to run."""
+    try:
+        yield
+    except ModuleNotFoundError as fault:
+        raise MissingExtraError(f"{fault.name} is not installed: pip install 'steelnb[{extra}]'") from None

@@ -1,8 +1,8 @@
-"""Segments in the world frame → `SegmentMap`, and the points where its segments meet."""
+"""Segments in the world frame → `SegmentMap`; scans with corrected poses → `Structure`."""
 
 from steelnb.fusion.association import associate
-from steelnb.fusion.intersections import Intersections, intersections
+from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.segment_map import SegmentMap
 from steelnb.fusion.structure import Structure
 
-__all__ = ["Intersections", "SegmentMap", "Structure", "associate", "intersections"]
+__all__ = ["SegmentMap", "Structure", "associate", "reconstruct", "reconstruct_cloud"]

@@ -1,81 +1,79 @@
-"""Poses and bars together: what is left of the drift, once the sections of the bars are known.
+"""Joint adjustment of the poses of a flight and the axes of its bars (bundle adjustment with bars as landmarks).
 
-Odometry places each scan against a map that holds the drift of those before it. Here all poses and all axes move at
-once: each point says how far the face of its bar that it hit is from where it should be, along the normal of the face.
-Position and yaw of each pose and place and tilt of each bar are free, roll and pitch are the IMU's. What all may do
-together, a shift and a turn, no scan can tell: in the mean of the first scans the poses stay what they were. Poses
-see few bars and bars many poses, so the poses are eliminated first (Schur complement).
+Odometry places each scan against a map that holds the drift of the scans before it. Here all poses and axes move at
+once: the residual of a point is its distance to the face of its bar that it hit, along the normal of the face. Free are
+position and yaw of each pose, and place and tilt of each bar; roll and pitch are the IMU's. A shift and a turn of the
+whole, which no scan can observe, are removed: in the mean of the first scans the poses stay where they were. A pose
+sees few bars and a bar many poses, so the poses are eliminated first (Schur complement).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from steelnb.datatypes import Array, IntArray, Segments
 from steelnb.fusion import sections
-from steelnb.preprocess.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.types import Array, IntArray, Segments
 
 POSE_SIGMA = np.array([0.1, 0.1, 0.1, 0.05])
-"""How far a pose may be off, metres and radians: only holds what no bar holds."""
+"""Prior standard deviation of a pose, metres and radians: holds the directions that no bar constrains."""
 BAR_SIGMA = np.array([0.05, 0.05, 0.05, 0.05])
-"""How far a bar may be off, metres, and metres per metre."""
-
+"""Prior standard deviation of a bar, metres, and metres per metre."""
 ANCHOR_SCANS = 25
-"""Scans from the beginning that keep the world's frame; the drift has hardly begun in them."""
+"""First scans that keep the world frame: five seconds at 5 Hz, in which the drift has hardly begun."""
 
-Sights = Callable[[Array], Iterable[tuple[int, Array, IntArray]]]
-"""Poses ``(K, 4, 4)`` → for each scan its number, points in the world frame and the bars that they lie on or −1."""
+ScanPoints = Iterable[tuple[int, Array, IntArray]]
+"""Of each scan: its number k, points ``(N, 3)`` in the world frame, and the bar of each point ``(N,)`` or −1."""
 
 
 def adjust(
-    bars: Segments, turn: Array, flange: Array, across: Array, T_world_sensor: Array, sights: Sights, rounds: int = 1
+    bars: Segments, turn: Array, flange: Array, across: Array, T_world_sensor: Array, scan_points: ScanPoints
 ) -> tuple[Array, Segments]:
-    """Adjusted poses ``(K, 4, 4)`` and bars. Bars without a known section, NaN ``flange (B,)``, stay out and in place.
+    """One Gauss-Newton step of all poses and bars; returns ``T_world_sensor (K, 4, 4)`` and the bars.
 
-    ``turn (B,)`` and the frames ``across (B, 2, 3)`` are those of `fusion.sections`.
+    ``turn (B,)`` radians, ``flange (B,)`` metres and the frames ``across (B, 2, 3)`` are those of `fusion.sections`;
+    ``scan_points`` lie in the world frame at the given poses ``T_world_sensor (K, 4, 4)``. Bars without a known
+    section, NaN ``flange``, take no part and stay in place.
     """
     poses, start, end = T_world_sensor.copy(), bars.start.copy(), bars.end.copy()
-    corner = sections.outlines(turn, np.where(np.isfinite(flange), flange, 0.05))
-    known = np.isfinite(flange)
-    for _ in range(rounds):
-        direction = (end - start) / np.linalg.norm(end - start, axis=1)[:, None]
-        length = np.linalg.norm(end - start, axis=1)
-        block, right = np.zeros((len(bars), 4, 4)), np.zeros((len(bars), 4))
-        whole = np.zeros((len(bars) * 4, len(bars) * 4))
-        kept: list[tuple[int, Array, Array, IntArray]] = []
-        for k, points, bar in sights(poses):
-            matrix, vector, cross = np.zeros((4, 4)), np.zeros(4), np.zeros((len(bars), 4, 4))
-            bar = np.where((bar >= 0) & known[bar], bar, -1)
-            _gather(points, poses[k, :3, 3], bar, start, direction, length, across, corner, matrix, vector, cross,
-                    block, right)  # fmt: skip
-            matrix[np.diag_indices(4)] += POSE_SIGMA**-2.0
-            seen = np.flatnonzero(cross.any(axis=(1, 2)))
-            index = (4 * seen[:, None] + np.arange(4)).ravel()
-            wide = cross[seen].transpose(1, 0, 2).reshape(4, -1)
-            solved = np.linalg.solve(matrix, np.concatenate([wide, vector[:, None]], axis=1))
-            whole[np.ix_(index, index)] -= wide.T @ solved[:, :-1]
-            right.reshape(-1)[index] -= wide.T @ solved[:, -1]
-            kept.append((k, solved[:, :-1], solved[:, -1], index))
-        for b in range(len(bars)):
-            whole[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] += block[b] + np.diag(BAR_SIGMA**-2.0)
-        moved = np.linalg.solve(whole, right.reshape(-1))
-        for scan, wide, vector, index in kept:
-            step = vector - wide @ moved[index]
-            poses[scan, :3, 3] += step[:3]
-            poses[scan, :3, :3] = Rotation.from_rotvec([0, 0, step[3]]).as_matrix() @ poses[scan, :3, :3]
-        place, tilt = moved.reshape(-1, 4)[:, :2], moved.reshape(-1, 4)[:, 2:]
-        half = 0.5 * length[:, None]
-        start += np.einsum("bk,bkx->bx", place - half * tilt, across)
-        end += np.einsum("bk,bkx->bx", place + half * tilt, across)
+    known, direction, length = np.isfinite(flange), bars.direction, bars.length
+    corner = sections.outlines(turn, np.where(known, flange, 0.05))
+    block, right = np.zeros((len(bars), 4, 4)), np.zeros((len(bars), 4))
+    whole = np.zeros((len(bars) * 4, len(bars) * 4))
+    kept: list[tuple[int, Array, Array, IntArray]] = []
+    for k, points, bar in scan_points:
+        matrix, vector, cross = np.zeros((4, 4)), np.zeros(4), np.zeros((len(bars), 4, 4))
+        bar = np.where((bar >= 0) & known[bar], bar, -1)
+        _gather(points, poses[k, :3, 3], bar, start, direction, length, across, corner, matrix, vector, cross,
+                block, right)  # fmt: skip
+        matrix[np.diag_indices(4)] += POSE_SIGMA**-2.0
+        seen = np.flatnonzero(cross.any(axis=(1, 2)))
+        index = (4 * seen[:, None] + np.arange(4)).ravel()
+        wide = cross[seen].transpose(1, 0, 2).reshape(4, -1)
+        solved = np.linalg.solve(matrix, np.concatenate([wide, vector[:, None]], axis=1))
+        whole[np.ix_(index, index)] -= wide.T @ solved[:, :-1]
+        right.reshape(-1)[index] -= wide.T @ solved[:, -1]
+        kept.append((k, solved[:, :-1], solved[:, -1], index))
+    for b in range(len(bars)):
+        whole[4 * b : 4 * b + 4, 4 * b : 4 * b + 4] += block[b] + np.diag(BAR_SIGMA**-2.0)
+    moved = np.linalg.solve(whole, right.reshape(-1))
+    for scan, wide, vector, index in kept:
+        step = vector - wide @ moved[index]
+        poses[scan, :3, 3] += step[:3]
+        poses[scan, :3, :3] = Rotation.from_rotvec([0, 0, step[3]]).as_matrix() @ poses[scan, :3, :3]
+    place, tilt = moved.reshape(-1, 4)[:, :2], moved.reshape(-1, 4)[:, 2:]
+    half = 0.5 * length[:, None]
+    start += np.einsum("bk,bkx->bx", place - half * tilt, across)
+    end += np.einsum("bk,bkx->bx", place + half * tilt, across)
     turned, shift = _back(poses[:ANCHOR_SCANS], T_world_sensor[:ANCHOR_SCANS])
     poses[:, :3, :3], poses[:, :3, 3] = turned @ poses[:, :3, :3], poses[:, :3, 3] @ turned.T + shift
     return poses, Segments(start @ turned.T + shift, end @ turned.T + shift, bars.count, bars.radius)
 
 
 def _back(poses: Array, before: Array) -> tuple[Array, Array]:
-    """The rotation about z ``(3, 3)`` and the shift ``(3,)`` that lead poses back to what they were, in the mean."""
+    """The rotation about z ``(3, 3)`` and the shift ``(3,)`` that bring poses back to those before, in the mean."""
     between = before[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
     yaw = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1]).mean()
     turned = Rotation.from_rotvec([0, 0, yaw]).as_matrix()

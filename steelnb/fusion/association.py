@@ -1,18 +1,22 @@
-"""Which segments are pieces of the same bar."""
+"""Association of segments with the bars of a map."""
 
 import math
 
 import numpy as np
 
-from steelnb.config import FusionSettings
-from steelnb.datatypes import Array, IntArray, Segments
+from steelnb.settings import FusionSettings
+from steelnb.types import Array, IntArray, Segments
+
+GAP_MAX_M = 0.2
+"""Along the axis, between the ends of a segment and of the bar that it belongs to."""
 
 
 def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
-    """For each of the new segments ``(M,)`` the nearest known one that it may belong to, or −1.
+    """The nearest of K known segments for each of M new ones ``(M,)``, −1 where none matches.
 
-    Two segments match when the angle between them, the distance across (from the middle of what they share along the
-    known axis) and the gap along that axis are within the settings. Nearest means the smallest distance across.
+    Both in the same frame, metres. Two segments match when the angle between them, the distance across (at the middle
+    of their overlap along the known axis, or of the gap between them) and the gap along that axis are within the
+    settings. Nearest: smallest distance across. Which end of a segment is its start does not matter.
     """
     if not len(new) or not len(known):
         return np.full(len(new), -1, dtype=np.int64)
@@ -39,4 +43,4 @@ def pair_distance(new: Segments, known: Segments, settings: FusionSettings) -> A
     across = at_new - begin - ((at_new - begin) * axis).sum(axis=2)[..., None] * axis
     distance = np.linalg.norm(across, axis=2)
     limit = settings.distance_max_m + (new.radius[:, None] + known.radius if settings.add_radii else 0.0)
-    return np.where(parallel & (gap <= settings.gap_max_m) & (distance <= limit), distance, np.inf)
+    return np.where(parallel & (gap <= GAP_MAX_M) & (distance <= limit), distance, np.inf)

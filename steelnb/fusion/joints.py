@@ -1,16 +1,20 @@
-"""Where bars meet: joints by shortest distance, and bars led on to them."""
+"""Joints: where bars meet by shortest distance, and bars extended to them."""
 
 import itertools
 import math
 
 import numpy as np
 from numba import njit
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from steelnb.datatypes import Array, IntArray, Segments
+from steelnb.fusion.scales import Scales
+from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
 """Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where."""
 LEAD_MAX_M = 0.8
+"""Longest extension of a bar. Chosen with `fusion.scales.Scales`, as the bounds above."""
 
 
 def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
@@ -25,19 +29,18 @@ def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
     return np.asarray(np.linalg.solve(matrix, (across @ axes[:, 0, :, None]).sum(axis=0)[:, 0] + share * about))
 
 
-def find_joints(
-    bars: Segments, width_m: Array, slack_m: float, reach_m: float, same_m: float, bend_m: float
-) -> tuple[Array, IntArray, Segments]:
-    """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends led to the joints.
+def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, IntArray, Segments]:
+    """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends moved to the joints; metres.
 
-    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. What lies
-    within ``reach_m`` of another bar is easily taken for a part of that; so either bar may be led on by ``reach_m``
-    over the sine of the angle between them, but only to what it meets first. Bars that continue each other at a small
+    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. Points
+    within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over the
+    sine of the angle between them, but only to the first bar that it meets. Bars that continue each other at a small
     angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one bar that are less than ``same_m`` apart
     are one joint: the point nearest to all axes that it ties. Ends near a bar's first and last joint move there.
     """
+    same_m, bend_m = scales.same_m, scales.bend_m
     pair, at, point, lead = _meetings(
-        bars.start, bars.direction, bars.length, width_m, slack_m, reach_m, bend_m, BEND_MIN, BEND_MAX
+        bars.start, bars.direction, bars.length, width_m, scales.slack_m, scales.reach_m, bend_m, BEND_MIN, BEND_MAX
     )
     keep = _first_ones(pair, at, bars.length, same_m)
     pair, at, point, lead = pair[keep], at[keep], point[keep], lead[keep]
@@ -56,7 +59,7 @@ def find_joints(
 
 
 def trim_bends(bars: Segments, bend_m: float) -> Segments:
-    """Bars that continue each other at a small angle end at the bend: each had grown into the other there."""
+    """Bars cut at bends, where two continue each other at a small angle and each had grown into the other."""
     width = np.full(len(bars), 0.1)
     pair, at, _, lead = _meetings(bars.start, bars.direction, bars.length, width, 0.0, 0.0, bend_m, BEND_MIN, BEND_MAX)
     start, end, length = bars.start.copy(), bars.end.copy(), bars.length
@@ -83,8 +86,8 @@ def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array, same_m: float
 
 @njit(cache=True)
 def _meetings(start, direction, length, width, slack, reach, bend, bend_min, bend_max):  # type: ignore[no-untyped-def]
-    """Pairs of bars that meet ``(P, 2)``, where on either in metres from its start, the points between, and by how
-    much either may be led on or cut for it."""
+    """Pairs of bars that meet ``(P, 2)``, the places on both in metres from their starts ``(P, 2)``, the points between
+    ``(P, 3)``, and the largest extension or cut of either for it ``(P,)``."""
     pairs, places, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
     widest = width.max() if len(width) else 0.0
     for i in range(len(length)):
@@ -126,7 +129,7 @@ def _meetings(start, direction, length, width, slack, reach, bend, bend_min, ben
 
 
 def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.ndarray:
-    """Drop meetings for which a bar would be led past what it meets first beyond its end."""
+    """Mask of the meetings ``(P,)`` that stay: not those for which a bar would be extended past another one."""
     keep = np.ones(len(pair), dtype=bool)
     for _ in range(2):  # dropping one for the sake of one bar may free another; the second round settles it
         before = keep.copy()
@@ -141,34 +144,25 @@ def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.n
 
 
 def _groups(pair: IntArray, at: Array, point: Array, same_m: float) -> IntArray:
-    """Number the meetings by joint: neighbours along a bar that are less than ``same_m`` apart are one."""
-    parent = np.arange(len(pair))
-
-    def root(i: int) -> int:
-        while parent[i] != i:
-            i = int(parent[i])
-        return i
-
+    """The joint of each meeting ``(P,)``: neighbours along a bar that are less than ``same_m`` apart are one."""
     which = np.concatenate([np.arange(len(pair))] * 2)
     bar, place = pair.T.ravel(), at.T.ravel()
     order = np.lexsort((place, bar))
-    for a, b in itertools.pairwise(order):
-        if bar[a] == bar[b] and place[b] - place[a] < same_m:
-            one, other = sorted((root(int(which[a])), root(int(which[b]))))
-            parent[other] = one
+    first, second = order[:-1], order[1:]
+    near = (bar[first] == bar[second]) & (place[second] - place[first] < same_m)
+    edges = list(zip(which[first[near]].tolist(), which[second[near]].tolist(), strict=True))
     # Two straight bars meet once: joints that share two bars are one. Bars that meet at an acute angle and do not lie
     # in one plane come nearest to each other well beside the joint that a third bar makes with either.
     while True:
-        group = np.array([root(i) for i in range(len(pair))], dtype=np.int64)
-        middle = {name: point[group == name].mean(axis=0) for name in np.unique(group).tolist()}
+        ends = np.array(edges, dtype=np.int64).reshape(-1, 2)
+        group = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=(len(pair), len(pair))))[1]
+        middle = {name: point[group == name].mean(axis=0) for name in range(group.max(initial=-1) + 1)}
         owner: dict[tuple[int, int], int] = {}
-        merged = False
+        known = len(edges)
         for name in middle:
             for two in itertools.combinations(np.unique(pair[group == name]).tolist(), 2):
                 other = owner.setdefault(two, name)
-                if root(other) != root(name) and np.linalg.norm(middle[other] - middle[name]) < 2 * same_m:
-                    one, rest = sorted((root(other), root(name)))
-                    parent[rest] = one
-                    merged = True
-        if not merged:
-            return group
+                if other != name and np.linalg.norm(middle[other] - middle[name]) < 2 * same_m:
+                    edges.append((int(np.argmax(group == other)), int(np.argmax(group == name))))
+        if len(edges) == known:
+            return group.astype(np.int64)

@@ -1,16 +1,17 @@
-"""Which bars are pieces of one, and which are copies of a stronger one."""
+"""Merging of bars: pieces in line become one, copies of stronger bars are dropped."""
 
 import math
 
 import numpy as np
 from numba import njit
 
-from steelnb.datatypes import Array, Segments
+from steelnb.types import Array, Segments
 
 IN_LINE_RAD = math.radians(4)
 COPY_RAD = math.radians(15)
 COPY_SHARE = 0.6
 SAMPLES = 9
+"""Bounds of pieces in line and of copies, chosen with `fusion.scales.Scales`; points along a bar that are compared."""
 
 
 def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float, width_m: Array | None = None) -> Segments:
@@ -18,7 +19,7 @@ def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float, wi
 
     A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that. Where the widths of
     bars are known ``(B,)``, NaN where not, a wide one has wider bounds: points of an angle section lie as far from its
-    centroid as 0.8 of its flange, and the middles of what two looks saw of it half a flange apart. A joined bar has the
+    centroid as 0.8 of its flange, and the middles of two views of it half a flange apart. A joined bar has the
     moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
     """
     width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
@@ -61,7 +62,7 @@ def combined(pieces: Segments) -> tuple[np.ndarray, np.ndarray, int, float]:
 
 @njit(cache=True)
 def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyped-def]
-    """For each bar: itself, the stronger one that it joins, or −1 for a copy. One join for each bar a round."""
+    """The stronger bar that each bar joins, itself for none, or −1 for a copy. At most one join a bar and round."""
     n = len(length)
     fate = np.arange(n)
     taken = np.zeros(n, np.bool_)

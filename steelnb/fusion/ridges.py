@@ -1,4 +1,4 @@
-"""From a voxel map to the ridges of its weight: where bars run, without the haze around them."""
+"""Ridges of the weight of a voxel map: voxels along bars, without the range noise around them."""
 
 import math
 
@@ -6,19 +6,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.datatypes import Array, IntArray
-from steelnb.mapping import VoxelMap
-from steelnb.mapping.kernels import EMPTY, pack
+from steelnb.points import VoxelMap
+from steelnb.points.voxel_kernels import EMPTY, pack
+from steelnb.types import Array, IntArray
 
 
 def ridge_points(
     voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float, leave: NDArray[np.bool_] | None = None
 ) -> Array:
-    """Points on ridges ``(R, 3)``.
+    """Points on ridges ``(R, 3)``, metres, in the frame of the map.
 
-    A voxel stays if it has at least ``share_min`` of the largest weight within ``radius_m`` of it: range noise spreads
-    a bar's points along the rays, and what it leaves there is weak beside the bar itself. Those that stay then move to
-    the weighted mean of their kind within ``contract_m``, once. Voxels to ``leave`` out ``(V,)`` count for nothing.
+    A voxel stays if it has at least ``share_min`` of the largest weight within ``radius_m``: range noise spreads the
+    points of a bar along the rays, into voxels of little weight. Those that stay move once to the weighted mean of all
+    that stay within ``contract_m``. Voxels to ``leave`` out ``(V,)`` have no weight.
     """
     grid, _ = voxels.grid()
     mean, weight = voxels.means(), voxels.weights()
@@ -52,10 +52,10 @@ def _offsets(radius_m: float, voxel_m: float) -> IntArray:
 
 
 def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Steps sorted by column: the voxels above each other, whose names (`pack`) follow each other.
+    """Steps sorted by column along z, in which the names (`pack`) of voxels follow each other.
 
-    For each of C columns, nearest first: the name of its middle less that of the centre ``(C,)``, and how far it
-    reaches up and down ``(C,)``; and the place of each of its voxels in ``steps`` ``(C, 2 · reach + 1)``.
+    Of each of C columns, nearest first: the name of its middle less that of the centre ``(C,)``, its half-height in
+    voxels ``(C,)``, and the place of each of its voxels in ``steps`` ``(C, 2 · height + 1)``.
     """
     level = steps[steps[:, 2] == 0]
     height = np.array([steps[(steps[:, :2] == at[:2]).all(axis=1), 2].max() for at in level])
@@ -69,7 +69,7 @@ def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 @njit(cache=True)
 def _onward(name, p, low):  # type: ignore[no-untyped-def]
-    """The first place from ``p`` on whose name is not below ``low``."""
+    """The first place from ``p`` on with a name not below ``low``."""
     while p < len(name) and name[p] < low:
         p += 1
     return p
@@ -77,8 +77,8 @@ def _onward(name, p, low):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
-    """Which centres stay. Centres and voxels are both sorted by name, so what is near moves on with the centres: no
-    voxel is searched for, and memory is read in order."""
+    """Mask of the centres that stay. Centres and voxels are both sorted by name, so the columns move on with the
+    centres: no voxel is searched for, and memory is read in order."""
     stay = weight > 0.0
     at = np.zeros(len(column), np.int64)
     for n in range(len(centre)):

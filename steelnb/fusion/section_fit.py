@@ -1,16 +1,18 @@
-"""An equal-leg angle section fitted to what was seen of a bar (flange, turn, place and tilt of its axis).
+"""Least-squares fit of an equal-leg angle section to the points of a bar: flange, turn, place and tilt of its axis.
 
-The outline's width and the depth of the near faces are fitted at once, to the histograms of `fusion.sections`; the
-thickness is 1/12 of the flange, as rolled angles have about. The axis of a bar is the line through the centroids of its
-sections. A search through flanges and turns first, with the faces from a table; then Gauss-Newton.
+The width of the outline and the depth of the near faces are fitted at once, to the histograms of `fusion.sections`; the
+thickness is 1/12 of the flange, about that of rolled angles. The axis of a bar is the line through the centroids of its
+sections. A grid search over flanges and turns first, with the faces from a table; then Gauss-Newton.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.sections import CELL_M, CELLS, PARTS, VIEWS, front_face, nearest_edge, outline
+from steelnb.fusion.sections import CELL_M, CELLS, VIEWS, front_face, nearest_edge, outline
+from steelnb.types import Array
 
 TURNS = VIEWS  # so that a turned section looks like another one from the next direction
 PROFILE = 128
@@ -18,57 +20,51 @@ PROFILE = 128
 FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2])
 ROBUST_M = 0.03
 OUTLINE_WEIGHT = 0.5
-"""Of an edge of the outline against all the depths seen from its direction."""
+"""Weight of an edge of the outline against all depths from its direction. As `ROBUST_M` and `TELL_APART_M` chosen on
+simulated ``starling2`` flights with the development seeds 11 and 12 (`fusion.scales`)."""
 TELL_APART_M = 0.003
-"""Two fits whose root mean square residuals differ by much less than this are equally likely; they are averaged."""
+"""Fits whose root mean square residuals differ by much less than this are equally likely and are averaged."""
 _REACH_M = CELLS * CELL_M / 2
 
 
-@njit(cache=True)
-def fit_sections(histogram, length, centre, slope, flange, turn, spread, tilt):  # type: ignore[no-untyped-def]
-    """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``.
+class Sections(NamedTuple):
+    """Angle sections fitted to B bars, NaN for a bar with too few points.
 
-    Fills ``centre (B, 2)``, the axis across the bar in the middle of its length, ``slope (B, 2)`` metres per metre,
-    ``flange (B,)`` metres, ``turn (B,)`` radians, and ``spread (B,)`` and ``tilt (B,)``, the standard deviations of the
-    axis's place and, in radians, of its direction; NaN for a bar with too few points.
+    ``centre (B, 2)`` of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)`` metres per
+    metre; ``flange (B,)`` metres; ``turn (B,)`` radians; ``spread (B,)`` and ``tilt (B,)``: standard deviations of the
+    place of the axis, metres, and of its direction, radians.
     """
-    face, side = _profiles()
-    for b in range(len(length)):
-        flange[b] = spread[b] = tilt[b] = np.nan
-        cells = _cells(histogram[b], length[b])
-        rows = _outlines(histogram[b])
-        if len(cells) < 8 or len(rows) < 1:
-            continue
-        _fit(
-            cells,
-            _cells(_as_one(histogram[b]), 0.0),
-            rows,
-            face,
-            side,
-            centre[b],
-            slope[b],
-            flange[b : b + 1],
-            turn[b : b + 1],
-            spread[b : b + 1],
-            tilt[b : b + 1],
-        )
+
+    centre: Array
+    slope: Array
+    flange: Array
+    turn: Array
+    spread: Array
+    tilt: Array
 
 
 @njit(cache=True)
-def _as_one(histogram):  # type: ignore[no-untyped-def]
-    """All pieces of a bar as its first: fewer cells, enough to search with."""
-    one = np.zeros_like(histogram)
-    for part in range(PARTS):
-        one[0] += histogram[part]
-    return one
+def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
+    """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``; ``length (B,)`` metres."""
+    n = len(length)
+    centre, slope, turn = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
+    flange, spread, tilt = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    face, side = _profiles()
+    for b in range(n):
+        cells, rows = _cells(histogram[b], length[b]), _outlines(histogram[b])
+        if len(cells) >= 8 and len(rows) >= 1:
+            merged = _cells(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)  # fewer cells, enough to search with
+            flange[b], turn[b], spread[b], tilt[b] = _fit(cells, merged, rows, face, side, centre[b], slope[b])
+    return Sections(centre, slope, flange, turn, spread, tilt)
 
 
 @njit(cache=True)
 def _cells(histogram, length):  # type: ignore[no-untyped-def]
     """Non-empty cells of a bar: u, v, weight, cosine and sine of the view, position along from the middle, view."""
-    found = np.empty((PARTS * VIEWS * CELLS, 7))
+    parts = len(histogram)
+    found = np.empty((parts * VIEWS * CELLS, 7))
     n = 0
-    for part in range(PARTS):
+    for part in range(parts):
         for view in range(VIEWS):
             angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
             for cell in range(CELLS):
@@ -76,7 +72,7 @@ def _cells(histogram, length):  # type: ignore[no-untyped-def]
                 if h[0] >= 3.0:
                     found[n, 0], found[n, 1], found[n, 2] = h[2] / h[1], h[3] / h[1], h[1]
                     found[n, 3], found[n, 4] = math.cos(angle), math.sin(angle)
-                    found[n, 5] = ((part + 0.5) / PARTS - 0.5) * length
+                    found[n, 5] = ((part + 0.5) / parts - 0.5) * length
                     found[n, 6] = view
                     n += 1
     return found[:n]
@@ -91,11 +87,7 @@ def _outlines(histogram):  # type: ignore[no-untyped-def]
     found = np.empty((VIEWS, 6))
     n = 0
     for view in range(VIEWS):
-        count, weight = np.zeros(CELLS), 0.0
-        for part in range(PARTS):
-            for cell in range(CELLS):
-                count[cell] += histogram[part, view, cell, 0]
-                weight += histogram[part, view, cell, 1]
+        count, weight = histogram[:, view, :, 0].sum(axis=0), histogram[:, view, :, 1].sum()
         total = count.sum()
         if total < 60.0:
             continue
@@ -104,20 +96,19 @@ def _outlines(histogram):  # type: ignore[no-untyped-def]
         middle = int((count * np.arange(CELLS)).sum() / total + 0.5)
         if count[middle] < half:
             middle = int(np.argmax(count))
-        low = middle
-        while low > 0 and count[low] >= half:
-            low -= 1
-        high = middle
-        while high < CELLS - 1 and count[high] >= half:
-            high += 1
-        if low == 0 or high == CELLS - 1:
+        inside = True
+        for side in range(2):
+            step, cell = 2 * side - 1, middle
+            while 0 < cell < CELLS - 1 and count[cell] >= half:
+                cell += step
+            inside &= 0 < cell < CELLS - 1
+            if inside:
+                level, outside = count[cell - step], count[cell]
+                edge = cell + 0.5 - step * (half - outside) / max(level - outside, 1e-9)
+                found[n, side] = edge * CELL_M - _REACH_M
+        if not inside:
             continue
-        inside, outside = count[low + 1], count[low]
-        edge_low = low + 0.5 + (half - outside) / max(inside - outside, 1e-9)
-        inside, outside = count[high - 1], count[high]
-        edge_high = high + 0.5 - (half - outside) / max(inside - outside, 1e-9)
         angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
-        found[n, 0], found[n, 1] = edge_low * CELL_M - _REACH_M, edge_high * CELL_M - _REACH_M
         found[n, 2], found[n, 3], found[n, 4], found[n, 5] = math.cos(angle), math.sin(angle), weight, view
         n += 1
     return found[:n]
@@ -143,12 +134,18 @@ def _profiles():  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _robust(residual, weight):  # type: ignore[no-untyped-def]
+    """Cost and weight of a residual under Geman-McClure with the scale `ROBUST_M`."""
+    square, bound = residual * residual, ROBUST_M * ROBUST_M
+    return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
+
+
+@njit(cache=True)
 def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore[no-untyped-def]
     """Gauss-Newton for the place ``(2,)`` of a section with one of `FLANGES_M` and a whole number of turns, changed in
     place; the cost before the last step. The step of `_settle`, with faces from a table and no slope."""
     cost = 0.0
     total = cells[:, 2].sum()
-    bound = ROBUST_M * ROBUST_M
     for _ in range(steps):
         cost = uu = uv = vv = ru = rv = 0.0
         for k in range(len(cells)):
@@ -166,9 +163,8 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
             else:
                 residual = beside - (low if beside <= low else high)
                 ju, jv = sine, -cosine
-            square = residual * residual
-            cost += weight * bound * square / (bound + square)
-            weight *= (bound / (bound + square)) ** 2  # Geman-McClure
+            loss, weight = _robust(residual, weight)
+            cost += loss
             uu += weight * ju * ju
             uv += weight * ju * jv
             vv += weight * jv * jv
@@ -180,10 +176,8 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
             middle = -sine * place[0] + cosine * place[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
-                square = residual * residual
-                weight = OUTLINE_WEIGHT * rows[k, 4]
-                cost += weight * bound * square / (bound + square)
-                weight *= (bound / (bound + square)) ** 2
+                loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+                cost += loss
                 uu += weight * sine * sine
                 uv -= weight * sine * cosine
                 vv += weight * cosine * cosine
@@ -203,7 +197,6 @@ def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
     normal[:, :] = 0.0
     cost = 0.0
     jacobian = np.zeros(4)
-    bound = ROBUST_M * ROBUST_M
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
         u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
@@ -217,9 +210,8 @@ def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
         else:  # beside the section
             residual = beside - nearest_edge(corner, cosine, sine, beside)
             ju, jv = sine, -cosine
-        square = residual * residual
-        cost += weight * bound * square / (bound + square)
-        weight *= (bound / (bound + square)) ** 2  # Geman-McClure
+        loss, weight = _robust(residual, weight)
+        cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
         _add(normal, jacobian, residual, weight)
     for k in range(len(rows)):
@@ -231,10 +223,8 @@ def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = sine, -cosine, 0.0, 0.0
         for side in range(2):
             residual = rows[k, side] - (low if side == 0 else high)
-            square = residual * residual
-            weight = OUTLINE_WEIGHT * rows[k, 4]
-            cost += weight * bound * square / (bound + square)
-            weight *= (bound / (bound + square)) ** 2
+            loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+            cost += loss
             _add(normal, jacobian, residual, weight)
     return cost
 
@@ -254,35 +244,28 @@ def _settle(cells, rows, corner, place, normal, steps):  # type: ignore[no-untyp
     total = cells[:, 2].sum()
     for _ in range(steps):
         cost = _step(cells, rows, corner, place, normal)
-        matrix, right = normal[:, :4].copy(), normal[:, 4].copy()
-        for i in range(4):
-            matrix[i, i] += 1e-3 * total
-        move = np.linalg.solve(matrix, right)
-        for i in range(4):
-            place[i] += min(max(move[i], -0.03), 0.03)
+        move = np.linalg.solve(normal[:, :4] + 1e-3 * total * np.eye(4), normal[:, 4].copy())
+        place += np.minimum(np.maximum(move, -0.03), 0.03)
     return cost
 
 
 @njit(cache=True)
-def _fit(cells, merged, rows, face, side, centre, slope, flange, found_turn, spread, tilt):  # type: ignore[no-untyped-def]
+def _fit(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
     mean_v = (cells[:, 1] * cells[:, 2]).sum() / cells[:, 2].sum()
     tried = np.empty((TURNS * len(FLANGES_M), 5))
     place = np.zeros(4)
-    n = 0
-    for f in range(len(FLANGES_M)):
-        for k in range(TURNS):
-            place[0], place[1] = mean_u, mean_v
-            cost = _place(merged, rows, face, side, FLANGES_M[f], k, place, 4)
-            tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
-            tried[n, 3], tried[n, 4] = place[0], place[1]
-            n += 1
+    for n in range(len(tried)):
+        f, k = n // TURNS, n % TURNS
+        place[0], place[1] = mean_u, mean_v
+        cost = _place(merged, rows, face, side, FLANGES_M[f], k, place, 4)
+        tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
+        tried[n, 3:] = place[:2]
     best = np.argmin(tried[:, 0])
     low, b, turn = np.inf, tried[best, 1], tried[best, 2]
-    place[:] = 0.0
-    place[0], place[1] = tried[best, 3], tried[best, 4]
+    place[:2] = tried[best, 3:]
     kept = place.copy()
     for size in (0.12, 0.06, 0.03):  # share of the flange, and of a turn by 60°
         b0, turn0 = b, turn
@@ -309,10 +292,9 @@ def _fit(cells, merged, rows, face, side, centre, slope, flange, found_turn, spr
     variance = max(uu / weight - u * u - v * v, 0.0)
     centre[0], centre[1] = kept[0] + u - tried[best, 3], kept[1] + v - tried[best, 4]
     slope[0], slope[1] = kept[2], kept[3]
-    found_turn[0] = turn
-    # How well the tilt is known, from the residuals as they are.
+    # The covariance of the tilt, from the residuals as they are.
     outline(turn, b, corner)
     cost = _step(cells, rows, corner, kept, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
-    tilt[0] = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
-    flange[0], spread[0] = b, math.sqrt(variance + low / total / max(len(cells), 1))
+    tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
+    return b, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt

@@ -1,10 +1,9 @@
-"""Sections of bars: what their outlines look like, and points of one bar sorted by from where they were seen.
+"""Angle sections: their outlines, and histograms of the points of a bar by viewing direction.
 
-A Time-of-Flight sensor measures the near face of a bar, and the axis lies somewhere behind it: how far, and to which
-side, depends on the section and on how it is turned. Both show. From each direction the outline of the section is as
-wide as the points lie beside the line of sight, and their mean depth follows its near faces (`fusion.section_fit`).
-
-Range noise acts along the line of sight only, so it blurs the depth, which is averaged, and not the outline.
+A Time-of-Flight sensor measures the near face of a bar. The offset from there to the axis depends on the section and
+its turn about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction the points spread as
+wide as the outline of the section, and their mean depth follows its near faces. Range noise acts along the line of
+sight only, so it blurs the depth, which is averaged, and not the outline.
 """
 
 import math
@@ -12,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.datatypes import Array
+from steelnb.types import Array
 
 VIEWS, CELLS, PARTS = 24, 32, 6
 """Bins: directions of 15°, 1 cm beside the line of sight, and pieces along a bar."""
@@ -34,11 +33,10 @@ def frames(direction: Array) -> Array:
 
 
 @njit(cache=True)
-def look(points, sensor, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
-    """Sort points ``(N, 3)`` seen from ``sensor (3,)`` into the histograms of their bars ``(N,)``, −1 for none.
-
-    Points within ``margin`` of a bar's ends are left out, for there others join it, but never more than a third of it.
-    """
+def accumulate(points, sensor, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
+    """Add points ``(N, 3)`` seen from ``sensor (3,)``, world frame, to the histograms of their bars ``(N,)``, −1 for
+    none. Points within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third
+    of the bar at either end."""
     for i in range(len(points)):
         b = bar[i]
         if b < 0:
@@ -53,7 +51,7 @@ def look(points, sensor, bar, start, direction, length, across, margin, histogra
         cx, cy, cz = sensor[0] - points[i, 0], sensor[1] - points[i, 1], sensor[2] - points[i, 2]
         p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
         square = p * p + q * q
-        if square < 0.1 * (cx * cx + cy * cy + cz * cz):  # along the bar: one sees its end
+        if square < 0.1 * (cx * cx + cy * cy + cz * cz):  # line of sight along the bar: its end face
             continue
         distance = math.sqrt(square)
         beside = (-q * u + p * v) / distance
@@ -86,7 +84,8 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """How far towards the viewer the outline is at a place beside its centroid, and its slope; −1e9 where it is not."""
+    """Height of the outline towards the viewer, metres from its centroid, at a place ``beside`` it, and its slope;
+    −1e9 outside of the outline."""
     front, rise = -1e9, 0.0
     for i in range(6):
         j = (i + 1) % 6
@@ -101,6 +100,7 @@ def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
+    """The place of the corner of the outline that appears nearest to ``beside``."""
     nearest, edge = 1e9, 0.0
     for i in range(6):
         b = -sine * corner[i, 0] + cosine * corner[i, 1]

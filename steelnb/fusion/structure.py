@@ -1,4 +1,4 @@
-"""What a reconstruction gives: bars, the joints that tie them, and the graph of both."""
+"""The result of a reconstruction: bars, the joints that tie them, and the graph of both."""
 
 import itertools
 from dataclasses import dataclass
@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import networkx as nx
 import numpy as np
 
-from steelnb.datatypes import Array, IntArray, Segments
+from steelnb.types import Array, IntArray, Segments
 
 
 @dataclass(frozen=True)
 class Structure:
     """Bars and joints in the world frame, metres, z up.
 
-    ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: what a bar
-    looks like across, NaN where that is not known; ``sightings (B,)``: in how many scans it was seen; ``sigma_m (B,)``:
-    standard deviation of the axis's position across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for each bar
-    that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
+    ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: width of the
+    flange of a bar, NaN where it is not known; ``sightings (B,)``: number of scans that saw it; ``sigma_m (B,)``:
+    standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for
+    each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
     """
 
     segments: Segments

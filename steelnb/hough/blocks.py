@@ -1,10 +1,10 @@
-"""Segments of a whole structure: the Hough transform in small blocks, then a choice among what they found.
+"""Segments of a whole structure: the Hough transform in small blocks, and a greedy selection among their segments.
 
 One transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of a
 long line by many dx. And the longest lines get the most votes, so that a line across twenty bars of a face beats the
-bars. Both vanish in blocks of a few bars' width; but blocks cut bars and find each of them several times. So the
-blocks only propose; a proposal counts for the points inside its tube less those in the ring around it, the best is
-grown through the whole cloud and its points are taken away, which lowers all others that share them; and so on.
+bars. Blocks a few bars wide avoid both, but cut bars and find each of them several times. So their segments are
+proposals: each scores the points inside its tube less those in the ring around it, the best is grown through the whole
+cloud and its points are removed, which lowers the scores of all others that share them; and so on.
 """
 
 import itertools
@@ -15,16 +15,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.datatypes import Array, Segments
-from steelnb.hough import detect_segments
 from steelnb.hough.cubes import sort_into_cubes, walk
-from steelnb.hough.kernels import fit_line
+from steelnb.hough.pieces import span
+from steelnb.hough.segments import detect_segments
+from steelnb.hough.transform import fit_line
+from steelnb.types import Array, Segments
 
 BLOCK = 12.0
 """Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by dx/2."""
 GRANULARITY = 3
 GAP, LENGTH, PCA_RATIO = 4.0, 5.0, 0.9
-"""Of a segment: largest gap and least length in dx, least share of the variance along it. A point for each dx."""
+"""Bounds of a segment: largest gap and least length in dx, least share of the variance along it."""
 RING_WEIGHT = 0.75
 """Weight of a point between dx and 2 dx. A sheet of points holds as many there as within dx, so 1 would tell bars from
 sheets, but bars whose points scatter by dx leave some there too: on ten surveyed towers, 1 loses up to 60 % of the
@@ -32,9 +33,9 @@ points that 0.75 explains. At 0.5 a third of a tower jittered by 1 m passes for 
 SHADOW = 1.25
 """Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
 SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
-"""Of the grids of blocks, in halves of a block."""
+"""Shifts of the grids of blocks, in halves of a block."""
 GROUP = 256
-"""Proposals whose largest score is kept, so that finding the strongest does not look at all of them."""
+"""Size of the groups of proposals whose largest score is kept, which shortens the search for the strongest."""
 
 
 def segment_structure(
@@ -44,15 +45,15 @@ def segment_structure(
 
     Parameters
     ----------
-    points: ``(N, 3)`` metres, finite, voxel-filtered with a leaf of about dx/√3.
+    points: ``(N, 3)`` in metres, any frame, finite, voxel-filtered with a leaf of about dx/√3.
     dx: radius of the tube that holds a bar's points, metres.
     min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
-    length_min: of a segment, in dx.
-    grids: of blocks, 1 to 8, shifted against each other; each proposes most bars again, and takes as long.
+    length_min: least length of a segment, in dx.
+    grids: number of shifted grids of blocks, 1 to 8; each proposes most bars again, and takes as long.
 
     Surfaces (ground, walls) come out as stripes side by side: crop them first.
 
-    Returns `Segments`, strongest first. Raises as `steelnb.hough.detect_segments`.
+    Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
     proposed = _propose(points, dx, min_votes, length_min, SHIFTS[:grids])
@@ -105,7 +106,7 @@ def _propose(
 
 
 @njit(cache=True)
-def _mark(cubes, start, direction, length, distance):  # type: ignore[no-untyped-def]
+def _mark(cubes, start, direction, length, distance):
     hit = np.zeros(len(cubes.px), dtype=np.bool_)
     seen, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
@@ -121,8 +122,8 @@ def _mark(cubes, start, direction, length, distance):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def _pairs(cubes, start, direction, length, dx, first, pair):  # type: ignore[no-untyped-def]
-    """Find the points within 2 dx of each proposal; return how many pairs there are.
+def _pairs(cubes, start, direction, length, dx, first, pair):
+    """Find the points within 2 dx of each proposal; return the number of pairs.
 
     Counts those of point i in ``first[i + 2]`` if ``pair`` is empty. Otherwise ``first[i + 1]`` is where the pairs of
     point i begin in ``pair``, and moves on to where they end: twice the proposal, and 1 more inside than in the ring.
@@ -147,7 +148,7 @@ def _pairs(cubes, start, direction, length, dx, first, pair):  # type: ignore[no
 
 
 @njit(cache=True)
-def _strongest(score, stale, most):  # type: ignore[no-untyped-def]
+def _strongest(score, stale, most):
     """The first of the largest scores. ``most`` holds the largest of each `GROUP`, renewed where it is ``stale``."""
     for group in range(len(most)):
         if stale[group]:
@@ -158,9 +159,7 @@ def _strongest(score, stale, most):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _choose(  # type: ignore[no-untyped-def]
-    cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius
-):
+def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
     """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
@@ -187,7 +186,7 @@ def _choose(  # type: ignore[no-untyped-def]
             if m < min_votes or m == before:
                 break
             _, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
-            low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m)
+            low, high = span(px, py, pz, run[:m], ax, ay, az, ux, uy, uz)
         if m < min_votes:
             continue
         low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)
@@ -201,7 +200,7 @@ def _choose(  # type: ignore[no-untyped-def]
         if excess < min_votes or kept < min_votes:
             continue
         spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, kept)
-        low, high = _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, kept)
+        low, high = span(px, py, pz, run[:kept], ax, ay, az, ux, uy, uz)
         long_enough = high - low >= length_min * dx and kept * dx >= high - low
         if not long_enough or spread_along < PCA_RATIO * (spread_along + spread_across):
             continue
@@ -222,24 +221,14 @@ def _choose(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):  # type: ignore[no-untyped-def]
+def _around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):
     """`walk` with a mark of its own: the last of ``seen`` counts them."""
     seen[-1] += 1
     return walk(cubes, ax, ay, az, ux, uy, uz, low, high, seen, seen[-1], near)
 
 
 @njit(cache=True)
-def _extent(px, py, pz, ax, ay, az, ux, uy, uz, run, m):  # type: ignore[no-untyped-def]
-    """First and last position along a line of ``m`` points."""
-    low, high = np.inf, -np.inf
-    for k in range(m):
-        t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
-        low, high = min(low, t), max(high, t)
-    return low, high
-
-
-@njit(cache=True)
-def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run):  # type: ignore[no-untyped-def]
+def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run):
     """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number.
 
     The points are looked for a few gaps beyond ``low`` and ``high``; twice as far if the run comes near to where the
@@ -275,7 +264,7 @@ def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, 
 
 
 @njit(cache=True)
-def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):  # type: ignore[no-untyped-def]
+def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):
     """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
 
     Kadane's maximum-sum stretch over slices one dx long.

@@ -1,23 +1,23 @@
-"""Points sorted into cubes: what lies near a stretch of a line is found by walking along it, however many there are."""
+"""Points sorted into cubes, for searches along lines in time proportional to the points near the line."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from steelnb.datatypes import Array, IntArray
-from steelnb.mapping.kernels import REACH, find, pack, rehash
+from steelnb.points.voxel_kernels import REACH, find, pack, rehash
+from steelnb.types import Array, IntArray
 
 EDGE = 1.25
-"""Of a cube in distances. A point is at most half a step and the distance away from the nearest step of a walk, so
-√(¼ + 1/EDGE²) < 1 edge: the 27 cubes around a step hold it."""
+"""Edge of a cube in search distances. A point within the distance of a line lies at most √(¼ + 1/EDGE²) < 1 edge from
+the nearest step of a walk, so the 27 cubes around the step hold it."""
 
 
 class Cubes(NamedTuple):
     """N points in C cubes of edge ``edge``, counted from ``low (3,)``; no point lies beyond ``high (3,)``.
 
     ``order (N,)``: the points, cube by cube; ``px, py, pz (N,)``: their coordinates in that order; ``first (C + 1,)``:
-    where each cube begins. ``key`` and ``slot`` are a hash table of the cubes (`steelnb.mapping.kernels`).
+    where each cube begins. ``key`` and ``slot`` are a hash table of the cubes (`steelnb.points.voxel_kernels`).
     """
 
     low: Array
@@ -33,7 +33,7 @@ class Cubes(NamedTuple):
 
 
 def sort_into_cubes(points: Array, distance: float) -> Cubes:
-    """Cubes of points ``(N, 3)``, finite metres, for walks that look as far as ``distance`` (`walk`)."""
+    """Cubes of finite points ``(N, 3)`` for searches (`walk`) as far as ``distance`` from a line, both in metres."""
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
     edge = max(EDGE * distance, 2.0 * float((high - low).max()) / REACH)  # so that the cubes can be numbered
     cube = np.floor((points - low) / edge).astype(np.int64)
@@ -50,11 +50,11 @@ def sort_into_cubes(points: Array, distance: float) -> Cubes:
 
 
 @njit(cache=True)
-def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, seen, mark, near):  # type: ignore[no-untyped-def]
+def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, seen, mark, near):
     """Write the places of the points near a line from ``begin`` to ``end`` on it, once each; return their number.
 
-    Near: no point is left out that is within the distance of `sort_into_cubes` of the stretch, ends included; most of
-    those written are further away. ``seen (C,)`` holds the ``mark`` of the walk that last came to each cube.
+    All points within the distance of `sort_into_cubes` of that part are written, ends included, and others farther
+    away. ``seen (C,)`` holds the ``mark`` of the last walk through each cube.
     """
     # No further than the box of the points, else a line that is long beside the cubes takes forever.
     a, u = (ax, ay, az), (ux, uy, uz)

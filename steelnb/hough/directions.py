@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from steelnb.datatypes import Array
+from steelnb.types import Array
 
 # Single precision on purpose: the published program computes the first twelve corners so, and ties between directions
 # are broken by their order and last bits.

@@ -1,13 +1,14 @@
-"""Lines of a point cloud: the checks around the compiled iterative Hough transform."""
+"""Lines of a point cloud by the iterative 3D Hough transform: arguments and result of the compiled loop."""
 
 import math
 
 import numpy as np
 
-from steelnb.datatypes import Array, Lines
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import SettingsError
 from steelnb.hough.directions import directions
-from steelnb.hough.kernels import iterate
+from steelnb.hough.dx import distinct_points, suggest_dx
+from steelnb.hough.transform import iterate
+from steelnb.types import Array, Lines
 
 MAX_CELLS = 1 << 26
 """Largest vote image: 64 million cells of 4 bytes, 256 MiB."""
@@ -21,25 +22,29 @@ def detect_lines(
     granularity: int = 4,
     skip_weak: bool = False,
 ) -> Lines:
-    """Find lines by the iterative 3D Hough transform (Dalitz, Schramke, Jeltsch, IPOL 7, 2017, Algorithm 1).
+    """Find infinite lines by the iterative 3D Hough transform.
+
+    Source: Dalitz, Schramke, Jeltsch, "Iterative Hough Transform for Line Detection in 3D Point Clouds", IPOL 7 (2017),
+    184–196, Algorithm 1: the strongest cell of the vote image, an orthogonal least squares fit to the points within
+    ``dx`` of it, their removal, and again. Given the same ``dx``, the lines are those of the published program.
 
     Parameters
     ----------
-    points: ``(N, 3)`` metres, finite.
-    dx: cell width of the vote image and radius of a line in metres; by default 1/64 of the bounding box's diagonal.
-    min_votes: a line with fewer points ends the search, or is passed over where ``skip_weak``.
-    max_lines: how many lines to return at the most; by default all.
+    points: ``(N, 3)`` in metres, any frame, finite.
+    dx: cell width of the vote image and radius of a line, metres; by default `suggest_dx`, as in `detect_segments`. The
+        published program takes 1/64 of the diagonal of the bounding box.
+    min_votes: fewest points of a line. A weaker one ends the search, as in the published program, or is left out with
+        its points where ``skip_weak``.
+    max_lines: largest number of lines; by default all.
     granularity: subdivisions of the icosahedron, 0–6: 1281 directions for 4, 20481 for 6.
 
-    Returns `Lines`, strongest first in the order found; anchors are the means of their points. Raises
-    `EmptyCloudError`, `DegenerateCloudError` (fewer than two distinct points), `SettingsError`.
+    Returns `Lines` in the frame of the points, in the order found, strongest first; anchors are the means of their
+    points. Raises `EmptyCloudError` (no points, or some not finite), `DegenerateCloudError` (fewer than two distinct
+    points), `SettingsError`.
     """
-    points = checked_points(points)
-    low, high = points.min(axis=0), points.max(axis=0)
+    points, low, high = distinct_points(points)
     diagonal = float(np.linalg.norm(high - low))
-    if diagonal == 0.0:
-        raise DegenerateCloudError(f"cloud of {len(points)} points: all identical, expected two distinct points")
-    dx = diagonal / 64 if dx is None else dx
+    dx = suggest_dx(points) if dx is None else dx
     if not 0 < dx < diagonal:
         raise SettingsError(f"dx = {dx}: expected a length above 0 and below the cloud's diagonal, {diagonal:.3g} m")
     if granularity not in range(7):
@@ -64,18 +69,3 @@ def detect_lines(
         anchor, direction, count, label,
     )  # fmt: skip
     return Lines(anchor[:found] + centre, direction[:found], count[:found], label)
-
-
-def checked_points(points: Array) -> Array:
-    """``points`` as ``(N, 3)`` float64. Raises `EmptyCloudError` or, with under two points, `DegenerateCloudError`."""
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SettingsError(f"points of shape {points.shape}: expected (N, 3)")
-    if not len(points):
-        raise EmptyCloudError("cloud of 0 points: expected at least two")
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        raise EmptyCloudError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
-    if len(points) < 2:
-        raise DegenerateCloudError("cloud of 1 point: expected at least two")
-    return points

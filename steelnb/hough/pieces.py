@@ -1,4 +1,4 @@
-"""Compiled parts of the sorting of lines: cut at gaps, merge parallel copies, fit and keep what passes.
+"""Compiled parts of the sorting of lines: cut at gaps, merge parallel copies, fit, filter by shape.
 
 A piece is a row (first, one past last) of positions in ``order``, which holds indices of points.
 """
@@ -8,10 +8,12 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.hough.kernels import fit_line, principal_axis
+from steelnb.hough.transform import fit_line
+from steelnb.points.moments import NO_MOMENTS, add_moments, covariance, moments_about_mean, principal_axis, store
 
 MERGE_ANGLE_COS = math.cos(math.radians(10))
-"""Short copies are tilted by up to dx over their length, but a brace that meets a leg is not a copy of it."""
+"""Cosine of the largest angle between copies: short ones are tilted by up to dx over their length, but a brace that
+meets a leg is no copy of it."""
 
 
 @njit(cache=True)
@@ -43,52 +45,21 @@ def cut(px, py, pz, order, begin, anchor, direction, gap_max, min_points):
 
 
 @njit(cache=True)
-def moments(px, py, pz, chosen):
-    """Count, mean and the six sums of squares and products about the mean, of some points."""
-    m = np.zeros(10)
-    m[0] = len(chosen)
-    for i in chosen:
-        m[1] += px[i]
-        m[2] += py[i]
-        m[3] += pz[i]
-    m[1:4] /= m[0]
-    for i in chosen:
-        x, y, z = px[i] - m[1], py[i] - m[2], pz[i] - m[3]
-        m[4] += x * x
-        m[5] += x * y
-        m[6] += x * z
-        m[7] += y * y
-        m[8] += y * z
-        m[9] += z * z
-    return m
-
-
-@njit(cache=True)
-def add(a, b):
-    """Moments of two sets of points together: exact, since the sums about the means only move by the parallel-axis
-    theorem."""
-    n = a[0] + b[0]
-    x, y, z = b[1] - a[1], b[2] - a[2], b[3] - a[3]
-    w = a[0] * b[0] / n
-    m = a + b
-    m[1], m[2], m[3] = a[1] + x * b[0] / n, a[2] + y * b[0] / n, a[3] + z * b[0] / n
-    m[4] += w * x * x
-    m[5] += w * x * y
-    m[6] += w * x * z
-    m[7] += w * y * y
-    m[8] += w * y * z
-    m[9] += w * z * z
-    return m
-
-
-@njit(cache=True)
-def _span(px, py, pz, chosen, m, u):
-    """First and last position of points along the axis through the mean of ``m`` with direction ``u``."""
+def span(px, py, pz, chosen, mx, my, mz, ux, uy, uz):
+    """First and last position of points along the line through (mx, my, mz) with direction (ux, uy, uz)."""
     low, high = np.inf, -np.inf
     for i in chosen:
-        t = (px[i] - m[1]) * u[0] + (py[i] - m[2]) * u[1] + (pz[i] - m[3]) * u[2]
+        t = (px[i] - mx) * ux + (py[i] - my) * uy + (pz[i] - mz) * uz
         low, high = min(low, t), max(high, t)
     return low, high
+
+
+@njit(cache=True)
+def _axis(origin, m):
+    """Mean ``(3,)`` and principal direction ``(3,)`` of points with moments ``m`` about an origin ``(3,)``."""
+    xx, xy, xz, yy, yz, zz = covariance(m)
+    _, _, ux, uy, uz = principal_axis(xx, xy, xz, yy, yz, zz)
+    return origin + np.array([m[1], m[2], m[3]]) / m[0], np.array([ux, uy, uz])
 
 
 @njit(cache=True)
@@ -99,14 +70,14 @@ def merge(px, py, pz, order, piece, distance, gap_max):
     ``distance`` of its axis and which leaves no gap along it, then again with the axis of both, until none is left.
     """
     n = len(piece)
-    moment, axis, ends = np.empty((n, 10)), np.empty((n, 3)), np.empty((n, 2, 3))
+    mean, moment, axis, ends = np.empty((n, 3)), np.empty((n, 10)), np.empty((n, 3)), np.empty((n, 2, 3))
     for k in range(n):
         chosen = order[piece[k, 0] : piece[k, 1]]
-        m = moments(px, py, pz, chosen)
-        _, _, axis[k, 0], axis[k, 1], axis[k, 2] = principal_axis(m[4], m[5], m[6], m[7], m[8], m[9])
-        low, high = _span(px, py, pz, chosen, m, axis[k])
-        moment[k] = m
-        ends[k, 0], ends[k, 1] = m[1:4] + low * axis[k], m[1:4] + high * axis[k]
+        mean[k, 0], mean[k, 1], mean[k, 2], m = moments_about_mean(px, py, pz, chosen, len(chosen))
+        store(m, moment[k])
+        _, axis[k] = _axis(mean[k], m)
+        low, high = span(px, py, pz, chosen, mean[k, 0], mean[k, 1], mean[k, 2], axis[k, 0], axis[k, 1], axis[k, 2])
+        ends[k, 0], ends[k, 1] = mean[k] + low * axis[k], mean[k] + high * axis[k]
     strongest = np.argsort(-moment[:, 0], kind="mergesort")
     group = np.full(n, -1)
     merged = np.empty(len(order), order.dtype)
@@ -116,24 +87,26 @@ def merge(px, py, pz, order, piece, distance, gap_max):
         if group[root] >= 0:
             continue
         group[root] = groups
-        m, u = moment[root].copy(), axis[root].copy()
+        m = add_moments(NO_MOMENTS, moment[root], 0.0, 0.0, 0.0)
+        middle, u = mean[root].copy(), axis[root].copy()
         low, high = ends[root, 0].copy(), ends[root, 1].copy()
         grown = True
         while grown:
             grown = False
-            a, b = (low - m[1:4]) @ u, (high - m[1:4]) @ u
+            a, b = (low - middle) @ u, (high - middle) @ u
             for k in strongest:
-                if group[k] >= 0 or not _is_copy(m, u, a, b, axis[k], ends[k], distance, gap_max):
+                if group[k] >= 0 or not _is_copy(middle, u, a, b, axis[k], ends[k], distance, gap_max):
                     continue
                 group[k] = groups
-                m = add(m, moment[k])
-                _, _, u[0], u[1], u[2] = principal_axis(m[4], m[5], m[6], m[7], m[8], m[9])
-                # Where the extremes of all four ends lie on the new axis.
-                a = b = (low - m[1:4]) @ u
+                apart = mean[k] - mean[root]
+                m = add_moments(m, moment[k], apart[0], apart[1], apart[2])
+                middle, u = _axis(mean[root], m)
+                # The extremes of all four ends, projected on the new axis.
+                a = b = (low - middle) @ u
                 for end in (high, ends[k, 0], ends[k, 1]):
-                    t = (end - m[1:4]) @ u
+                    t = (end - middle) @ u
                     a, b = min(a, t), max(b, t)
-                low, high = m[1:4] + a * u, m[1:4] + b * u
+                low, high = middle + a * u, middle + b * u
                 grown = True
         groups += 1
     for g in range(groups):
@@ -148,13 +121,13 @@ def merge(px, py, pz, order, piece, distance, gap_max):
 
 
 @njit(cache=True)
-def _is_copy(m, u, a, b, axis, ends, distance, gap_max):
-    """Whether a piece with an ``axis`` and two ``ends`` lies along the axis (m, u) from ``a`` to ``b``."""
+def _is_copy(middle, u, a, b, axis, ends, distance, gap_max):
+    """Whether a piece with an ``axis`` and two ``ends`` lies along the line (middle, u) from ``a`` to ``b``."""
     if abs(axis[0] * u[0] + axis[1] * u[1] + axis[2] * u[2]) < MERGE_ANGLE_COS:
         return False
     low, high = np.inf, -np.inf
     for e in range(2):
-        x, y, z = ends[e, 0] - m[1], ends[e, 1] - m[2], ends[e, 2] - m[3]
+        x, y, z = ends[e, 0] - middle[0], ends[e, 1] - middle[1], ends[e, 2] - middle[2]
         t = x * u[0] + y * u[1] + z * u[2]
         if x * x + y * y + z * z - t * t > distance * distance:
             return False
@@ -172,10 +145,7 @@ def sort(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, lengt
         chosen = order[piece[row, 0] : piece[row, 1]]
         n = len(chosen)
         along, across, mx, my, mz, ux, uy, uz = fit_line(px, py, pz, chosen, n)
-        low, high = np.inf, -np.inf
-        for i in chosen:
-            t = (px[i] - mx) * ux + (py[i] - my) * uy + (pz[i] - mz) * uz
-            low, high = min(low, t), max(high, t)
+        low, high = span(px, py, pz, chosen, mx, my, mz, ux, uy, uz)
         length = high - low
         spread = math.sqrt(across / n)
         if (

@@ -1,7 +1,7 @@
 """Estimates and truth → numbers. Nothing here plots."""
 
 from steelnb.metrics.clouds import Bend, basin_radius_m, bend, largest_slip
-from steelnb.metrics.segments import SeenMembers, SegmentScore, score_segments, seen_members
+from steelnb.metrics.members import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory
 
 __all__ = [

@@ -1,19 +1,19 @@
-"""How a cloud that was built at estimated poses lies over the true one, and how far a registration finds home."""
+"""Deformation of a cloud built at estimated poses against the true one; basin of convergence of a registration."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.datatypes import Array, IntArray
+from steelnb.types import Array, IntArray
 
 
 @dataclass(frozen=True)
 class Bend:
-    """The rigid motion from true to built cloud in each slice of height.
+    """The rigid motion from true to built cloud in each of S slices of height.
 
-    ``height_m (S,)`` of the middles of the slices, ``T_built_true (S, 4, 4)``, ``blur_m (S,)``, the root mean square of
-    what no rigid motion explains (layers side by side), and ``count (S,)`` points.
+    ``height_m (S,)`` of the middles of the slices, ``T_built_true (S, 4, 4)``, ``blur_m (S,)``, the root mean square
+    residual of that motion (layers side by side), and ``count (S,)`` points.
     """
 
     height_m: Array
@@ -57,7 +57,7 @@ class Bend:
 
 
 def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:
-    """Fit a rotation and an offset (Kabsch 1976) to each slice of height of two clouds ``(N, 3)``.
+    """Fit a rotation and an offset (Kabsch 1976) to each slice of height of two clouds ``(N, 3)``, metres.
 
     Row k of ``built`` and of ``true`` is the same return placed at the estimated and at the true pose. Slices of
     ``slice_m`` are cut by true height, counted from zero; those with fewer than ``points_min`` points are left out.
@@ -70,27 +70,25 @@ def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200)
     levels, counts = levels[counts >= points_min], counts[counts >= points_min]
     if not len(levels):
         raise ValueError(f"no slice of {slice_m} m has {points_min} points")
-    fits = [_kabsch(true[level == each], built[level == each]) for each in levels]
+    fits = [_rigid_fit(true[level == each], built[level == each]) for each in levels]
     return Bend((levels + 0.5) * slice_m, np.array([T for T, _ in fits]), np.array([blur for _, blur in fits]), counts)
 
 
-def _kabsch(source: Array, target: Array) -> tuple[Array, float]:
-    """The rigid motion ``(4, 4)`` that brings ``source`` onto ``target`` best, and the RMS of what is left."""
+def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
+    """The ``T_target_source (4, 4)`` with the least sum of squared distances, and the root mean square residual."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
-    U, _, Vt = np.linalg.svd((source - source_mean).T @ (target - target_mean))
-    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     T = np.eye(4)
-    T[:3, :3] = Vt.T @ mirror @ U.T
+    T[:3, :3] = Rotation.align_vectors(target - target_mean, source - source_mean)[0].as_matrix()
     T[:3, 3] = target_mean - T[:3, :3] @ source_mean
     left = source @ T[:3, :3].T + T[:3, 3] - target
     return T, float(np.sqrt((left**2).sum(axis=1).mean()))
 
 
 def basin_radius_m(offset_m: Array, right: np.ndarray) -> float:
-    """The distance within which every start comes home.
+    """Radius of the basin of convergence in metres: the distance within which every start converges to the truth.
 
-    ``offset_m (N, k)`` are starts relative to the true position and ``right (N,)`` says which came home; the answer is
-    the distance of the farthest start that is nearer than every start that did not, and zero if there is none.
+    ``offset_m (N, k)``: starts relative to the true position; ``right (N,)``: whether each converged to it. The radius
+    is the distance of the farthest start that is nearer than every start that did not, zero if there is none.
     """
     distance = np.linalg.norm(offset_m, axis=1)
     nearest_wrong = distance[~right].min(initial=np.inf)
@@ -98,7 +96,7 @@ def basin_radius_m(offset_m: Array, right: np.ndarray) -> float:
 
 
 def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
-    """Where an error ``(N,)`` grows most within ``scans`` scans: the scan at which it has grown, and by how much."""
+    """Largest growth in metres of an error ``(N,)`` within ``scans`` scans, and the scan at which it has grown."""
     scans = min(scans, len(error_m) - 1)
     growth = error_m[scans:] - error_m[:-scans]
     k = int(growth.argmax())

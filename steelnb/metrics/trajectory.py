@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.datatypes import Array, Trajectory
+from steelnb.errors import needs
+from steelnb.types import Array, Trajectory
 
 
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
@@ -13,13 +14,16 @@ def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
 
 
 def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float = 1.0) -> dict[str, float]:
-    """``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m``, ``rpe_rmse_m`` of an estimate.
+    """``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m``, ``rpe_rmse_m`` of an estimate, metres.
 
-    ATE and RPE (translation, over ``rpe_delta_s``) are evo's; truth is taken at the stamps of the estimate.
+    Absolute trajectory error and relative pose error (translation, over ``rpe_delta_s``) are evo's, after Sturm et al.,
+    "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. Truth is taken at the stamps of the estimate;
+    raises ValueError if it has none there.
     """
-    from evo.core import metrics
-    from evo.core.trajectory import PoseTrajectory3D
-    from evo.core.units import Unit
+    with needs("sim"):
+        from evo.core import metrics
+        from evo.core.trajectory import PoseTrajectory3D
+        from evo.core.units import Unit
 
     at = truth.at(estimate.stamp_s)
     reference, ours = (PoseTrajectory3D(poses_se3=list(t.T_world_drone), timestamps=t.stamp_s) for t in (at, estimate))

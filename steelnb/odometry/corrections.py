@@ -1,33 +1,41 @@
-"""How far the pose must move for the segments of a scan to fall on the bars of the map."""
+"""Corrections of a pose that lay the segments of a scan on the bars of the map."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from steelnb.config import OdometrySettings
-from steelnb.datatypes import Array, Segments
 from steelnb.fusion import SegmentMap, associate
+from steelnb.settings import SegmentSettings
+from steelnb.types import Array, Segments
+
+DAMPING_PAIRS = 1.0
+"""Weight, in pairs of mean weight, that keeps a direction which no bar constrains; chosen on seeds 11 and 12."""
+ITERATIONS_MAX = 10
+TOLERANCE_M = 1e-4
+SIGMA_FLOOR_M = 0.02
+"""Added to the radius of a segment: its axis is never better known, since the near side of a bar is what is seen."""
+POINTS_MAX = 100.0
+"""More points do not make a segment better: what is left is the bias of its near side. Chosen on seeds 11 and 12."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """How the pose is to move in the world frame: by ``offset (3,)`` metres, turned by ``yaw_rad`` about itself.
-
-    ``matches``: how many pairs gave it.
-    """
+    """Shift ``offset (3,)`` in metres and turn ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
 
     offset: Array
     matches: int
     yaw_rad: float = 0.0
 
 
-def no_correction(seen: Segments, known: SegmentMap, settings: OdometrySettings, position: Array) -> Correction:
-    """Leave the drift alone: what the map looks like without odometry (the report's Figure 3.4a)."""
+def no_correction(
+    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
+) -> Correction:
+    """No correction: the map that drift makes (the report's Figure 3.4a)."""
     return Correction(np.zeros(3), 0)
 
 
-def average(seen: Segments, known: SegmentMap, settings: OdometrySettings, position: Array) -> Correction:
+def average(seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array) -> Correction:
     """The report's rule: a share (``gain``) of the mean distance between matched segments, once a scan.
 
     Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
@@ -39,7 +47,14 @@ def average(seen: Segments, known: SegmentMap, settings: OdometrySettings, posit
     return Correction(-settings.gain * across.mean(axis=0), len(across))
 
 
-def least_squares(seen: Segments, known: SegmentMap, settings: OdometrySettings, position: Array) -> Correction:
+def least_squares(
+    seen: Segments,
+    known: SegmentMap,
+    settings: SegmentSettings,
+    position: Array,
+    prior: Array,
+    damping_pairs: float = DAMPING_PAIRS,
+) -> Correction:
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
     Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
@@ -48,7 +63,7 @@ def least_squares(seen: Segments, known: SegmentMap, settings: OdometrySettings,
     """
     offset = np.zeros(3)
     matches = 0
-    for _ in range(settings.iterations_max):
+    for _ in range(ITERATIONS_MAX):
         across, direction, count = _pairs(moved(seen, np.append(0.0, offset), position), known, settings)
         matches = len(across)
         if not matches:
@@ -56,32 +71,39 @@ def least_squares(seen: Segments, known: SegmentMap, settings: OdometrySettings,
         robust = 1.0 / (1.0 + (across**2).sum(axis=1) / settings.robust_scale_m**2) ** 2
         weight = robust * count / count.mean()
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        H = (weight[:, None, None] * projector).sum(axis=0) + settings.damping_pairs * np.eye(3)
-        b = (weight[:, None] * across).sum(axis=0) + settings.damping_pairs * offset
+        H = (weight[:, None, None] * projector).sum(axis=0) + damping_pairs * np.eye(3)
+        b = (weight[:, None] * across).sum(axis=0) + damping_pairs * offset
         step = -np.linalg.solve(H, b)
         offset = offset + step
-        if np.linalg.norm(step) < settings.tolerance_m:
+        if np.linalg.norm(step) < TOLERANCE_M:
             break
     return Correction(offset, matches)
 
 
-def least_squares_yaw(seen: Segments, known: SegmentMap, settings: OdometrySettings, position: Array) -> Correction:
+def least_squares_yaw(
+    seen: Segments,
+    known: SegmentMap,
+    settings: SegmentSettings,
+    position: Array,
+    prior: Array,
+    iterations_max: int = ITERATIONS_MAX,
+    tolerance_m: float = TOLERANCE_M,
+) -> Correction:
     """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with pairs chosen anew in each iteration. The priors ``prior_sigma_m`` and ``prior_sigma_rad`` hold
-    what no bar constrains.
+    Gauss–Newton with pairs chosen anew in each iteration. ``prior (4,)`` is the
+    information of the prediction about (yaw, x, y, z), which holds what no bar constrains.
     """
-    prior = np.array([settings.prior_sigma_rad**-2.0] + [settings.prior_sigma_m**-2.0] * 3)
     state = np.zeros(4)
     matches = 0
-    for _ in range(settings.iterations_max):
+    for _ in range(iterations_max):
         bars = bar_equations(moved(seen, state, position), known, settings, position + state[1:])
         matches = bars.matches
         if not matches:
             return Correction(np.zeros(3), 0)
         step = -np.linalg.solve(bars.H + np.diag(prior), bars.b + prior * state)
         state = state + step
-        if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < settings.tolerance_m:
+        if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < tolerance_m:
             break
     return Correction(state[1:], matches, float(state[0]))
 
@@ -100,23 +122,20 @@ class BarEquations:
     matches: int
 
 
-def bar_equations(seen: Segments, known: SegmentMap, settings: OdometrySettings, position: Array) -> BarEquations:
-    """What the segments say of a yaw about ``position (3,)`` and a shift, both in the world frame.
+def bar_equations(seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array) -> BarEquations:
+    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
 
     A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
-    Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most ``points_max``) over the variance of a
-    point about its axis plus ``sigma_floor_m``², and ρ Geman-McClure with ``robust_scale_m``.
+    Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
+    point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
     """
-    target = associate(seen, known.segments, known.settings)
-    chosen = np.flatnonzero(target >= 0)
-    chosen = chosen[known.sightings[target[chosen]] >= settings.sightings_min]
-    bars, segments = known.segments.take(target[chosen]), seen.take(chosen)
+    segments, bars = _paired(seen, known, settings)
     direction = bars.direction
     ends = shared_ends(segments, bars)
     apart = ends - bars.start[:, None]
     across = apart - (apart * direction[:, None]).sum(axis=2)[..., None] * direction[:, None]
-    count = np.minimum(segments.count, settings.points_max)
-    information = 0.5 * count / (segments.radius**2 + settings.sigma_floor_m**2)
+    count = np.minimum(segments.count, POINTS_MAX)
+    information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
     square = (across**2).sum(axis=2)
     robust = 1.0 / (1.0 + square / settings.robust_scale_m**2)
     weight = information[:, None] * robust**2
@@ -128,7 +147,7 @@ def bar_equations(seen: Segments, known: SegmentMap, settings: OdometrySettings,
     H = np.einsum("pe,peik,pij,pejl->kl", weight, J, projector, J, optimize=True)
     b = np.einsum("pe,peik,pei->k", weight, J, across)
     loss = 0.5 * float((information[:, None] * square * robust).sum())
-    return BarEquations(H, b, loss, len(chosen))
+    return BarEquations(H, b, loss, len(bars))
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:
@@ -141,7 +160,7 @@ def shared_ends(segments: Segments, bars: Segments) -> Array:
     return np.asarray(segments.start[:, None] + share[..., None] * (segments.end - segments.start)[:, None])
 
 
-CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, OdometrySettings, Array], Correction]] = {
+CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, SegmentSettings, Array, Array], Correction]] = {
     "none": no_correction,
     "average": average,
     "least_squares": least_squares,
@@ -158,13 +177,18 @@ def moved(segments: Segments, state: Array, position: Array) -> Segments:
     return segments.transformed(T)
 
 
-def _pairs(seen: Segments, known: SegmentMap, settings: OdometrySettings) -> tuple[Array, Array, Array]:
+def _pairs(seen: Segments, known: SegmentMap, settings: SegmentSettings) -> tuple[Array, Array, Array]:
     """Offsets across ``(P, 3)`` from bar to segment, directions ``(P, 3)`` of the bars, counts ``(P,)``."""
+    segments, bars = _paired(seen, known, settings)
+    direction = bars.direction
+    apart = segments.middle - bars.start
+    across = apart - (apart * direction).sum(axis=1)[:, None] * direction
+    return across, direction, segments.count.astype(np.float64)
+
+
+def _paired(seen: Segments, known: SegmentMap, settings: SegmentSettings) -> tuple[Segments, Segments]:
+    """The segments that have a bar of enough sightings, and the bar of each."""
     target = associate(seen, known.segments, known.settings)
     chosen = np.flatnonzero(target >= 0)
     chosen = chosen[known.sightings[target[chosen]] >= settings.sightings_min]
-    bars = known.segments.take(target[chosen])
-    direction = bars.direction
-    apart = seen.middle[chosen] - bars.start
-    across = apart - (apart * direction).sum(axis=1)[:, None] * direction
-    return across, direction, seen.count[chosen].astype(np.float64)
+    return seen.take(chosen), known.segments.take(target[chosen])

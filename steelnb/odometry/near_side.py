@@ -1,8 +1,8 @@
-"""How far behind the surfaces that a sensor sees the middle of the bars lies, from the width that they show.
+"""Near-side bias: the distance from the visible surfaces of bars to their axes, from the width of the bars in a scan.
 
-A sensor sees the near side of a bar, so its points lie nearer than the bar's middle, whatever the side from which it is
-seen. When the view turns, they move around the bar, and a registration takes that for a motion of the drone. Points
-moved away from the sensor by the right length lie about the middle from every side.
+A sensor sees the near side of a bar, so its points lie nearer than the axis, whatever the side from which it is seen.
+When the view turns, they move around the bar, and a registration takes that for a motion of the drone. Points moved
+away from the sensor by the right length lie about the axis from every side.
 
 For a thin equal-leg angle section of flange b, seen from all sides alike, the middle of what is visible is 0.068 b
 nearer than the centroid of the section, and the width that a pixel sees is 1.13 b on average. So the length is 0.060
@@ -12,7 +12,7 @@ times that width, which the scans show. No tower enters; a structure of tubes wo
 import numpy as np
 from numba import njit
 
-from steelnb.datatypes import Array
+from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.060
 STEP_M = 0.15
@@ -20,29 +20,29 @@ WIDTH_MAX_M = 0.4
 
 
 class NearSide:
-    """Running estimate of the shift, from organised scans; zero until the first, and with unorganised clouds."""
+    """Running estimate of the bias from organised scans; zero before the first one and for unorganised clouds."""
 
     def __init__(self) -> None:
         self._sum_m, self._pixels = 0.0, 0
 
     @property
     def width_m(self) -> float:
-        """Mean width that the pixels on bars have seen so far, metres."""
+        """Mean apparent width of bars over all pixels so far, metres."""
         return self._sum_m / self._pixels if self._pixels else 0.0
 
     @property
     def shift_m(self) -> float:
-        """How far points are to be moved away from the sensor."""
+        """Near-side bias, metres, by which points are to be moved away from the sensor."""
         return SHARE_OF_WIDTH * self.width_m
 
-    def behind(self, points: Array, sensor: Array) -> Array:
+    def shifted(self, points: Array, sensor: Array) -> Array:
         """Points ``(N, 3)`` moved away from the sensor's position ``(3,)`` by the shift."""
         ray = points - sensor
         distance = np.linalg.norm(ray, axis=1, keepdims=True)
         return np.asarray(points + self.shift_m * ray / np.maximum(distance, 1e-9))
 
-    def look(self, image: Array) -> None:
-        """Take in an organised scan ``(H, W, 3)`` in the sensor frame."""
+    def update(self, image: Array) -> None:
+        """Add the widths in an organised scan ``(H, W, 3)``, sensor frame."""
         if image.ndim == 3 and min(image.shape[:2]) > 2:
             total, pixels = apparent_width(np.ascontiguousarray(image, dtype=np.float64))
             self._sum_m += total
@@ -80,7 +80,7 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def measure_runs(image, distance, across, length):  # type: ignore[no-untyped-def]
-    """Write to ``length (L, K)`` how long the run of returns is that each pixel of a line lies in, metres, 0 for none.
+    """Length of the run of returns around each pixel of a line, metres, 0 for none, written to ``length (L, K)``.
 
     ``across`` is the coordinate that grows along a line. The pitch of a run comes from its first and last point, so a
     lone pixel has none.

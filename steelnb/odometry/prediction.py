@@ -1,20 +1,19 @@
-"""Where a scan is expected: the drifting prior with the correction so far, and how fast that changes."""
+"""Prediction of the pose of a scan: the drifting prior, the correction so far, and the rate of that correction."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.datatypes import Array
-from steelnb.errors import SettingsError
+from steelnb.types import Array
 
 
 class Prediction:
-    """The correction of the last scan and its rate: an alpha-beta filter with alpha = 1.
+    """Alpha-beta filter of the correction, with alpha = 1.
 
-    ``gain`` 0–1 is how fast the rate follows; 0 predicts that the drift stands still. The correction turns the drone
-    about itself and then moves it, both in the world frame.
+    ``gain`` (0 to 1) is the share of a new rate that is taken over; 0 predicts that the drift stands still. The
+    correction turns the drone about itself and then moves it, both in the world frame.
 
-    An iteration that starts behind stops behind, by the same little in every frame, and the map keeps it: under a
-    constant drift that adds up. While nothing is seen, the rate says nothing either, and the correction stands.
+    A solver that starts behind the drift stops a little behind it in every frame, and the map keeps that error: under
+    a constant drift it adds up. After a scan that was not registered the rate is not used, and the correction stays.
     """
 
     def __init__(self, gain: float) -> None:
@@ -24,9 +23,7 @@ class Prediction:
         self._followed = False
 
     def pose(self, T_world_drone_prior: Array) -> Array:
-        """The pose ``(4, 4)`` to start from. Raises `SettingsError` for a prior that is not a finite ``(4, 4)``."""
-        if np.shape(T_world_drone_prior) != (4, 4) or not np.isfinite(T_world_drone_prior).all():
-            raise SettingsError(f"T_world_drone_prior = {T_world_drone_prior!r}: expected a finite (4, 4) array")
+        """The pose ``(4, 4)`` at which the registration of a scan starts."""
         turn, offset = self.turn, self.offset
         if self._followed:
             turn, offset = Rotation.from_rotvec(self.turn_rate).as_matrix() @ turn, offset + self.offset_rate
@@ -35,7 +32,7 @@ class Prediction:
         return T
 
     def correct(self, T_world_drone: Array, T_world_drone_prior: Array) -> None:
-        """Take in the pose at which a scan was found."""
+        """Update with the pose of a registered scan."""
         turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
         offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
         if self._followed:  # a jump after a gap is no rate
@@ -45,5 +42,5 @@ class Prediction:
         self.turn, self.offset, self._followed = turn, offset, True
 
     def lose(self) -> None:
-        """Take in that a scan was not found."""
+        """Update with a scan that was not registered."""
         self._followed = False

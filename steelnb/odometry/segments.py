@@ -5,59 +5,65 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.config import FusionSettings, HoughSettings, OdometrySettings, PreprocessSettings
-from steelnb.datatypes import Array, OdometryStep, Scan, Segments
+from steelnb.errors import SettingsError
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
+from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.corrections import CORRECTIONS, moved
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
-from steelnb.preprocess import preprocess_scan
+from steelnb.points import preprocess_scan
+from steelnb.points.inputs import checked_pose
+from steelnb.settings import HoughSettings, OdometrySettings
+from steelnb.types import Array, OdometryStep, Scan, Segments
 
 
 class SegmentOdometry:
     """Corrects a drifting pose by the bars that it has mapped so far.
 
-    ``T_drone_sensor (4, 4)`` is the sensor's mount. The settings are those of the rooms that it calls; their defaults
-    are the report's. The report's rules correct the position only, ``least_squares_yaw`` also the yaw; roll and pitch
-    are the prior's.
+    The report's rules correct the position only, ``least_squares_yaw`` also the yaw; roll and pitch are the prior's.
+
+    Parameters
+    ----------
+    settings : a method by segments, default ``OdometrySettings.preset("least_squares_yaw")``.
+    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
-    def __init__(
-        self,
-        preprocess: PreprocessSettings | None = None,
-        hough: HoughSettings | None = None,
-        fusion: FusionSettings | None = None,
-        odometry: OdometrySettings | None = None,
-        T_drone_sensor: Array | None = None,
-    ) -> None:
-        self.preprocess = preprocess or PreprocessSettings()
-        self.hough = hough or HoughSettings()
-        self.odometry = odometry or OdometrySettings()
-        self.T_drone_sensor = np.eye(4) if T_drone_sensor is None else T_drone_sensor
-        self.map = SegmentMap(fusion)
-        self.prediction = Prediction(self.odometry.drift_gain)
+    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+        self.settings = settings or OdometrySettings.preset("least_squares_yaw")
+        if self.settings.method not in CORRECTIONS:
+            raise SettingsError(f"method {self.settings.method!r}: expected one of {', '.join(CORRECTIONS)}")
+        if self.settings.hough is None or self.settings.segments is None:
+            raise SettingsError(f"method {self.settings.method!r}: expected tables hough and segments")
+        self.hough, self.segments = self.settings.hough, self.settings.segments
+        self.prior = np.zeros(4)  # information about yaw, x, y, z
+        if self.settings.prior_sigma_rad and self.settings.prior_sigma_m:
+            self.prior[:] = [self.settings.prior_sigma_rad**-2.0] + [self.settings.prior_sigma_m**-2.0] * 3
+        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+        self.map = SegmentMap(self.settings.fusion)
+        self.prediction = Prediction(self.settings.drift_gain)
         self.near_side = NearSide()
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan and add the scan's segments to the map.
 
-        ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, NaN for no return;
-        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. A scan without a bar that the map knows leaves the
-        correction as it was, and says so. Raises `SettingsError` for a prior that is not a finite ``(4, 4)`` array.
+        ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return;
+        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. A scan without a mapped bar in sight leaves the
+        correction as it was, and its ``reason`` says so. Raises `SettingsError` for arrays of other shapes, and for a
+        prior that is not rigid.
         """
-        scan = scan if isinstance(scan, Scan) else Scan(0.0, scan)
-        clock = [time.perf_counter()]
+        scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+        s, clock = self.settings, [time.perf_counter()]
         T_world_drone = self.prediction.pose(T_world_drone_prior)
-        points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.preprocess)
-        if self.odometry.near_side:
-            self.near_side.look(scan.points)
-            points = self.near_side.behind(points, self.T_drone_sensor[:3, 3])
+        points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s.preprocess)
+        if s.near_side:
+            self.near_side.update(scan.points)
+            points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
         clock.append(time.perf_counter())
         seen = segments_in(points, self.hough).transformed(T_world_drone)
         clock.append(time.perf_counter())
         position = T_world_drone[:3, 3].copy()
-        correction = CORRECTIONS[self.odometry.correction](seen, self.map, self.odometry, position)
+        correction = CORRECTIONS[s.method](seen, self.map, self.segments, position, self.prior)
         T_world_drone[:3, :3] = Rotation.from_euler("z", correction.yaw_rad).as_matrix() @ T_world_drone[:3, :3]
         T_world_drone[:3, 3] += correction.offset
         if correction.matches:
@@ -69,7 +75,8 @@ class SegmentOdometry:
         if not correction.matches:
             reason = "no segment seen" if not len(seen) else "no segment of the map seen"
             reason = "first scan" if not len(self.map) and len(seen) else reason
-            reason = "no correction asked for" if self.odometry.correction == "none" else reason
+            reason = (nothing_left(scan, s.preprocess.crop_m) if not len(points) else "") or reason
+            reason = "no correction asked for" if s.method == "none" else reason
         if len(seen):
             self.map.insert(moved(seen, np.append(correction.yaw_rad, correction.offset), position))
         clock.append(time.perf_counter())

@@ -1,12 +1,12 @@
-"""Compiled search for pairs: nearest points of a cloud, nearest voxels of a map, searched anew only where needed."""
+"""Compiled correspondence search: nearest points of a cloud, nearest voxels of a map, repeated only where needed."""
 
 import math
 
 import numpy as np
 from numba import njit
 
-from steelnb.mapping.kernels import find, pack
-from steelnb.preprocess.kdtree import nearest_k
+from steelnb.points.kdtree import nearest_k
+from steelnb.points.voxel_kernels import find, pack
 
 
 @njit(cache=True)

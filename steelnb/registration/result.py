@@ -1,4 +1,4 @@
-"""What a registration tells: the pose, how sure it is, and which directions hardly anything holds."""
+"""The result of a registration: pose, convergence, covariance, weakly constrained directions."""
 
 import math
 from dataclasses import dataclass
@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.datatypes import Array
+from steelnb.types import Array
 
 WEAK = 0.01
 """A direction is weak where its eigenvalue is below this share of the largest."""
 BLIND = 1e-10
-"""Below this share the pairs say nothing, and the solver does not move."""
+"""Below this share a direction is unconstrained, and the solver does not move along it."""
 UNKNOWN_M2 = 1e12
 
 
 class Normal(NamedTuple):
-    """Normal equations at a pose, of twists about ``centre (3,)``: ``H (6, 6)``, ``b (6,)``, the loss, how many pairs
-    are within the largest distance, the sum of their squared distances, and ``spread (6, 6)``, the sum of the outer
+    """Normal equations at a pose, of twists about ``centre (3,)``: ``H (6, 6)``, ``b (6,)``, the loss, the number of
+    pairs within the largest distance, the sum of their squared distances, and ``spread (6, 6)``, the sum of the outer
     products of their gradients (and the prior's information)."""
 
     H: Array
@@ -31,19 +31,19 @@ class Normal(NamedTuple):
 
 @dataclass(frozen=True)
 class RegistrationResult:
-    """Where a registration ended, and what can be told of it.
+    """Pose, convergence and uncertainty of a registration.
 
     ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, pairs within the largest distance;
     ``rmse_m`` of their distances; ``reason`` why it stopped.
 
     The rest is about twists ξ = (ω, v) in the axes of the target: a turn about ``centre (3,)``, the middle of the
     source under the pose, and the shift of that centre. ``H (6, 6)`` and ``b (6,)`` are the normal equations at the
-    end; ``covariance (6, 6)`` is ξ's, in rad and m, zero in directions that were not free and 1e12 m² where the pairs
-    say nothing. ``eigenvalues (k,)`` of H in the free directions, ascending, with turns measured by what they move at
-    ``length_m`` from the centre (the cloud's root mean square radius), so that turns and shifts compare;
-    ``weak (w, 6)``, the unit twists (ω · length_m, v) whose eigenvalue is below 1 % of the largest. For the error
-    ``point`` the shifts' part of H is N·I whatever the scene, so it cannot see a degenerate one: judge by ``plane`` or
-    ``gicp``.
+    end; ``covariance (6, 6)`` is ξ's, in rad and m, zero in directions that were not free and 1e12 m² in
+    unconstrained ones. ``eigenvalues (k,)`` of H in the free directions, ascending, with turns measured by the
+    displacement at ``length_m`` from the centre (the cloud's root mean square radius), so that turns and shifts
+    compare; ``weak (w, 6)``, the unit twists (ω · length_m, v) whose eigenvalue is below 1 % of the largest. For
+    the error ``point`` the shifts' part of H is N·I whatever the scene, so it cannot see a degenerate one: judge by
+    ``plane`` or ``gicp``.
     """
 
     T_target_source: Array
@@ -90,8 +90,8 @@ def judge(
     """Work out covariance and weak directions from the normal equations at the end.
 
     The covariance is H⁻¹ (Σ gᵢ gᵢᵀ) H⁻¹ with the pairs' gradients gᵢ (White, Econometrica 48, 1980): it needs no unit
-    of the covariances that GICP is given, but takes pairs as right and independent. ``rank`` is how many numbers a
-    pair gives: 1 for planes, else 3.
+    of the covariances that GICP is given, but takes pairs as right and independent. ``rank`` is the
+    number of residuals of a pair: 1 for planes, else 3.
     """
     A = basis.T @ normal.H @ basis
     value, vector = np.linalg.eigh(A if np.isfinite(A).all() else np.zeros_like(A))

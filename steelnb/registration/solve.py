@@ -1,23 +1,21 @@
 """The one solver loop of the ICP family: correspond, linearise, solve in the free directions, until it stands still."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.datatypes import Array, IntArray
 from steelnb.errors import SettingsError
-from steelnb.registration import kernels
+from steelnb.registration import normal_equations as kernels
 from steelnb.registration.result import BLIND, Normal, RegistrationResult, judge, middle_and_length, scaled_basis
-from steelnb.registration.target import Target, VoxelTarget, make_target
-
-__all__ = ["RegistrationResult", "Target", "align", "free_directions", "make_target"]
+from steelnb.registration.target import Target, VoxelTarget
+from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 RANK = {"point": 3, "plane": 1, "gicp": 3}
-"""How many numbers a pair gives."""
+"""Number of residuals of a pair."""
 ROBUST = {
     "none": kernels.NONE, "huber": kernels.HUBER, "cauchy": kernels.CAUCHY, "geman_mcclure": kernels.GEMAN_MCCLURE
 }  # fmt: skip
@@ -25,7 +23,7 @@ DOFS = ("xyz", "xyz_yaw", "se3")
 
 
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
-"""(pose ``(4, 4)``, centre of the twist ``(3,)``) → ``H (6, 6)``, ``b (6,)``, loss: what else is known of a pose."""
+"""A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
 
 
 def free_directions(dof: str, gravity: Array | None = None) -> Array:
@@ -59,16 +57,14 @@ def align(
     iterations_max: int = 50,
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
-    prior_information: Array | None = None,
     accelerated: bool = False,
-    extra: Term | None = None,
+    terms: Sequence[Term] = (),
 ) -> RegistrationResult:
     """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
 
     A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
-    the source. ``prior_information (6, 6)`` pulls the pose to ``T_init`` in directions that the pairs hardly constrain.
-    ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
-    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``extra`` adds what else is known.
+    the source. ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
+    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``terms`` are further costs.
     A step after which the same pairs fit worse is taken back and damped (Levenberg–Marquardt). Stops when a step turns
     by less than ``rotation_epsilon_rad`` and moves the middle by less than ``translation_epsilon_m``, the criterion of
     small_gicp. Checks nothing; `register` does.
@@ -76,9 +72,6 @@ def align(
     source = np.ascontiguousarray(source, dtype=np.float64)
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
     middle, length_m = middle_and_length(source)
-    terms = [] if extra is None else [extra]
-    if prior_information is not None:
-        terms.append(_prior_term(prior_information, T_init, middle))
     problem = _Problem(source, covariance, target, error, robust, float(robust_scale), terms, middle)
     basis = scaled_basis(free, length_m)
     limit, least = float(max_correspondence_m), pairs_needed(error, free)
@@ -114,8 +107,10 @@ def align(
     return judge(T, converged, iterations, here, basis, length_m, RANK[error], reason)
 
 
-def _prior_term(information: Array, T_init: Array, middle: Array) -> Term:
-    """½ ‖(turn from T_init, shift of the centre)‖² in the metric of the prior ``information (6, 6)``."""
+def prior_term(information: Array, T_init: Array, source: Array) -> Term:
+    """½ ‖(turn from T_init, shift of the source's middle)‖² in the metric of the prior ``information (6, 6)``: pulls
+    the pose to ``T_init (4, 4)`` in directions that the pairs of ``source (N, 3)`` hardly constrain."""
+    middle, _ = middle_and_length(source)
 
     def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
         turned = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T).as_rotvec()
@@ -146,7 +141,7 @@ def _suspect(here: Normal, before: Normal) -> bool:
 
 
 def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
-    """The twist ``(6,)`` that solves the damped normal equations where the pairs say something; None if nowhere."""
+    """Solution ``(6,)`` of the damped normal equations in the constrained directions; None if there are none."""
     A = basis.T @ normal.H @ basis
     if not np.isfinite(A).all():
         return None
@@ -159,7 +154,7 @@ def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
 
 
 def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Array, Array | None]:
-    """The step ``(6,)`` lengthened to where the iteration is heading, and what the next one is to compare with.
+    """The step ``(6,)`` lengthened towards the limit of the iteration, and the step to compare the next one with.
 
     Pairs that change and robust weights make it converge linearly: each step is r times the one before, so all steps to
     come add up to 1/(1 − r) of this one. That is taken where two steps point the same way, and at most five-fold, every
@@ -176,7 +171,7 @@ def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Arr
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is the same at every step."""
+    """The parts of a registration that are the same at every step."""
 
     source: Array
     covariance: Array
@@ -184,7 +179,7 @@ class _Problem:
     error: str
     robust: str
     robust_scale: float
-    terms: list[Term]
+    terms: Sequence[Term]
     middle: Array
 
     def linearise(

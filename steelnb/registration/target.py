@@ -1,25 +1,39 @@
-"""What a scan is registered to: an indexed cloud or a voxel map, and how each finds the pairs."""
+"""Registration targets, an indexed cloud or a voxel map, and the search for correspondences in each."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from steelnb.datatypes import Array, IntArray
 from steelnb.errors import EmptyCloudError
-from steelnb.mapping import VoxelGrid, VoxelMap
-from steelnb.preprocess.covariances import neighbour_covariances, normals, regularised
-from steelnb.preprocess.kdtree import KdTree, build_kdtree
+from steelnb.points import VoxelGrid, VoxelMap
+from steelnb.points.covariances import neighbour_covariances, normals, regularised
+from steelnb.points.inputs import checked_cloud
+from steelnb.points.kdtree import KdTree, build_kdtree
 from steelnb.registration.correspond import correspond_points, correspond_voxels
+from steelnb.types import Array, IntArray
 
 KEPT = 3
-"""How many neighbours of a point are kept from one step to the next."""
+"""Neighbours of each source point that are kept from one step to the next."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Correspondences of N source points as the pose changes.
+
+    ``match (N,)`` holds positions in the target's points, −1 for none within the limit; ``update(T_target_source)``
+    refills it.
+    """
+
+    match: IntArray
+    update: Callable[[Array], object]
 
 
 @dataclass(frozen=True)
 class Target:
-    """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)``.
+    """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 
-    Normals serve the error ``plane``, covariances ``gicp``; what is not needed may be of length zero.
+    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero.
     """
 
     tree: KdTree
@@ -28,19 +42,19 @@ class Target:
 
     @property
     def point(self) -> Array:
-        """Points ``(M, 3)`` that the pairs refer to."""
+        """Points ``(M, 3)`` in metres, in the target frame."""
         return self.tree.point
 
-    def pairs(self, source: Array, limit_m: float) -> "TreePairs":
-        """A search for the nearest point of each source point."""
+    def pairs(self, source: Array, limit_m: float) -> Pairs:
+        """Nearest point of each source point ``(N, 3)``: exact, and searched again only where it may have changed."""
         n = len(source)
-        near = np.full((n, KEPT), -1)
-        return TreePairs(self.tree, source, limit_m, np.full(n, -1), near, np.full(n, -1.0), np.zeros((n, 3)))
+        match, state = np.full(n, -1), (np.full((n, KEPT), -1), np.full(n, -1.0), np.zeros((n, 3)))
+        return Pairs(match, lambda T: correspond_points(self.tree, source, T, limit_m, match, *state))
 
 
 @dataclass(frozen=True)
 class VoxelTarget:
-    """A voxel map as it is, without copies: a point is paired with the distribution of a voxel around it (VGICP).
+    """A voxel map without copies: a point is paired with the distribution of a voxel around it (VGICP).
 
     ``covariance (capacity, 6)`` by slot, m². Thin voxels want a floor; put it on the source's covariances, where an
     isotropic one does the same. Valid until the map's next `insert`.
@@ -52,55 +66,21 @@ class VoxelTarget:
 
     @property
     def point(self) -> Array:
-        """Means of the voxels ``(capacity, 3)`` that the pairs refer to."""
+        """Means of the voxels ``(capacity, 3)`` in metres, in the target frame."""
         return self.grid.mean
 
-    def pairs(self, source: Array, limit_m: float) -> "VoxelPairs":
-        """A search for the nearest voxel mean around each source point."""
+    def pairs(self, source: Array, limit_m: float) -> Pairs:
+        """Nearest mean among the eight voxels around each source point ``(N, 3)``."""
         n = len(source)
-        return VoxelPairs(self.grid, source, limit_m, np.full(n, -1), np.full(n, -1), np.full((n, 9), -1))
-
-
-@dataclass(frozen=True)
-class TreePairs:
-    """Nearest neighbours as the pose moves: exact, and searched again only where they may have changed."""
-
-    tree: KdTree
-    source: Array
-    limit_m: float
-    match: IntArray
-    near: IntArray
-    beyond: Array
-    searched_from: Array
-
-    def update(self, T_target_source: Array) -> None:
-        """Refill ``match (N,)``: positions in the target's points, −1 for none near."""
-        correspond_points(
-            self.tree, self.source, T_target_source, self.limit_m, self.match, self.near, self.beyond,
-            self.searched_from,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class VoxelPairs:
-    """Voxels around each source point as the pose moves."""
-
-    grid: VoxelGrid
-    source: Array
-    limit_m: float
-    match: IntArray
-    octant: IntArray
-    around: IntArray
-
-    def update(self, T_target_source: Array) -> None:
-        """Refill ``match (N,)``: slots of the map, −1 for none near."""
-        correspond_voxels(self.grid, self.source, T_target_source, self.limit_m, self.match, self.octant, self.around)
+        match, state = np.full(n, -1), (np.full(n, -1), np.full((n, 9), -1))
+        return Pairs(match, lambda T: correspond_voxels(self.grid, source, T, limit_m, match, *state))
 
 
 def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
-    """Index a cloud ``(M, 3)`` for registration; normals and covariances only where the error needs them.
+    """Index a cloud ``(M, 3)`` in metres, with normals and covariances only where the error needs them.
 
-    Raises `EmptyCloudError`.
+    ``error`` is ``point``, ``plane`` or ``gicp``; ``neighbours`` points around each give its normal or covariance.
+    Raises `EmptyCloudError`, `SettingsError`.
     """
     tree = build_kdtree(finite(points, "target"))
     normal, covariance = np.zeros((0, 3)), np.zeros((0, 6))
@@ -114,18 +94,15 @@ def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
 
 
 def voxel_target(voxels: VoxelMap) -> VoxelTarget:
-    """The target of VGICP; the map's `update_shapes` must have been called for what was inserted."""
+    """The target of VGICP. Call the map's `update_shapes` for the inserted points first. Raises `EmptyCloudError`."""
     if not len(voxels):
         raise EmptyCloudError("target: an empty voxel map, expected one with points")
     return VoxelTarget(*voxels.grid())
 
 
 def finite(points: Array, name: str) -> Array:
-    """The finite points of a cloud ``(N, 3)`` or image ``(H, W, 3)``. Raises `EmptyCloudError`."""
-    points = np.asarray(points, dtype=np.float64)
-    if points.size and (points.ndim < 2 or points.shape[-1] != 3):
-        raise EmptyCloudError(f"{name}: an array of shape {points.shape}, expected a cloud (N, 3)")
-    points = points.reshape(-1, 3)
+    """The finite points of a cloud ``(N, 3)`` or image ``(H, W, 3)``. Raises `EmptyCloudError`, `SettingsError`."""
+    points = checked_cloud(points, name).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         raise EmptyCloudError(f"{name}: no finite point, expected a cloud (N, 3)")

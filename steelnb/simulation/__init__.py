@@ -1,8 +1,9 @@
-"""Settings → `Tower`, true flight, scans: the world that the report had in Webots."""
+"""Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
 
+from steelnb.simulation.cache import fly_and_scan
 from steelnb.simulation.flight import fly
 from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Member, Tower, build_tower
-from steelnb.simulation.truth import Truth
+from steelnb.simulation.truth import Truth, Visibility
 
-__all__ = ["Member", "Tower", "Truth", "build_tower", "fly", "scan_flight"]
+__all__ = ["Member", "Tower", "Truth", "Visibility", "build_tower", "fly", "fly_and_scan", "scan_flight"]

@@ -3,18 +3,23 @@
 import math
 import os
 import sys
+from functools import partial
 from types import ModuleType
 from typing import cast
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.config import FlightSettings
-from steelnb.datatypes import Array, Imu, Trajectory
-from steelnb.errors import CollisionError
-from steelnb.simulation.paths import heading, reference
+from steelnb.errors import CollisionError, needs
+from steelnb.settings import FlightSettings
+from steelnb.simulation.paths import heading, setpoints
 from steelnb.simulation.tower import Tower
+from steelnb.types import Imu, Trajectory
 
+GUST_TIME_S = 2.0
+"""Correlation time of the gusts."""
 STEP_S = 0.008
 GRAVITY = 9.81
 MASS_KG = 0.275
@@ -27,15 +32,16 @@ TILT_ACCELERATION_MAX = 5.0
 
 
 def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, Imu]:
-    """True trajectory and noise-free IMU of a flight, both at 125 Hz from t = 0.
+    """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `reference`; gusts (an
-    Ornstein–Uhlenbeck wind from the stream ``gust``) push it about. IMU readings are those of the interval that ends at
-    their stamp. Raises `CollisionError` with time and place when the body touches the structure or the ground.
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`. Gusts, an
+    Ornstein-Uhlenbeck process from the stream ``gust`` of the seed, act through the drag. World frame and REP 103 drone
+    frame; specific force (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises
+    `CollisionError` with time and place when the body touches the structure or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
-    target, target_velocity = reference(settings, tower.settings, steps, STEP_S)
+    target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
     wind = _gusts(settings, seed, steps)
     state = np.empty((steps + 1, 7))
     imu = np.empty((steps + 1, 6))
@@ -47,7 +53,7 @@ def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, 
         pybullet.disconnect(client)
     stamp = np.arange(steps + 1, dtype=np.float64) * STEP_S
     T_world_drone = np.tile(np.eye(4), (steps + 1, 1, 1))
-    T_world_drone[:, :3, :3] = _rotations(state[:, 3:])
+    T_world_drone[:, :3, :3] = Rotation.from_quat(state[:, 3:]).as_matrix()
     T_world_drone[:, :3, 3] = state[:, :3]
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
 
@@ -58,7 +64,8 @@ def _import_pybullet() -> ModuleType:
     kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
-        import pybullet
+        with needs("sim"):
+            import pybullet
     finally:
         os.dup2(kept, 2)
         os.close(kept)
@@ -67,34 +74,23 @@ def _import_pybullet() -> ModuleType:
 
 
 def _gusts(settings: FlightSettings, seed: int, steps: int) -> list[list[float]]:
-    from scipy.signal import lfilter
-
-    keep = math.exp(-STEP_S / settings.gust_time_s)
+    """Wind velocity at each step, m/s: standard deviation ``gust_sigma_m_s``, correlation time `GUST_TIME_S`."""
+    keep = math.exp(-STEP_S / GUST_TIME_S)
     shocks = rng.stream(seed, "gust").standard_normal((steps, 3)) * settings.gust_sigma_m_s * math.sqrt(1 - keep**2)
     return lfilter([1.0], [1.0, -keep], shocks, axis=0).tolist()  # type: ignore[no-any-return]
 
 
 def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: float) -> int:  # type: ignore[no-untyped-def]
-    pybullet.setTimeStep(STEP_S, physicsClientId=client)
-    pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
-    structure = pybullet.createCollisionShape(
-        pybullet.GEOM_MESH,
-        vertices=tower.vertices.tolist(),
-        indices=tower.triangles.ravel().tolist(),
-        # Without this flag the obstacle would be the convex hull of the whole tower.
-        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-        physicsClientId=client,
-    )
-    pybullet.createMultiBody(0, structure, physicsClientId=client)
-    ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    pybullet.createMultiBody(0, ground, physicsClientId=client)
-    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M, physicsClientId=client)
-    body = pybullet.createMultiBody(
-        MASS_KG, box, -1, start, pybullet.getQuaternionFromEuler((0, 0, yaw)), physicsClientId=client
-    )
-    pybullet.changeDynamics(
-        body, -1, localInertiaDiagonal=INERTIA, linearDamping=0, angularDamping=0, physicsClientId=client
-    )
+    shape, at = partial(pybullet.createCollisionShape, physicsClientId=client), {"physicsClientId": client}
+    pybullet.setTimeStep(STEP_S, **at)
+    pybullet.setGravity(0, 0, -GRAVITY, **at)
+    mesh = {"vertices": tower.vertices.tolist(), "indices": tower.triangles.ravel().tolist()}
+    # Without this flag the obstacle would be the convex hull of the whole tower.
+    pybullet.createMultiBody(0, shape(pybullet.GEOM_MESH, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, **mesh), **at)
+    pybullet.createMultiBody(0, shape(pybullet.GEOM_PLANE), **at)
+    box = shape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M)
+    body = pybullet.createMultiBody(MASS_KG, box, -1, start, pybullet.getQuaternionFromEuler((0, 0, yaw)), **at)
+    pybullet.changeDynamics(body, -1, localInertiaDiagonal=INERTIA, linearDamping=0, angularDamping=0, **at)
     return int(body)
 
 
@@ -173,9 +169,3 @@ def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[flo
         INERTIA[1] * (m[1] * px + m[4] * py + m[7] * pz),
         INERTIA[2] * (m[2] * px + m[5] * py + m[8] * pz),
     )
-
-
-def _rotations(quaternion: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_quat(quaternion).as_matrix())

@@ -1,11 +1,11 @@
-"""Where the drone is told to fly: polylines along the tower, with the heading at each point."""
+"""Flight paths: polylines along the tower, with the heading at each point."""
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from steelnb.config import FlightSettings, TowerSettings
-from steelnb.datatypes import Array
+from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation.tower import half_width
+from steelnb.types import Array
 
 
 def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
@@ -33,7 +33,7 @@ def heading(flight: FlightSettings, x: float, y: float) -> float:
     return np.pi / 2 if flight.trajectory == "vertical" else float(np.arctan2(-y, -x))
 
 
-def reference(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:
+def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:
     """Position and velocity to follow at each step, each ``(steps, 3)``: the path at ``speed_m_s``, then a hover.
 
     Two moving averages of a second round the corners, so that the drone leans into them instead of braking.

@@ -1,16 +1,21 @@
 """A Time-of-Flight camera on a flight, by ray casting against the tower's mesh (Open3D, Embree) on one thread."""
 
 import os
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from steelnb import rng
-from steelnb.config import TofSettings
-from steelnb.datatypes import Array, IntArray, RangeScans, Trajectory
+from steelnb.errors import needs
+from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
+from steelnb.simulation.truth import SliceCounter, Visibility
+from steelnb.types import Array, IntArray, RangeScans, Trajectory
 
 SCANS_AT_ONCE = 8
 EDGE_M = 0.1
+RANGE_MIN_M = 0.1
+"""Nearer returns saturate the sensor."""
 """Neighbouring ranges further apart than this make a depth edge, where flying pixels live."""
 GROUND_M = 60.0
 
@@ -27,34 +32,43 @@ def rays(settings: TofSettings) -> Array:
 
 def scan_flight(
     tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: int
-) -> tuple[RangeScans, IntArray]:
-    """Scans along a true trajectory at the sensor's rate, and how many returns each member of the tower gave ``(M,)``.
+) -> tuple[RangeScans, Visibility]:
+    """Range images along a true trajectory, and which part of each member gave returns.
 
-    Noise comes from one stream a scan, so that a longer flight begins with the scans of a shorter one.
+    Parameters
+    ----------
+    tower: world frame.
+    trajectory: true poses of the drone at even steps of time, the first at t = 0.
+    T_drone_sensor: ``(4, 4)``, the mount; the optical axis is the sensor's x axis.
+    settings: pinhole, rate, noise and limits of the sensor.
+    seed: noise comes from the stream ``("tof", k)`` for scan k, so that a longer flight begins with the scans of a
+        shorter one.
+
+    Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
-    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / _step(trajectory)).astype(int)
+    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
+    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
     index = index[index < len(trajectory) - 1] if len(index) > 1 else index
-    scene = _scene(tower)
-    ray = rays(settings)
-    owner = np.append(tower.triangle_member, [len(tower.members)] * 2)
+    scene, ray, counter = make_scene(tower), rays(settings), SliceCounter(tower.axes)
     range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
-    hits = np.zeros(len(tower.members), dtype=np.int64)
     for begin in range(0, len(index), SCANS_AT_ONCE):
         some = index[begin : begin + SCANS_AT_ONCE]
-        exact, triangle = _cast(scene, trajectory.T_world_drone[some] @ T_drone_sensor, ray)
-        for k in range(len(some)):
-            noise = rng.stream(seed, "tof", begin + k)
-            range_m[begin + k] = measure(exact[k], settings, noise)
+        T_world_sensor = trajectory.T_world_drone[some] @ T_drone_sensor
+        exact, member = cast_rays(scene, T_world_sensor, ray)
+        for k, T in enumerate(T_world_sensor):
+            image = range_m[begin + k]
+            image[:] = measured_ranges(exact[k], settings, rng.stream(seed, "tof", begin + k))
             stamp = trajectory.stamp_s[some[k]]
             if any(first <= stamp < last for first, last in settings.blind_s):
-                range_m[begin + k] = np.nan
-            returned = triangle[k][np.isfinite(range_m[begin + k])]
-            hits += np.bincount(owner[returned], minlength=len(hits) + 1)[:-1]
-    return RangeScans(trajectory.stamp_s[index], range_m, ray), hits
+                image[:] = np.nan
+            steel = np.flatnonzero(np.isfinite(image) & (member[k] >= 0))
+            distance, along = exact[k].ravel()[steel], ray.reshape(-1, 3)[steel] @ T[:3, :3].T
+            counter.add(T[:3, 3] + distance[:, None] * along, member[k].ravel()[steel])
+    return RangeScans(trajectory.stamp_s[index], range_m, ray), counter.visibility()
 
 
-def measure(exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator) -> np.ndarray:
-    """Measured range image ``(H, W)`` float32 from the exact one, infinite where nothing is hit.
+def measured_ranges(exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator) -> np.ndarray:
+    """Measured range image ``(H, W)`` float32 from the exact one, metres, infinite where nothing is hit.
 
     Flying pixels first (between two surfaces there is one wrong range, not two noisy ones), then Gaussian noise,
     dropouts, and the sensor's limits; NaN for no return.
@@ -62,7 +76,7 @@ def measure(exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generat
     result = exact_m.astype(np.float32)
     if settings.flying_pixel_probability > 0:
         result = _flying_pixels(result, settings.flying_pixel_probability, noise)
-    seen = np.flatnonzero((result >= settings.range_min_m) & (result <= settings.range_max_m))
+    seen = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
     value = result.ravel()[seen]
     sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * value)
     value = value + sigma * noise.standard_normal(len(value), dtype=np.float32)
@@ -91,25 +105,32 @@ def _flying_pixels(exact: np.ndarray, probability: float, noise: np.random.Gener
     return np.where(flying, other, exact)
 
 
-def _step(trajectory: Trajectory) -> float:
-    return float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
+class Scene(NamedTuple):
+    """The mesh of a tower on the ground plane as Open3D casts rays on it, and the member of each triangle, −1 for the
+    ground and, as the last entry, for no hit."""
+
+    mesh: Any
+    member: IntArray
 
 
-def _scene(tower: Tower):  # type: ignore[no-untyped-def]
+def make_scene(tower: Tower) -> Scene:
+    """The scene of a tower that stands on z = 0."""
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
-    import open3d
+    with needs("sim"):
+        import open3d
 
     corners = GROUND_M * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     vertices = np.concatenate([tower.vertices, corners]).astype(np.float32)
     n = len(tower.vertices)
     triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]]).astype(np.uint32)
-    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(open3d.core.Tensor.from_numpy(vertices), open3d.core.Tensor.from_numpy(triangles))
-    return scene
+    mesh = open3d.t.geometry.RaycastingScene(nthreads=1)
+    mesh.add_triangles(open3d.core.Tensor.from_numpy(vertices), open3d.core.Tensor.from_numpy(triangles))
+    return Scene(mesh, np.append(tower.triangle_member, [-1, -1, -1]))
 
 
-def _cast(scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
-    """Exact ranges ``(K, H, W)``, infinite for no hit, and the triangle hit, −1 for none."""
+def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
+    """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
+    −1 for the ground and for none. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
     import open3d
 
     flat = ray.reshape(-1, 3).astype(np.float32)
@@ -117,6 +138,8 @@ def _cast(scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, np.ndar
     bundle[:, :, :3] = T_world_sensor[:, None, :3, 3]
     for k, T in enumerate(T_world_sensor):
         np.matmul(flat, T[:3, :3].T.astype(np.float32), out=bundle[k, :, 3:])
-    answer = scene.cast_rays(open3d.core.Tensor.from_numpy(bundle), nthreads=1)
+    hit = scene.mesh.cast_rays(open3d.core.Tensor.from_numpy(bundle), nthreads=1)
     shape = (len(T_world_sensor), *ray.shape[:2])
-    return answer["t_hit"].numpy().reshape(shape), answer["primitive_ids"].numpy().reshape(shape)
+    # Open3D's number for no hit is the largest of its type: the last entry.
+    triangle = np.minimum(hit["primitive_ids"].numpy(), len(scene.member) - 1).astype(np.int64)
+    return hit["t_hit"].numpy().reshape(shape), scene.member[triangle].reshape(shape)

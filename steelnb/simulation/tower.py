@@ -1,24 +1,26 @@
-"""A parametric lattice tower of steel angle sections: true members, their joints, and the mesh that sensors see."""
+"""A parametric lattice tower of steel angle sections: members, joints and surface mesh."""
 
 import itertools
 from dataclasses import dataclass, field
 
-import networkx as nx
 import numpy as np
 
-from steelnb.config import TowerSettings
-from steelnb.datatypes import Array, IntArray
+from steelnb.settings import TowerSettings
+from steelnb.types import Array, IntArray
 
 
 @dataclass(frozen=True)
 class Member:
-    """A straight bar. Its axis is the heel of the angle section; ``joints`` are those it passes, from end to end."""
+    """A straight bar of equal-leg angle section. Its axis is the heel, the outer corner of the angle.
 
-    name: str
-    kind: str  # leg, ring, bracing or arm
-    section_m: tuple[float, float]  # flange width, thickness
+    ``kind`` leg, ring, bracing or arm; ``section_m`` width and thickness of the flanges; ``joints`` on it, from end to
+    end; ``flange_a``, ``flange_b`` unit vectors from the heel along the flanges, world frame.
+    """
+
+    kind: str
+    section_m: tuple[float, float]
     joints: tuple[int, ...]
-    flange_a: tuple[float, float, float]  # the directions of the two flanges, about across the axis
+    flange_a: tuple[float, float, float]
     flange_b: tuple[float, float, float]
 
 
@@ -38,15 +40,6 @@ class Tower:
     def axes(self) -> Array:
         """End points of the member axes, ``(M, 2, 3)`` metres."""
         return np.array([self.joints[[member.joints[0], member.joints[-1]]] for member in self.members])
-
-    def graph(self) -> nx.Graph:
-        """Joints as nodes (``position``); pieces of bars between them as edges (``member``, ``kind``)."""
-        graph = nx.Graph()
-        graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joints))
-        for m, member in enumerate(self.members):
-            for a, b in itertools.pairwise(member.joints):
-                graph.add_edge(a, b, member=m, kind=member.kind)
-        return graph
 
 
 def half_width(settings: TowerSettings, z: float) -> float:
@@ -87,10 +80,7 @@ class _Builder:
         flange_a = flange_a - (flange_a @ axis) * axis
         flange_a = _unit(flange_a - (flange_a @ flange_b) * flange_b)
         section = getattr(self.settings, f"{kind}_section_m")
-        count = sum(member.kind == kind for member in self.members)
-        self.members.append(
-            Member(f"{kind}-{count}", kind, section, joints, tuple(flange_a.tolist()), tuple(flange_b.tolist()))
-        )
+        self.members.append(Member(kind, section, joints, tuple(flange_a.tolist()), tuple(flange_b.tolist())))
 
     def in_face(self, kind: str, k: int, points: list[Array]) -> None:
         """Add a bar that lies in face ``k``: one flange in the face, the other pointing inwards."""
@@ -100,9 +90,11 @@ class _Builder:
 
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
-    """The tower of the settings: X-bracing up to the waist, K-bracing between the arms, single bracing in their depth.
+    """The tower of the settings (default: the preset ``report``): X-bracing up to the waist, K-bracing between the
+    arms, single bracing in their depth.
 
-    The base stands on z = 0, centred on the world's z axis; arms reach along ±x.
+    World frame, metres: the base stands on z = 0, centred on the z axis; arms reach along ±x. The mesh holds a closed
+    prism of 20 triangles for each member. No randomness.
     """
     settings = settings or TowerSettings()
     build = _Builder(settings)

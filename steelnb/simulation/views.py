@@ -1,15 +1,15 @@
-"""Single views of a tower from along a flight's path, without the flight: what segmentation is tried on."""
+"""Single scans of a tower from poses along a flight's path, without the flight, for comparing segmentations."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.config import FlightSettings, TofSettings
-from steelnb.datatypes import Array, IntArray
+from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation.paths import heading, waypoints
-from steelnb.simulation.tof import _cast, _scene, measure, rays
+from steelnb.simulation.tof import cast_rays, make_scene, measured_ranges, rays
 from steelnb.simulation.tower import Tower
+from steelnb.types import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,14 @@ class Viewer:
 
     def __init__(self, tower: Tower, tof: TofSettings) -> None:
         self.tower, self.tof = tower, tof
-        self._scene, self._rays = _scene(tower), rays(tof)
-        self._owner = np.append(tower.triangle_member, [-1, -1])  # the ground's two triangles come last
+        self._scene, self._rays = make_scene(tower), rays(tof)
 
     def view(self, T_world_sensor: Array, noise: np.random.Generator, floor_m: float = 0.3) -> View:
         """One scan, without the ground and all that is measured below ``floor_m``."""
-        exact, triangle = _cast(self._scene, T_world_sensor[None], self._rays)
-        measured = measure(exact[0], self.tof, noise)
+        exact, members = cast_rays(self._scene, T_world_sensor[None], self._rays)
+        measured = measured_ranges(exact[0], self.tof, noise)
         returned = np.isfinite(measured)
-        member = self._owner[triangle[0][returned].astype(np.int64)]
+        member = members[0][returned]
         rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
         along = self._rays[returned] @ rotation.T
         points = measured[returned][:, None].astype(np.float64) * along + position

@@ -1,4 +1,4 @@
-"""What a study keeps of one run: its numbers and thin curves, as one flat row."""
+"""One run of a study on a worker: the flight, and the row of numbers and thin curves that is kept of it."""
 
 import time
 import traceback
@@ -8,129 +8,112 @@ from typing import Any
 
 import numpy as np
 
-import steelnb
 from steelnb import experiment
-from steelnb.config import ExperimentSettings
-from steelnb.datatypes import Array, Flight, RangeScans
-from steelnb.metrics import bend, position_error_m
+from steelnb.metrics import bend, largest_slip, position_error_m
+from steelnb.points import preprocess_scan
+from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.study.basins import find_slips
-from steelnb.study.clouds import paired_clouds
+from steelnb.types import Array, Flight, RangeScans
 
 CURVE_SAMPLES = 100
+WRONG_M = 0.25
+"""Error beyond which a scan that had pairs counts as registered to the wrong place."""
 OK, FAILED = "ok", "failed"
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight with its scans and truth, which all runs on it share, and the seconds that it took."""
+    """A flight with its scans and its truth, which all runs on it share, and the seconds that its simulation took."""
 
     flight: Flight
     truth: Truth
     seconds: float
 
     def __sizeof__(self) -> int:
-        """Bytes, nearly all of them scans: what Dask goes by when it weighs moving a flight against waiting."""
-        scans = self.flight.scans
-        ranges = scans.range_m.nbytes if isinstance(scans, RangeScans) else 0
-        return ranges + self.truth.trajectory.T_world_drone.nbytes + self.truth.tower.vertices.nbytes
+        """Bytes, nearly all of them scans, by which Dask weighs moving a flight against waiting."""
+        return self.flight.scans.range_m.nbytes if isinstance(self.flight.scans, RangeScans) else 0
 
 
-@dataclass(frozen=True)
-class Fault:
-    """Why a flight or a run is not there, with its traceback."""
-
-    text: str
-
-
-def fly(settings: ExperimentSettings) -> Flown | Fault:
-    """The flight and the scans of some settings; a flight that raises is told, not raised."""
+def fly(settings: ExperimentSettings) -> Flown | str:
+    """The simulated flight of some settings, or the traceback of its failure."""
     begin = time.perf_counter()
     try:
         flight, truth = experiment.simulate(settings)
-    except Exception as fault:
-        return Fault(told(fault))
+    except Exception:
+        return _traceback()
     return Flown(flight, truth, time.perf_counter() - begin)
 
 
-def run_on(flown: Flown | Fault, settings: ExperimentSettings) -> dict[str, Any]:
-    """The row of one run on a flight: ``status``, ``error``, numbers and curves, and the seconds that it took."""
-    if isinstance(flown, Fault):
-        return failed(flown.text)
+def run_on(flown: Flown | str, settings: ExperimentSettings) -> dict[str, Any]:
+    """Row of one run on a flight: ``status``, ``error`` (a traceback), numbers, curves and seconds."""
+    if isinstance(flown, str):
+        return {"status": FAILED, "error": flown}
     begin = time.perf_counter()
+    row: dict[str, Any]
     try:
         own = experiment.redrift(settings, flown.flight, flown.truth)
         result = experiment.estimate(settings, own, flown.truth)
         row = {"status": OK, "error": "", **numbers(own, result), **curves(result), **frame_times(result)}
-    except Exception as fault:
-        row = failed(told(fault))
+    except Exception:
+        row = {"status": FAILED, "error": _traceback()}
     return {**row, "seconds": time.perf_counter() - begin, "flight_seconds": flown.seconds}
 
 
-def failed(text: str) -> dict[str, Any]:
-    """The row of a run that gave nothing."""
-    return {"status": FAILED, "error": text}
-
-
-def told(fault: BaseException) -> str:
-    """A traceback as text that is the same on every machine: files of the package by their place in it, others by name
-    alone."""
-    package = Path(steelnb.__file__).parent.parent
-    trace = traceback.TracebackException.from_exception(fault)
-    for frame in trace.stack:
-        path = Path(frame.filename)
-        frame.filename = path.relative_to(package).as_posix() if path.is_relative_to(package) else path.name
-    return "".join(trace.format()).rstrip()
+def _traceback() -> str:
+    """Traceback of the exception being handled, without the folder of this machine that holds the package."""
+    return traceback.format_exc().replace(f"{Path(experiment.__file__).parents[1]}/", "").rstrip()
 
 
 def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
-    """The finite numbers of a run: its metrics, and what explains them.
+    """Finite numbers of a run: its metrics, and numbers that explain them.
 
-    ``lost_share`` of the scans after the first that no pair corrected, and how fast the error grew there and elsewhere
-    (``growth_lost_m_s``, ``growth_paired_m_s``); ``wrong_share`` and ``slip_m`` of `find_slips`; ``bend_deg`` of the
-    cloud built; and the angle between estimated and true attitude, mean and last.
+    ``lost_share`` is the share of scans after the first without pairs; ``growth_lost_m_s`` and ``growth_paired_m_s``
+    the mean growth of the error there and elsewhere; ``wrong_share`` the share of the scans with pairs whose error
+    exceeds `WRONG_M`; ``slip_m`` the largest growth of the error within a second; ``bend_deg`` that of the assembled
+    cloud; ``turned_mean_deg`` and ``turned_final_deg`` the angle between estimated and true attitude.
     """
-    error = position_error_m(result.corrected, result.truth.trajectory)
-    lost = result.matches[1:] == 0
-    growth = np.diff(error) / np.diff(result.corrected.stamp_s)
-    slip = find_slips([result]).iloc[0]
-    turned = turned_deg(result)
+    error, paired = position_error_m(result.corrected, result.truth.trajectory), result.matches > 0
+    growth, lost = np.diff(error) / np.diff(result.corrected.stamp_s), ~paired[1:]
+    true = result.truth.trajectory.at(result.corrected.stamp_s).T_world_drone[:, :3, :3]
+    cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
+    turned_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    try:
+        bend_deg = bend(*paired_clouds(flight, result)).bend_deg
+    except ValueError:  # too few points to fit
+        bend_deg = np.nan
     found = {
         **result.metrics,
-        "lost_share": float(lost.mean()) if len(lost) else 0.0,
-        "growth_lost_m_s": float(growth[lost].mean()) if lost.any() else np.nan,
-        "growth_paired_m_s": float(growth[~lost].mean()) if (~lost).any() else np.nan,
-        "wrong_share": float(slip["wrong_share"]),
-        "slip_m": float(slip["slip_m"]),
-        "bend_deg": bend_of(flight, result),
-        "turned_mean_deg": float(turned.mean()),
-        "turned_final_deg": float(turned[-1]),
+        "lost_share": lost.mean() if len(lost) else 0.0,
+        "growth_lost_m_s": growth[lost].mean() if lost.any() else np.nan,
+        "growth_paired_m_s": growth[~lost].mean() if (~lost).any() else np.nan,
+        "wrong_share": (error[paired] > WRONG_M).mean() if paired.any() else 0.0,
+        "slip_m": largest_slip(error, max(1, round(result.settings.tof.rate_hz)))[1],
+        "bend_deg": bend_deg,
+        "turned_mean_deg": turned_deg.mean(),
+        "turned_final_deg": turned_deg[-1],
     }
     return {name: float(value) for name, value in found.items() if np.isfinite(value)}
 
 
-def turned_deg(result: experiment.Result) -> Array:
-    """Angle ``(N,)`` between the estimated and the true attitude at each scan."""
-    true = result.truth.trajectory.at(result.corrected.stamp_s).T_world_drone[:, :3, :3]
-    cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-
-
-def bend_of(flight: Flight, result: experiment.Result) -> float:
-    """`Bend.bend_deg` of the cloud that the scans make at the estimated poses; NaN for one too small to tell."""
-    try:
-        return bend(*paired_clouds(flight, result)).bend_deg
-    except ValueError:
-        return float("nan")
+def paired_clouds(flight: Flight, result: experiment.Result, every: int = 4) -> tuple[Array, Array]:
+    """Every fourth scan placed at the estimated and at the true poses: two clouds ``(N, 3)`` in the world frame, in
+    metres, whose rows k are the same return."""
+    true = result.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    built: list[Array] = []
+    real: list[Array] = []
+    for k in range(0, len(flight.scans), every):
+        points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, result.settings.odometry.preprocess)
+        for T_world_drone, clouds in ((result.corrected.T_world_drone[k], built), (true[k], real)):
+            clouds.append(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
+    return np.concatenate(built), np.concatenate(real)
 
 
 def curves(result: experiment.Result) -> dict[str, np.ndarray]:
-    """About `CURVE_SAMPLES` samples: times, errors without and with correction, and the pairs of that scan."""
-    stamp = result.corrected.stamp_s
-    chosen = np.unique(np.linspace(0, len(stamp) - 1, min(CURVE_SAMPLES, len(stamp))).round().astype(int))
-    truth = result.truth.trajectory
+    """At most `CURVE_SAMPLES` samples: stamps, errors without and with correction, and the pairs of that scan."""
+    stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
+    chosen = np.unique(np.linspace(0, len(stamp_s) - 1, min(CURVE_SAMPLES, len(stamp_s))).round().astype(int))
     return {
-        "curve_time_s": stamp[chosen].astype(np.float32),
+        "curve_time_s": stamp_s[chosen].astype(np.float32),
         "curve_raw_m": position_error_m(result.prior, truth)[chosen].astype(np.float32),
         "curve_error_m": position_error_m(result.corrected, truth)[chosen].astype(np.float32),
         "curve_matches": result.matches[chosen].astype(np.int32),
@@ -138,7 +121,6 @@ def curves(result: experiment.Result) -> dict[str, np.ndarray]:
 
 
 def frame_times(result: experiment.Result) -> dict[str, float]:
-    """Milliseconds that a frame took, median and 95th percentile."""
-    whole = 1e3 * np.sum(list(result.seconds.values()), axis=0)
-    median, p95 = np.percentile(whole, [50, 95])
+    """Milliseconds a frame, median and 95th percentile."""
+    median, p95 = np.percentile(1e3 * np.sum(list(result.seconds.values()), axis=0), [50, 95])
     return {"frame_median_ms": float(median), "frame_p95_ms": float(p95)}

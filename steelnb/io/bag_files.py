@@ -1,0 +1,231 @@
+"""Messages of a ROS 1 bag, an MCAP or sqlite file, or a ROS 2 folder, read by rosbags.
+
+Its readers are used apart from `AnyReader`, which compiles the definitions that a bag brings along: one that cannot be
+parsed would keep all others from being read. The standard types are the same everywhere.
+
+Points and depths are read where they lie. Sizes that do not fit are refused before anything is allocated, so a corrupt
+message costs no more memory than it has bytes.
+"""
+
+import functools
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.errors import FileContentError, FileMissingError, SteelnbError, UnsupportedFormatError, needs
+from steelnb.types import Array
+
+STORAGES = (".mcap", ".db3")
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_SHOWN = 30
+FLOATS = {7: "f4", 8: "f8"}
+"""PointField datatypes that coordinates may have."""
+DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""Type and unit in metres of the encodings of depth images (REP 118)."""
+
+
+class Message(NamedTuple):
+    """A message as it lies in the bag: its topic, when it was received, its bytes."""
+
+    topic: str
+    received_ns: int
+    raw: memoryview
+
+
+class Bag:
+    """A bag that is opened anew on every walk.
+
+    ``types`` maps each topic that has messages to its type in ROS 2 spelling, such as ``sensor_msgs/msg/Imu``. Raises
+    `FileMissingError`, `FileContentError` and `UnsupportedFormatError`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.ros = 1 if path.suffix.lower() == ".bag" else 2
+        self._files = _files(path)
+        self.types: dict[str, str] = {}
+        for file in self._files:
+            with self._opened(file) as reader:
+                for connection in reader.connections:
+                    if connection.msgcount:
+                        self.types.setdefault(connection.topic, connection.msgtype)
+
+    @property
+    def form(self) -> str:
+        """Format in words."""
+        if self.ros == 1:
+            return "ROS 1 bag"
+        kinds = {file.suffix for file in self.path.glob("*")} if self.path.is_dir() else {self.path.suffix}
+        return f"ROS 2 {'MCAP' if '.mcap' in kinds else 'sqlite'}{' folder' if self.path.is_dir() else ''}"
+
+    def of_type(self, *kinds: str) -> list[str]:
+        """The topics of these types."""
+        return [topic for topic, kind in self.types.items() if kind in kinds]
+
+    def holds(self) -> str:
+        """The topics and their types, for a message."""
+        listed = [f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in sorted(self.types.items())]
+        more = ", ..." if len(listed) > _SHOWN else ""
+        return f"it has {', '.join(listed[:_SHOWN])}{more}" if listed else "it holds no messages"
+
+    def walk(self, topics: Collection[str]) -> Iterator[Message]:
+        """All messages of some topics in the order of the bag. Raises `FileContentError` where it is damaged."""
+        for file in self._files:
+            with self._opened(file) as reader:
+                wanted = [each for each in reader.connections if each.topic in topics]
+                for connection, received_ns, raw in reader.messages(wanted) if wanted else ():
+                    yield Message(connection.topic, received_ns, memoryview(raw))
+
+    def decode(self, message: Message) -> Any:
+        """The message as an object with the attributes of its type. Raises `FileContentError`."""
+        store, kind = typestore(self.ros), self.types[message.topic]
+        try:
+            return (store.deserialize_ros1 if self.ros == 1 else store.deserialize_cdr)(message.raw, kind)
+        except Exception as fault:
+            raise FileContentError(f"{message.topic}: not a {kind}: {_line(fault)}; expected a whole one") from None
+
+    def stamp_s(self, message: Message) -> float:
+        """The stamp of the header at the front of the message, decoded alone. Raises `FileContentError`."""
+        try:
+            order = "<" if self.ros == 1 or message.raw[1] else ">"
+            seconds, nano = struct.unpack_from(f"{order}{'I' if self.ros == 1 else 'i'}I", message.raw, 4)
+        except (struct.error, IndexError):
+            size = len(message.raw)
+            raise FileContentError(f"{message.topic}: a message of {size} bytes; expected one with a stamp") from None
+        return (seconds * 10**9 + nano) / 10**9
+
+    @contextmanager
+    def _opened(self, file: Path) -> Iterator[Any]:
+        """rosbags' reader of one file. For damaged files it raises anything, assertions too; here that becomes ours."""
+        with needs("io"):
+            from rosbags import rosbag1, rosbag2
+
+        try:
+            with rosbag1.Reader(file) if self.ros == 1 else rosbag2.Reader(file) as reader:
+                yield reader
+        except SteelnbError:
+            raise
+        except (PermissionError, FileNotFoundError) as fault:
+            raise FileMissingError(f"{file}: cannot be read: {fault.strerror or _line(fault)}") from None
+        except Exception as fault:
+            raise FileContentError(f"{file}: {_line(fault)}; expected a complete bag") from None
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: a file by its ending, a folder by its files."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or any(file.suffix.lower() in STORAGES for file in path.iterdir())
+    return path.suffix.lower() in (".bag", *STORAGES)
+
+
+@functools.cache
+def typestore(ros: int) -> Any:
+    """rosbags' definitions of the standard messages of ROS 1 or 2, tf among them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    for kind in TRANSFORMS:
+        if kind not in store.types:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    return store
+
+
+def tally(skipped: Counter[str], kind: str) -> None:
+    """Count a malformed message of a type."""
+    skipped[f"malformed {kind.rpartition('/')[2]}"] += 1
+
+
+def _files(path: Path) -> list[Path]:
+    """A file, a folder with metadata, or the files of a folder without."""
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return [path]
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in STORAGES)
+    if not files:
+        raise UnsupportedFormatError(f"{path}: a folder; expected metadata.yaml, or files that end in .mcap or .db3")
+    return files
+
+
+def _line(fault: Exception) -> str:
+    """The text of an exception on one line."""
+    text = " ".join(" ".join(map(str, fault.args)).split())[:200].rstrip(".")
+    return text or f"damaged ({type(fault).__name__})"
+
+
+def decode_points(message: Any) -> Array:
+    """Points of a PointCloud2, ``(H, W, 3)`` where it is organised, else ``(N, 3)``; NaN rows where not finite.
+
+    Other fields and padding are ignored, and so is ``row_step`` of a single row, which many drivers leave at zero.
+    Raises `FileContentError` with the value that does not fit.
+    """
+    height, width = _whole(message, "height"), _whole(message, "width")
+    step, row = _whole(message, "point_step"), _whole(message, "row_step")
+    if height == 0 or width == 0:
+        return np.zeros((0, 3))
+    layout = _layout(message, step)
+    row = width * step if height == 1 else row
+    if row < width * step:
+        raise FileContentError(f"row_step {row}; expected at least {width * step} for {width} points of {step} bytes")
+    if len(message.data) < height * row:
+        raise FileContentError(f"data of {len(message.data)} bytes; expected {height * row} for {height} rows of {row}")
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    points = np.empty((height, width, 3))
+    with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN; sums of the largest numbers
+        for k, (kind, offset) in enumerate(layout):
+            points[..., k] = np.ndarray((height, width), kind, data, offset, (row, step))
+        invalid = ~np.isfinite(points @ np.ones(3))
+    if invalid.any():
+        points[invalid] = np.nan
+    return points if height > 1 and width > 1 else points.reshape(-1, 3)
+
+
+def decode_depth(message: Any, scale: float | None = None) -> Array:
+    """Depths ``(H, W)`` of an Image in metres, as stored; ``scale``: metres a unit, if not REP 118's.
+
+    Raises `FileContentError` for any other encoding, and where sizes do not fit.
+    """
+    if message.encoding not in DEPTHS:
+        raise FileContentError(f"encoding {str(message.encoding)[:20]!r}; expected one of {', '.join(DEPTHS)}")
+    kind, unit = DEPTHS[message.encoding]
+    pixel = np.dtype((">" if message.is_bigendian else "<") + kind)
+    rows, columns, step = int(message.height), int(message.width), int(message.step)
+    if not 0 < rows < 2**16 or not 0 < columns < 2**16:
+        raise FileContentError(f"an image of {columns} × {rows}; expected 1 to 65535 pixels each way")
+    if step < columns * pixel.itemsize or len(message.data) < rows * step:
+        raise FileContentError(
+            f"{len(message.data)} bytes in rows of {step}; expected {rows} rows of at least {columns * pixel.itemsize}"
+        )
+    data = np.frombuffer(message.data, np.uint8)
+    stored: NDArray = np.ndarray((rows, columns), pixel, data, strides=(step, pixel.itemsize))
+    return np.asarray(stored * np.float64(unit if scale is None else scale))
+
+
+def _layout(message: Any, step: int) -> list[tuple[str, int]]:
+    """Type and offset of x, y and z in a record of ``step`` bytes."""
+    order, layout = ">" if message.is_bigendian else "<", []
+    names = [field.name for field in message.fields]
+    for axis in "xyz":
+        if names.count(axis) != 1:
+            raise FileContentError(f"fields {', '.join(map(str, names[:20])) or 'none'}; expected one {axis}")
+        field = message.fields[names.index(axis)]
+        if field.datatype not in FLOATS:
+            raise FileContentError(f"field {axis} of datatype {field.datatype}; expected 7 (FLOAT32) or 8 (FLOAT64)")
+        if _whole(field, "count") > 1:  # old drivers write 0 for 1
+            raise FileContentError(f"field {axis} with count {field.count}; expected 1")
+        layout.append((order + FLOATS[field.datatype], _whole(field, "offset")))
+    end = max(offset + np.dtype(kind).itemsize for kind, offset in layout)
+    if end > step:
+        raise FileContentError(f"point_step {step}; expected at least {end}, where its fields end")
+    return layout
+
+
+def _whole(holder: Any, name: str) -> int:
+    value = getattr(holder, name)
+    if not 0 <= value < 2**32:
+        raise FileContentError(f"{name} {value}; expected a whole number from 0 to 2³² − 1")
+    return int(value)

@@ -1,0 +1,193 @@
+"""`Flight` → ROS 1 bag, MCAP or sqlite file, or ROS 2 folder, by rosbags' writers, one scan in memory at a time."""
+
+import heapq
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
+from steelnb.files import new_folder
+from steelnb.io.bag_files import STORAGES, TRANSFORMS, typestore
+from steelnb.io.bags import CLOUD, IMU, ODOMETRY
+from steelnb.io.flights import truth_path
+from steelnb.io.trajectories import write_tum
+from steelnb.types import Array, Flight, Trajectory
+
+WORLD, BODY, SENSOR = "odom", "base_link", "tof"
+"""Frames. The poses drift, so the world is REP 105's odom."""
+TOPICS = {
+    "/tf_static": TRANSFORMS[0], "/tf": TRANSFORMS[0], "/odom": ODOMETRY, "/imu": IMU, "/tof/points": CLOUD,
+}  # fmt: skip
+Entry = tuple[int, int, str, Any]
+"""Nanoseconds, rank among those of the same stamp, topic, message."""
+
+
+def write_flight(
+    path: Path | str,
+    flight: Flight,
+    truth: Trajectory | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write a flight as a drone's own nodes would record it, and the truth, if any, to ``STEM.truth.tum`` beside it.
+
+    Scans (PointCloud2, float32), drifting poses (Odometry and tf), the mount (tf_static) and the IMU. A path that ends
+    in .bag, .mcap or .db3 becomes that file, one without ending a ROS 2 folder. ``on_progress`` gets the share done.
+    Nothing half-written stays. Raises `UnsupportedFormatError`, `OutputError`, `RecordingError` for a stamp that bags
+    cannot hold, and what reading the scans raises.
+    """
+    path = Path(path).absolute()
+    check_target(path)
+    if truth is None and truth_path(path).exists():
+        raise OutputError(f"{truth_path(path)}: would be taken for this flight's truth; expected no such file")
+    with new_folder(path.parent) as folder:
+        try:
+            _write(folder / path.name, flight, on_progress or (lambda _: None))
+        except sqlite3.Error as fault:
+            raise OutputError(f"{path}: cannot be written: {fault}") from None
+        if truth is not None:
+            write_tum(truth_path(folder / path.name), truth)
+
+
+def check_target(path: Path) -> None:
+    """Raise `UnsupportedFormatError` or `OutputError` for a path that `write_flight` would refuse."""
+    if path.suffix.lower() not in ("", ".bag", *STORAGES):
+        raise UnsupportedFormatError(
+            f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder name for ROS 2"
+        )
+    if path.exists():
+        raise OutputError(f"{path}: exists already; expected a new name")
+    place = next(folder for folder in path.absolute().parents if folder.exists())
+    if not place.is_dir() or not os.access(place, os.W_OK):
+        raise OutputError(f"{path}: cannot be written: {place} is no folder that can be written to")
+
+
+def _write(path: Path, flight: Flight, on_progress: Callable[[float], None]) -> None:
+    with needs("io"):
+        from rosbags import rosbag1, rosbag2
+
+    ros = 1 if path.suffix.lower() == ".bag" else 2
+    store, single = typestore(ros), path.suffix.lower() in STORAGES
+    folder = path.with_suffix("") if single else path
+    plugin = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
+    serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+    writer: Any = rosbag1.Writer(path) if ros == 1 else rosbag2.Writer(folder, version=8, storage_plugin=plugin)
+    with writer:
+        connections = {}
+        for topic, kind in TOPICS.items():
+            if topic == "/imu" and (flight.imu is None or not len(flight.imu.stamp_s)):
+                continue
+            latched = topic == "/tf_static"
+            more: dict[str, Any] = (
+                {"latching": int(latched)} if ros == 1 else {"offered_qos_profiles": [_quality(latched)]}
+            )
+            connections[topic] = writer.add_connection(topic, kind, typestore=store, **more)
+        for stamp_ns, _, topic, message in _entries(flight, Messages(ros), on_progress):
+            writer.write(connections[topic], stamp_ns, serialize(message, TOPICS[topic]))
+    if single:
+        # Its metadata is in the file too (MCAP) or can be found again (`ros2 bag reindex`).
+        os.replace(folder / f"{folder.name}{path.suffix.lower()}", path)
+        shutil.rmtree(folder)
+
+
+def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], None]) -> Iterator[Entry]:
+    """All messages in the order of their stamps, made as they are asked for."""
+    prior, stamps = flight.prior, [_ns(stamp_s) for stamp_s in flight.prior.stamp_s.tolist()]
+    quaternion = Rotation.from_matrix(prior.T_world_drone[:, :3, :3]).as_quat()
+
+    def poses() -> Iterator[Entry]:
+        if stamps:
+            mount = flight.T_drone_sensor
+            turn = Rotation.from_matrix(mount[:3, :3]).as_quat()
+            yield stamps[0], 0, "/tf_static", make.transform(stamps[0], BODY, SENSOR, mount[:3, 3], turn)
+        for stamp, place, turn in zip(stamps, prior.position, quaternion, strict=True):
+            yield stamp, 1, "/tf", make.transform(stamp, WORLD, BODY, place, turn)
+            yield stamp, 2, "/odom", make.odometry(stamp, place, turn)
+
+    def inertial() -> Iterator[Entry]:
+        if (imu := flight.imu) is not None:
+            for stamp_s, force, rate in zip(imu.stamp_s.tolist(), imu.specific_force, imu.angular_rate, strict=True):
+                yield _ns(stamp_s), 3, "/imu", make.imu(_ns(stamp_s), force, rate)
+
+    def scans() -> Iterator[Entry]:
+        for k, (stamp, scan) in enumerate(zip(stamps, flight.scans, strict=True)):
+            yield stamp, 4, "/tof/points", make.cloud(stamp, scan.points)
+            on_progress((k + 1) / len(stamps))
+
+    return heapq.merge(poses(), inertial(), scans(), key=lambda entry: entry[:2])
+
+
+class Messages:
+    """The messages of ROS 1 or 2, which differ in their headers alone."""
+
+    def __init__(self, ros: int) -> None:
+        self._ros, self._types = ros, typestore(ros).types
+
+    def transform(self, stamp_ns: int, parent: str, child: str, place: Array, turn: Array) -> Any:
+        """tf with one transform."""
+        transform = self.make("geometry_msgs/msg/Transform", self._vector(place), self._quaternion(turn))
+        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(stamp_ns, parent), child, transform)
+        return self.make(TRANSFORMS[0], [stamped])
+
+    def odometry(self, stamp_ns: int, place: Array, turn: Array) -> Any:
+        """Odometry without velocities."""
+        point = self.make("geometry_msgs/msg/Point", *map(float, place))
+        pose = self.make("geometry_msgs/msg/Pose", point, self._quaternion(turn))
+        twist = self.make("geometry_msgs/msg/Twist", self._vector(np.zeros(3)), self._vector(np.zeros(3)))
+        posed = self.make("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36))
+        moving = self.make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36))
+        return self.make(ODOMETRY, self.header(stamp_ns, WORLD), BODY, posed, moving)
+
+    def imu(self, stamp_ns: int, force: Array, rate: Array) -> Any:
+        """Specific force and angular rate; no orientation, which −1 in its covariance says."""
+        unknown, none = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), np.zeros(9)
+        level, header = self._quaternion(np.array([0, 0, 0, 1.0])), self.header(stamp_ns, BODY)
+        return self.make(IMU, header, level, unknown, self._vector(rate), none, self._vector(force), none)
+
+    def cloud(self, stamp_ns: int, points: Array) -> Any:
+        """PointCloud2 of float32 x, y, z without padding, organised where the points ``(H, W, 3)`` are."""
+        rows, columns = points.shape[:2] if points.ndim == 3 else (1, len(points))
+        with np.errstate(over="ignore", invalid="ignore"):
+            numbers = np.ascontiguousarray(points, dtype="<f4")
+        fields = [self.make("sensor_msgs/msg/PointField", axis, 4 * k, 7, 1) for k, axis in enumerate("xyz")]
+        data, dense = numbers.reshape(-1).view(np.uint8), bool(np.isfinite(numbers).all())
+        header = self.header(stamp_ns, SENSOR)
+        return self.make(CLOUD, header, rows, columns, fields, False, 12, 12 * columns, data, dense)
+
+    def header(self, stamp_ns: int, frame: str) -> Any:
+        """Header with a sequence number in ROS 1."""
+        stamp = self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
+        return self.make("std_msgs/msg/Header", *((0,) if self._ros == 1 else ()), stamp, frame)
+
+    def make(self, kind: str, *values: Any) -> Any:
+        """A message of a type from the values of its fields."""
+        return self._types[kind](*values)
+
+    def _vector(self, xyz: Array) -> Any:
+        return self.make("geometry_msgs/msg/Vector3", *map(float, xyz))
+
+    def _quaternion(self, xyzw: Array) -> Any:
+        return self.make("geometry_msgs/msg/Quaternion", *map(float, xyzw))
+
+
+def _ns(stamp_s: float) -> int:
+    stamp_ns = round(Decimal(stamp_s) * 10**9)  # a product of floating-point numbers would miss it by a hundred
+    if not 0 <= stamp_ns < 2**31 * 10**9:
+        raise RecordingError(f"stamp {stamp_s} s; expected 0 to 2³¹ s, which is what bags hold")
+    return stamp_ns
+
+
+def _quality(latched: bool) -> Any:
+    """Reliable; latched topics are kept for late subscribers, as ROS 2 expects of tf_static."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    forever = QosTime(2147483647, 4294967295)
+    durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+    kept = (QosHistory.KEEP_LAST, 1 if latched else 10, QosReliability.RELIABLE, durability)
+    return Qos(*kept, forever, forever, QosLiveliness.AUTOMATIC, forever, False)

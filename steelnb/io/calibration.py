@@ -1,0 +1,111 @@
+"""Mount and intrinsics of a sensor from settings files, and the pinhole model of depth cameras.
+
+Cameras look along z, x right, y down (optical frame, REP 103); the sensor frame here is the drone's: x forward, y left,
+z up.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import ExtrinsicsError, SettingsError
+from steelnb.settings import read_toml
+from steelnb.types import Array
+
+T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+"""From x forward, y left, z up to z forward, x right, y down."""
+T_SENSOR_OPTICAL = T_OPTICAL_SENSOR.T
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Extrinsics(_Table):
+    """Pose of the sensor in the drone frame; the rotation as a quaternion or as roll, pitch and yaw, or none."""
+
+    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_xyzw: tuple[float, float, float, float] | None = None
+    rotation_rpy_deg: tuple[float, float, float] | None = None
+
+    def T_drone_sensor(self, where: str) -> Array:
+        """The transform ``(4, 4)``. Raises `ExtrinsicsError`."""
+        if self.rotation_xyzw and self.rotation_rpy_deg:
+            raise ExtrinsicsError(f"{where}: rotation_xyzw and rotation_rpy_deg; expected one of them")
+        result = np.eye(4)
+        result[:3, 3] = self.translation_m
+        if self.rotation_rpy_deg:  # about the drone's fixed axes, as in ROS (REP 103)
+            result[:3, :3] = Rotation.from_euler("xyz", self.rotation_rpy_deg, degrees=True).as_matrix()
+        elif self.rotation_xyzw:
+            if np.linalg.norm(self.rotation_xyzw) < 1e-6:
+                raise ExtrinsicsError(f"{where}: rotation_xyzw {self.rotation_xyzw}; expected a quaternion not zero")
+            result[:3, :3] = Rotation.from_quat(self.rotation_xyzw).as_matrix()
+        return result
+
+
+class Intrinsics(_Table):
+    """A pinhole depth camera, in pixels. ``depth_scale``: metres a unit of its images; None: the files' convention."""
+
+    fx: Positive
+    fy: Positive
+    cx: float
+    cy: float
+    width: Annotated[int, Field(gt=0)] | None = None
+    height: Annotated[int, Field(gt=0)] | None = None
+    depth_scale: Positive | None = None
+
+    def differs(self, rows: int, columns: int) -> str:
+        """The size of an image and the one expected, in words; empty where they agree."""
+        if (self.height or rows, self.width or columns) == (rows, columns):
+            return ""
+        return f"{columns} × {rows} pixels; expected {self.width} × {self.height}"
+
+
+class _Settings(_Table):
+    extrinsics: Extrinsics | None = None
+    intrinsics: Intrinsics | None = None
+
+
+def read_settings(path: Path | str | None) -> tuple[Array | None, Intrinsics | None]:
+    """``T_drone_sensor`` and intrinsics from the tables ``[extrinsics]`` and ``[intrinsics]`` of a TOML file.
+
+    Each is None where it, or the file, is not there. Raises `FileMissingError`, `SettingsError`, `ExtrinsicsError`.
+    """
+    if path is None:
+        return None, None
+    try:
+        settings = _Settings(**read_toml(Path(path), "a settings file"))
+    except ValidationError as fault:
+        first = fault.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise SettingsError(f"{path}: {where}: {first['msg']}, got {str(first['input'])[:60]}") from None
+    extrinsics = settings.extrinsics
+    return extrinsics.T_drone_sensor(f"{path}, [extrinsics]") if extrinsics else None, settings.intrinsics
+
+
+def depth_points(depth_m: NDArray, camera: Intrinsics) -> Array:
+    """Points ``(H, W, 3)`` in the sensor frame from depths ``(H, W)`` along the optical axis, in metres.
+
+    NaN where a depth is not finite or not positive.
+    """
+    depth = np.asarray(depth_m, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        depth = np.where((depth > 0) & np.isfinite(depth), depth, np.nan)
+    left, up = _rays(*depth.shape, camera.fx, camera.fy, camera.cx, camera.cy)
+    return np.stack([depth, depth * left, depth * up[:, None]], axis=-1)
+
+
+def from_optical(points: Array) -> Array:
+    """Points ``(..., 3)`` of an optical frame in the sensor frame."""
+    return np.stack([points[..., 2], -points[..., 0], -points[..., 1]], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _rays(rows: int, columns: int, fx: float, fy: float, cx: float, cy: float) -> tuple[Array, Array]:
+    return np.asarray((cx - np.arange(columns)) / fx), np.asarray((cy - np.arange(rows)) / fy)

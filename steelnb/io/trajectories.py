@@ -1,0 +1,250 @@
+"""Trajectory files (TUM, KITTI, EuRoC), read and written by evo, and stamps in text files and file names.
+
+evo names no line and accepts poses that are none; both are checked here.
+"""
+
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import FileContentError, FileMissingError, RecordingError, needs
+from steelnb.files import new_file
+from steelnb.types import Array, Trajectory
+
+QUATERNION_MIN = 1e-6
+"""Length below which a quaternion has no direction."""
+ROTATION_TOLERANCE = 0.01
+"""Largest element of R Rᵀ − I of a rotation matrix."""
+FORMS = {
+    "TUM": "8 numbers: stamp tx ty tz qx qy qz qw",
+    "KITTI": "12 numbers: the first three rows of a pose",
+    "EuRoC": "a stamp in whole nanoseconds, then x, y, z, qw, qx, qy, qz, with commas",
+}
+STAMP_FILES = ("timestamps.txt", "times.txt", "stamps.csv", "timestamps.csv", "times.csv")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?")
+_IN_NAME = re.compile(r"\d+(?:\.\d+)?")
+_UNITS = ((10**17, 10**9), (10**14, 10**6), (10**11, 10**3))
+"""From these whole numbers on, a stamp is in parts of a second: seconds since 1970 have ten digits."""
+
+
+def read_trajectory(path: Path | str, skipped: Counter[str] | None = None, stamp_s: Array | None = None) -> Trajectory:
+    """Read a TUM, KITTI or EuRoC file; its first line of numbers tells which.
+
+    Parameters
+    ----------
+    skipped : counts the poses left out, by reason (`trajectory_of`).
+    stamp_s : ``(N,)``, of KITTI poses without a file of stamps (``times.txt``) beside them.
+
+    Raises `FileMissingError`, `FileContentError` with the first bad line, and `RecordingError` where no pose is left or
+    KITTI poses have no stamps.
+    """
+    with needs("io"):
+        from evo.tools import file_interface
+
+    path, skipped = Path(path), Counter() if skipped is None else skipped
+    form, rows = _rows(path)
+    text = io.StringIO("\n".join(("," if form == "EuRoC" else " ").join(row) for row in rows))
+    if form == "KITTI":
+        T = np.array(file_interface.read_kitti_poses_file(text).poses_se3)
+        beside = stamps_beside(path)
+        if beside is not None:
+            stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
+        if stamp_s is None:
+            raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
+        if len(stamp_s) != len(T):
+            raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(T)}, one a pose")
+        return trajectory_of_matrices(path, stamp_s, T, skipped)
+    read = file_interface.read_tum_trajectory_file if form == "TUM" else file_interface.read_euroc_csv_trajectory
+    poses = read(text)
+    xyzw = np.roll(poses.orientations_quat_wxyz, -1, axis=1)
+    return trajectory_of(path, poses.timestamps, poses.positions_xyz, xyzw, skipped)
+
+
+def holds_poses(path: Path) -> bool:
+    """Whether the first line of numbers of a text file is a pose."""
+    try:
+        first = next((line for _, line in text_lines(path) if _numeric(_words(line)[:1])), "")
+    except (FileContentError, OSError):
+        return False
+    return _form(first) is not None
+
+
+def trajectory_of(
+    path: Path, stamp_s: Array, position: Array, quaternion_xyzw: Array, skipped: Counter[str]
+) -> Trajectory:
+    """Poses sorted by stamp, from ``stamp_s (N,)``, ``position (N, 3)`` and ``quaternion_xyzw (N, 4)`` of any length.
+
+    Left out and counted: numbers not finite, quaternions of length zero, repeated stamps. Raises `RecordingError` where
+    no pose is left.
+    """
+    numbers = np.column_stack([stamp_s, position, quaternion_xyzw])
+    finite = np.asarray(np.isfinite(numbers).all(axis=1))
+    largest = np.abs(np.where(finite[:, None], quaternion_xyzw, 0.0)).max(axis=1, initial=0.0)
+    turns = largest > QUATERNION_MIN
+    count(skipped, "pose not finite", ~finite)
+    count(skipped, "pose with a quaternion of length zero", finite & ~turns)
+    good = np.flatnonzero(finite & turns)
+    count(skipped, "pose out of order, sorted", np.diff(stamp_s[good]) < 0)
+    good = good[np.argsort(stamp_s[good], kind="stable")]
+    repeated = np.diff(stamp_s[good], prepend=-np.inf) <= 0
+    count(skipped, "pose with a stamp that another has", repeated)
+    good = good[~repeated]
+    if not len(good):
+        raise RecordingError(f"{path}: {len(numbers)} poses, none of use; expected finite numbers and unit quaternions")
+    T_world_drone = np.tile(np.eye(4), (len(good), 1, 1))
+    T_world_drone[:, :3, :3] = Rotation.from_quat(quaternion_xyzw[good] / largest[good, None]).as_matrix()
+    T_world_drone[:, :3, 3] = position[good]
+    return Trajectory(np.ascontiguousarray(stamp_s[good]), T_world_drone)
+
+
+def trajectory_of_matrices(path: Path, stamp_s: Array, T_world_drone: Array, skipped: Counter[str]) -> Trajectory:
+    """`trajectory_of` for ``T_world_drone (N, 4, 4)``; matrices that are no rotations are left out and counted."""
+    R = T_world_drone[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        rotates = (off < ROTATION_TOLERANCE) & (np.linalg.det(np.where(np.isfinite(R), R, 0.0)) > 0)
+    quaternion = np.full((len(R), 4), np.nan)
+    quaternion[rotates] = Rotation.from_matrix(R[rotates]).as_quat()
+    none = ~rotates & np.isfinite(R).all(axis=(1, 2))
+    count(skipped, "pose whose matrix is no rotation", none)
+    return trajectory_of(path, stamp_s[~none], T_world_drone[~none, :3, 3], quaternion[~none], skipped)
+
+
+def write_tum(path: Path | str, trajectory: Trajectory) -> None:
+    """Write ``stamp tx ty tz qx qy qz qw`` with all digits. Raises `OutputError`; nothing half-written stays."""
+    with needs("io"):
+        from evo.core.trajectory import PoseTrajectory3D
+        from evo.tools.file_interface import write_tum_trajectory_file
+
+    path = Path(path)
+    xyzw = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]).as_quat(canonical=True)
+    poses = PoseTrajectory3D(trajectory.position, np.roll(xyzw, 1, axis=1), timestamps=trajectory.stamp_s)
+    with new_file(path) as file:
+        write_tum_trajectory_file(file, poses)
+
+
+def _rows(path: Path) -> tuple[str, list[list[str]]]:
+    """The form of a file, and the words of its poses, a row a line; a header is left out."""
+    form: str | None = None
+    rows: list[list[str]] = []
+    for number, line in text_lines(path):
+        words = _words(line)
+        if not rows and not _numeric(words[:1]):
+            continue  # a header
+        form = form or _form(line)
+        if form is None or form != _form(line):
+            says = f"{form}'s {FORMS[form]}" if form else " or ".join(FORMS.values())
+            raise FileContentError(f"{path}, line {number}: {line[:60]!r}; expected {says}")
+        rows.append(words[:8] if form == "EuRoC" else words)
+    if form is None:
+        raise FileContentError(f"{path}: no line with a pose; expected {'; or '.join(FORMS.values())}")
+    return form, rows
+
+
+def _form(line: str) -> str | None:
+    """The form of a line with a pose; None for any other line."""
+    words = _words(line)
+    if "," in line:
+        whole = len(words) >= 8 and words[0].lstrip("+-").isdecimal() and len(words[0]) <= 20
+        return "EuRoC" if whole and _numeric(words[:8]) else None
+    return {8: "TUM", 12: "KITTI"}.get(len(words)) if _numeric(words) else None
+
+
+def _words(line: str) -> list[str]:
+    return line.replace(",", " ").split()
+
+
+def _numeric(words: Sequence[str]) -> bool:
+    try:
+        return all(word.isascii() and "_" not in word and float(word) is not None for word in words) and bool(words)
+    except ValueError:
+        return False
+
+
+def seconds(word: str) -> float:
+    """A stamp from a word: seconds, whole milli-, micro- or nanoseconds since 1970, or a date (UTC).
+
+    Raises ValueError.
+    """
+    if _DATE.fullmatch(word):
+        return float(np.datetime64(word, "ns").astype(np.int64) / 1e9)
+    if "_" in word:
+        raise ValueError(word)
+    if not word.lstrip("+-").isdecimal():
+        return float(word)
+    whole = int(word)
+    return whole / next((parts for least, parts in _UNITS if abs(whole) >= least), 1)
+
+
+def read_stamps(path: Path) -> list[tuple[float, str]]:
+    """Stamp and rest of each line, as in TUM's ``depth.txt``; one header line is skipped.
+
+    Raises `FileMissingError`, and `FileContentError` with the number of a line that does not begin with a stamp.
+    """
+    found: list[tuple[float, str]] = []
+    for number, line in text_lines(path):
+        date = _DATE.match(line)
+        word = date[0] if date else re.split(r"[\s,;]", line, maxsplit=1)[0]
+        try:
+            found.append((seconds(word), line[len(word) :].strip(" ,;\t")))
+        except (ValueError, OverflowError):
+            if found or word[:1].isdigit():
+                raise FileContentError(f"{path}, line {number}: {line[:60]!r}; expected a stamp in front") from None
+    return found
+
+
+def stamps_of_names(names: Sequence[str]) -> Array | None:
+    """Stamps ``(N,)``, the last number in each name, or None where these only count the files.
+
+    A stamp has a decimal point or at least ten digits.
+    """
+    words = [found[-1] if (found := _IN_NAME.findall(name)) else "" for name in names]
+    if not words or not all("." in word or len(word.lstrip("0")) >= 10 for word in words):
+        return None
+    return np.array([seconds(word) for word in words])
+
+
+def stamps_beside(path: Path) -> Path | None:
+    """The file of stamps in a folder, or in the folder of a file; None without one."""
+    folder = path if path.is_dir() else path.parent
+    return next((folder / name for name in STAMP_FILES if (folder / name).is_file() and folder / name != path), None)
+
+
+def rising(stamp_s: Array, skipped: Counter[str], prefix: str = "") -> NDArray[np.bool_]:
+    """Which stamps ``(N,)`` are finite and later than all before them; ``skipped`` counts the others by reason."""
+    finite = np.isfinite(stamp_s)
+    latest = np.maximum.accumulate(np.where(finite, stamp_s, -np.inf))
+    before = np.concatenate([[-np.inf], latest[:-1]])
+    count(skipped, f"{prefix}stamp not finite", ~finite)
+    count(skipped, f"{prefix}duplicate stamp", finite & (stamp_s == before))
+    count(skipped, f"{prefix}time ran backwards", finite & (stamp_s < before))
+    return np.asarray(finite & (stamp_s > before))
+
+
+def count(skipped: Counter[str], reason: str, which: NDArray[np.bool_]) -> None:
+    """Add the number of True in ``which`` to a reason, if there is any."""
+    if number := int(np.count_nonzero(which)):
+        skipped[reason] += number
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Number and text of every line that is neither blank nor a comment (``#``).
+
+    Raises `FileMissingError`, and `FileContentError` for a binary file.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as fault:
+        raise FileMissingError(f"{path}: {fault.strerror or fault}; expected a text file") from None
+    if b"\0" in data:
+        raise FileContentError(f"{path}: holds zero bytes; expected text")
+    for number, line in enumerate(data.decode("utf-8-sig", errors="replace").split("\n"), start=1):
+        text = line.partition("#")[0].strip()
+        if text:
+            yield number, text

@@ -1,0 +1,212 @@
+"""The tree of frames that a bag's tf messages hold: extrinsics from fixed transforms, poses from moving ones."""
+
+from array import array
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from steelnb.io.calibration import T_OPTICAL_SENSOR
+from steelnb.types import Array, Trajectory
+
+MOVED = 1e-6
+"""A transform that changes by more, in any of its numbers, moves."""
+WORLDS = ("odom", "world", "map")
+BODIES = ("base_link", "base_footprint", "body", "base", "drone")
+"""Usual names, the likelier first (REP 105). In odom poses drift but do not jump, as a prior should."""
+
+
+def interpolate(trajectory: Trajectory, stamp_s: Array, gap_max_s: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to ``gap_max_s``.
+
+    Positions linearly, rotations by slerp; exactly the recorded pose at its own stamp.
+    """
+    own = trajectory.stamp_s
+    result = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+    if not len(own) or not len(stamp_s):
+        return result, np.zeros(len(stamp_s), dtype=bool)
+    after = np.clip(np.searchsorted(own, stamp_s), 0, len(own) - 1)
+    before = np.maximum(after - 1, 0)
+    for nearest in (before, after):  # stamps that went through text or integers may miss by rounding
+        exact = np.abs(own[nearest] - stamp_s) < 1e-6
+        before, after = np.where(exact, nearest, before), np.where(exact, nearest, after)
+    exact = (before == after) & (np.abs(own[after] - stamp_s) < 1e-6)
+    covered = exact | ((own[before] <= stamp_s) & (stamp_s <= own[after]) & (own[after] - own[before] <= gap_max_s))
+    if len(own) > 1:
+        inside = np.clip(stamp_s, own[0], own[-1])
+        rotation = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3])
+        result[:, :3, :3] = Slerp(own, rotation)(inside).as_matrix()
+        for axis in range(3):
+            result[:, axis, 3] = np.interp(inside, own, trajectory.position[:, axis])
+    result[exact] = trajectory.T_world_drone[after[exact]]
+    return result, covered
+
+
+class Transforms:
+    """Transforms between frames as they arrive. Of each the first is kept, and all where ``series`` is asked for."""
+
+    def __init__(self, series: bool = False) -> None:
+        self._series = series
+        self._first: dict[tuple[str, str], Array] = {}
+        self._moving: set[tuple[str, str]] = set()
+        self._all: dict[tuple[str, str], array[float]] = {}
+        self._near: dict[str, dict[str, None]] = {}
+
+    def add(self, parent: str, child: str, stamp_s: float, pose: Sequence[float]) -> bool:
+        """Take ``T_parent_child`` as x, y, z and a quaternion xyzw; False where it is no transform."""
+        parent, child = plain(parent), plain(child)
+        numbers = np.array([stamp_s, *pose])
+        length = np.linalg.norm(numbers[4:])
+        if not (np.isfinite(numbers).all() and length > 1e-6 and parent and child and parent != child):
+            return False
+        numbers[4:] /= length
+        edge = (parent, child)
+        first = self._first.setdefault(edge, numbers)
+        if first is numbers:
+            self._near.setdefault(parent, {})[child] = None
+            self._near.setdefault(child, {})[parent] = None
+        if _moved(first, numbers):
+            self._moving.add(edge)
+        if self._series:
+            self._all.setdefault(edge, array("d")).extend(numbers.tolist())
+        return True
+
+    def fixed(self, target: str, source: str) -> Array | None:
+        """``T_target_source (4, 4)`` by transforms that never moved; None where they do not join the two."""
+        path = self._path(plain(target), plain(source), moving=False)
+        if path is None:
+            return None
+        T_target_source = np.eye(4)
+        for edge, forward in path:
+            T = _matrices(self._first[edge][None, 1:])[0]
+            T_target_source = T_target_source @ (T if forward else np.linalg.inv(T))
+        return T_target_source
+
+    def trajectory(self, world: str, body: str) -> Trajectory | None:
+        """Poses of a frame in another over time; None where nothing joins the two, or what does never moved.
+
+        At the stamps of the transform on the way that has most; others are interpolated to them, and stamps that one
+        of them does not cover are left out. Needs ``series``.
+        """
+        path = self._path(plain(world), plain(body), moving=True)
+        moving = [edge for edge, _ in path or () if edge in self._moving]
+        if path is None or not moving:
+            return None
+        stamp_s = max((self._samples(edge) for edge in moving), key=len).stamp_s
+        covered = np.ones(len(stamp_s), dtype=bool)
+        T_world_body = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+        for edge, forward in path:
+            if edge in self._moving:
+                T, known = interpolate(self._samples(edge), stamp_s, np.inf)
+                covered &= known
+            else:
+                T = _matrices(self._first[edge][None, 1:])
+            T_world_body = T_world_body @ (T if forward else np.linalg.inv(T))
+        return Trajectory(stamp_s[covered], T_world_body[covered])
+
+    def _samples(self, edge: tuple[str, str]) -> Trajectory:
+        rows = np.frombuffer(self._all[edge]).reshape(-1, 8)
+        _, order = np.unique(rows[:, 0], return_index=True)
+        return Trajectory(rows[order, 0], _matrices(rows[order, 1:]))
+
+    def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
+        """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""
+        before: dict[str, str] = {start: start}
+        queue = deque([start])
+        while queue and goal not in before:
+            here = queue.popleft()
+            for there in self._near.get(here, ()):
+                edge = (here, there) if (here, there) in self._first else (there, here)
+                if there not in before and (moving or edge not in self._moving):
+                    before[there] = here
+                    queue.append(there)
+        if goal not in before:
+            return None
+        way = [goal]
+        while way[-1] != start:
+            way.append(before[way[-1]])
+        way.reverse()
+        return [
+            ((here, there), True) if (here, there) in self._first else ((there, here), False)
+            for here, there in pairwise(way)
+        ]
+
+
+def plain(frame: str) -> str:
+    """A frame's name without the slash that ROS 1 allowed in front."""
+    return frame.lstrip("/")
+
+
+def _moved(first: Array, now: Array) -> bool:
+    same = np.abs(now[1:] - first[1:]).max() <= MOVED
+    turned_over = np.abs(np.r_[now[1:4] - first[1:4], now[4:] + first[4:]]).max() <= MOVED  # q and −q are one
+    return not (same or turned_over)
+
+
+def _matrices(pose: Array) -> Array:
+    """``(N, 7)`` as ``(N, 4, 4)``."""
+    T = np.tile(np.eye(4), (len(pose), 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(pose[:, 3:]).as_matrix()
+    T[:, :3, 3] = pose[:, :3]
+    return T
+
+
+def is_optical(frame: str) -> bool:
+    """Whether a frame has a camera's axes, z forward, x right, y down, by its name (REP 103)."""
+    return plain(frame).endswith(("_optical_frame", "_optical"))
+
+
+def T_body_drone(body: str | None) -> Array:
+    """From the drone's axes to those of the frame that poses are of: a camera's, or the same."""
+    return T_OPTICAL_SENSOR if body is not None and is_optical(body) else np.eye(4)
+
+
+def poses_of_transforms(transforms: Transforms, sensor: str) -> tuple[Trajectory, str, str] | None:
+    """Poses from tf: of the first known name of a body, or of the sensor itself, that moves in a known world.
+
+    The poses, the frame that they are of, and both frames in words; None where there are none.
+    """
+    for body in (*BODIES, plain(sensor)):
+        for world in WORLDS:
+            poses = transforms.trajectory(world, body)
+            if poses is not None and len(poses):
+                return poses, body, f"tf {world} → {body}"
+    return None
+
+
+@dataclass(frozen=True)
+class Frames:
+    """``body``: frame of the poses, None where nothing says; ``sensor``: frame of the scans, whose points are turned
+    from a camera's axes where it is ``optical``."""
+
+    transforms: Transforms
+    body: str | None
+    sensor: str
+    optical: bool
+
+    def extrinsics(self, named: Array | None, settings: Path | str | None) -> tuple[Array, str]:
+        """``T_drone_sensor`` and its source in words: settings, tf, or none (the identity)."""
+        if named is not None:
+            return named, f"settings {settings}"
+        turn = T_OPTICAL_SENSOR if self.optical else np.eye(4)
+        if self.body is not None and plain(self.body) == plain(self.sensor):
+            return np.linalg.inv(T_body_drone(self.body)) @ turn, f"the poses are of the sensor's frame {self.sensor}"
+        for body in (self.body, *BODIES):
+            T = self.transforms.fixed(body, self.sensor) if body else None
+            if T is not None and body is not None:
+                words = f"tf {plain(body)} → {plain(self.sensor)}"
+                if self.body and plain(body) != plain(self.body):
+                    words += f", since the poses' frame {self.body} is not in tf"
+                drone = T_body_drone(body) if body == self.body else np.eye(4)
+                return np.linalg.inv(drone) @ T @ turn, words
+        return np.eye(4), f"none from {self.body or 'the body'} to {self.sensor or 'the sensor'}: taken as the same"
+
+    def R_drone(self, frame: str) -> Array:
+        """Rotation ``(3, 3)`` from a frame's axes to the drone's, by tf; identity where it is not known."""
+        T = self.transforms.fixed(self.body, frame) if self.body and frame else None
+        return np.eye(3) if T is None else (np.linalg.inv(T_body_drone(self.body)) @ T)[:3, :3]

@@ -1,0 +1,42 @@
+"""The interface of every odometry."""
+
+from typing import Protocol
+
+import numpy as np
+
+from steelnb.points.inputs import checked_cloud
+from steelnb.types import Array, OdometryStep, Scan, Segments
+
+
+class Odometry(Protocol):
+    """Corrects a drifting pose, scan by scan, and builds a map."""
+
+    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
+        """Correct the pose at one scan and add the scan to the map.
+
+        ``scan``: a `Scan`, or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return.
+        ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `SettingsError` for arrays of other shapes,
+        and for a prior that is not rigid.
+        """
+
+    def map_points(self) -> Array:
+        """The map as points ``(N, 3)``, world frame."""
+
+    def map_segments(self) -> Segments:
+        """The bars of the map; none where the map is a cloud."""
+
+
+def scan_of(scan: Scan | Array) -> Scan:
+    """A scan from an odometry's input: points in float64, their shape checked. Raises `SettingsError`."""
+    if isinstance(scan, Scan):
+        return Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
+    return Scan(0.0, checked_cloud(scan, "scan"))
+
+
+def nothing_left(scan: Scan, crop_m: float) -> str:
+    """The reason why preprocessing left no point of a scan; empty where it had none to begin with."""
+    distance = np.linalg.norm(scan.points.reshape(-1, 3), axis=1)
+    distance = distance[np.isfinite(distance) & (distance > 0)]
+    if not len(distance) or distance.min() <= crop_m:
+        return ""
+    return f"no point within {crop_m:g} m (nearest {distance.min():.4g} m)"

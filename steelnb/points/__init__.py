@@ -1,0 +1,7 @@
+"""Scan → points → voxel map: filters, voxel grids, neighbours and covariances."""
+
+from steelnb.points.preprocess import preprocess_scan, voxel_grid
+from steelnb.points.ranges import smooth_ranges
+from steelnb.points.voxel_map import VoxelGrid, VoxelMap
+
+__all__ = ["VoxelGrid", "VoxelMap", "preprocess_scan", "smooth_ranges", "voxel_grid"]

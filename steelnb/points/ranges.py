@@ -1,0 +1,56 @@
+"""Denoising of range images by the sigma filter."""
+
+import numpy as np
+from numba import njit
+
+from steelnb.errors import SettingsError
+from steelnb.types import Array
+
+SIGMA_M, SIGMA_SHARE = 0.01, 0.01
+"""Default standard deviation of a range: 1 cm, and 1 % of the range beyond 1 m, as in data sheets of Time-of-Flight
+cameras."""
+ALIKE = 4.0
+"""Standard deviations by which ranges of one surface may differ: each has its own noise, so nearly three of theirs."""
+
+
+def smooth_ranges(points: Array, half: int = 1) -> Array:
+    """Points ``(H, W, 3)`` of an organised scan in the sensor frame, each moved along its ray; NaN stays NaN.
+
+    Its range becomes the mean of the ranges within ``half`` pixels that differ from it by less than `ALIKE` standard
+    deviations: the sigma filter (Lee 1983, Digital image smoothing and the sigma filter). Ranges of a bar are averaged
+    along the bar; background beside it does not count. Raises `SettingsError` for another shape.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise SettingsError(f"points of shape {points.shape}: expected (H, W, 3), an organised scan")
+    return np.asarray(_smooth(points, half))
+
+
+@njit(cache=True)
+def _smooth(points, half):
+    rows, columns, _ = points.shape
+    # NaN compares false with everything, so a border of it needs no bounds.
+    distance = np.full((rows + 2 * half, columns + 2 * half), np.nan)
+    for i in range(rows):
+        for j in range(columns):
+            x, y, z = points[i, j, 0], points[i, j, 1], points[i, j, 2]
+            distance[i + half, j + half] = np.sqrt(x * x + y * y + z * z)
+    smooth = np.empty_like(points)
+    for i in range(rows):
+        for j in range(columns):
+            middle = distance[i + half, j + half]
+            if not 0.0 < middle < np.inf:
+                smooth[i, j, :] = points[i, j]
+                continue
+            bound = ALIKE * max(SIGMA_M, SIGMA_SHARE * middle)
+            total, count = 0.0, 0.0
+            for a in range(2 * half + 1):
+                for b in range(2 * half + 1):
+                    apart = distance[i + a, j + b] - middle
+                    if abs(apart) <= bound:
+                        total += apart
+                        count += 1.0
+            share = 1.0 + total / count / middle
+            for k in range(3):
+                smooth[i, j, k] = points[i, j, k] * share
+    return smooth

@@ -1,0 +1,212 @@
+"""Notebook 00: a short flight for any choice of settings, and a panel to choose them with.
+
+A flight and its scans take most of the time, and do not depend on drift and method: they are made once and kept.
+"""
+
+import functools
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from steelnb import experiment
+from steelnb.errors import SteelnbError
+from steelnb.hough.blocks import segment_structure
+from steelnb.hough.tube import MIN_VOTES, tube_radius
+from steelnb.report.scene import (
+    CLOUD,
+    HEIGHT_PX,
+    MEMBERS,
+    TRACKS,
+    corners,
+    figure_scene,
+    plotly_bundle,
+    tracks_and_errors,
+)
+from steelnb.report.style import COLOURS, LABELS, Figure, draw_bars, end_points, frame_3d, style, thinned
+from steelnb.settings import (
+    METHODS,
+    REPORT_NOISE,
+    SENSORS,
+    TRAJECTORIES,
+    ExperimentSettings,
+    NoiseSettings,
+    TrajectoryName,
+)
+from steelnb.simulation import Truth
+from steelnb.study.row import paired_clouds
+from steelnb.types import Array, Flight, Segments, Trajectory
+
+if TYPE_CHECKING:
+    from IPython.display import DisplayHandle
+
+POINTS_MAX = 20_000
+NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
+
+
+@dataclass(frozen=True)
+class View:
+    """One flight with a ``cloud (N, 3)`` of its preprocessed scans at the corrected poses, at most `POINTS_MAX` points,
+    the bars of the map, and the seconds it took."""
+
+    result: experiment.Result
+    cloud: Array
+    segments: Segments
+    seconds: float
+
+    @property
+    def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
+        """The drifting, the corrected and the true trajectory at the scans."""
+        prior = self.result.prior
+        return prior, self.result.corrected, self.result.truth.trajectory.at(prior.stamp_s)
+
+    @property
+    def summary(self) -> str:
+        """The numbers of the flight in a sentence (Markdown)."""
+        s, numbers = self.result.settings, self.result.metrics
+        method = s.odometry.method
+        after = "" if method == "none" else f", **{numbers['ate_rmse_m']:.3f} m with {LABELS[method]}**"
+        return (
+            f"{s.flight.trajectory}, {s.noise_name}, sensor {s.sensor}, seed {s.seed}: root mean square error "
+            f"{numbers['raw_ate_rmse_m']:.3f} m without correction{after}; {len(self.segments)} bars in the map. "
+            f"{len(self.result.prior)} scans in {s.flight.duration_s:g} s of flight."
+        )
+
+
+def at_level(noise: str, level: float) -> str:
+    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `SettingsError`."""
+    NoiseSettings.parse(noise)
+    if noise == "none" or level == 1:
+        return noise
+    parts = (part.strip().partition(":") for part in noise.split("+"))
+    scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
+    NoiseSettings.parse(scaled)
+    return scaled
+
+
+def fly(
+    trajectory: TrajectoryName,
+    noise: str,
+    level: float,
+    sensor: str,
+    method: str,
+    seed: int,
+    duration_s: float,
+    overrides: Mapping[str, Any] | None = None,
+) -> View:
+    """Fly, let the pose drift, correct it. Raises `SettingsError` and `CollisionError`."""
+    began = time.perf_counter()
+    settings = ExperimentSettings.preset(
+        trajectory, at_level(noise, level), sensor=sensor, seed=seed, duration_s=duration_s,
+        overrides=dict(overrides or {}), method=method,
+    )  # fmt: skip
+    plain = ExperimentSettings.preset(trajectory, "none", sensor=sensor, seed=seed, duration_s=duration_s)
+    flight, truth = _flown(plain.replace(tower=settings.tower, flight=settings.flight, tof=settings.tof))
+    result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth)
+    cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
+    segments = result.segments
+    if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
+        segments = segment_structure(result.points, tube_radius(result.points), MIN_VOTES)
+    return View(result, cloud, segments, time.perf_counter() - began)
+
+
+@functools.lru_cache(maxsize=4)
+def _flown(settings: ExperimentSettings) -> tuple[Flight, Truth]:
+    return experiment.simulate(settings)
+
+
+@style()
+def figure_flight(view: View) -> Figure:
+    """The scene on paper: cloud, bars and trajectories on the left, the error curve on the right."""
+    figure = Figure(figsize=(11, 4.8))
+    grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.5))
+    scene, curve = figure.add_subplot(grid[0], projection="3d"), figure.add_subplot(grid[1])
+    tracks, errors = tracks_and_errors(*view.trajectories)
+    low, high = corners(view.cloud, tracks)
+    low[2] = 0.0
+    axes = view.result.truth.tower.axes
+    draw_bars(scene, axes[(axes[:, :, 2] <= high[2]).all(axis=1)], colors=MEMBERS, linewidths=0.5)
+    scene.scatter(*view.cloud[::4].T, s=0.4, color=CLOUD, linewidths=0)
+    draw_bars(scene, end_points(view.segments), colors=COLOURS["least_squares"], linewidths=1.6)
+    for name, positions in tracks.items():
+        scene.plot(*positions.T, color=TRACKS[name], linewidth=2.8 if name == "true" else 1.4, label=name)
+    for name, (time_s, error) in errors.items():
+        curve.plot(time_s, error, color=TRACKS[name], label=f"{name}: mean {error.mean():.3f} m")
+    frame_3d(scene, np.stack([low, high]), -60, zoom=0.88)
+    scene.set_yticks([tick for tick in scene.get_yticks() if tick < high[1] - 0.5])  # the last would lie on 0 of z
+    scene.plot([], [], color=COLOURS["least_squares"], label="bars found")
+    scene.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.05), fontsize=10)
+    curve.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, time_s[-1]))
+    curve.set_ylim(0, 1.3 * curve.get_ylim()[1])
+    s = view.result.settings
+    curve.set_title(f"{s.flight.trajectory}, {s.noise_name}, sensor {s.sensor}, {LABELS[s.odometry.method]}")
+    curve.legend(loc="upper left", fontsize=10)
+    return figure
+
+
+class Panel:
+    """Controls above a view that follows them: every change flies again and redraws the picture in its place."""
+
+    def __init__(self, first: View, noise: str, level: float, overrides: Mapping[str, Any] | None = None) -> None:
+        """``first`` is shown before anything is changed; it was flown with ``noise``, ``level`` and ``overrides``."""
+        import ipywidgets as widgets
+
+        s = first.result.settings
+        self.view, self.overrides = first, dict(overrides or {})
+        method, wide = s.odometry.method, {"description_width": "5em"}
+        names = [(LABELS.get(name, name), name) for name in METHODS]
+        self.controls = {
+            "trajectory": widgets.ToggleButtons(options=TRAJECTORIES, value=s.flight.trajectory),
+            "sensor": widgets.ToggleButtons(options=SENSORS, value=s.sensor),
+            "noise": widgets.Dropdown(options=list(dict.fromkeys((*NOISES, noise))), value=noise),
+            "level": widgets.FloatSlider(level, min=0, max=max(5.0, level), step=0.25, continuous_update=False),
+            "method": widgets.Dropdown(options=names, value=method),
+            "seed": widgets.IntSlider(s.seed, min=0, max=max(50, s.seed), continuous_update=False),
+        }
+        for name, control in self.controls.items():
+            control.description, control.style = f"{name} ×" if name == "level" else name, wide
+            control.layout.width = "26em"
+            control.observe(self._follow, "value")
+        self.controls["level"].tooltip = "times the report's drift"
+        self.status = widgets.Label(self._took())
+        self._sentence: DisplayHandle | None = None
+        self._picture: DisplayHandle | None = None
+
+    def show(self) -> None:
+        """Display controls, sentence and picture below the current cell."""
+        import ipywidgets as widgets
+        from IPython.display import Markdown, display
+
+        flow = widgets.Layout(display="flex", flex_flow="row wrap", align_items="center")
+        display(widgets.Box([*self.controls.values(), self.status], layout=flow))
+        self._sentence = display(Markdown(self.view.summary), display_id=True)
+        self._picture = display(self._bundle(), raw=True, display_id=True)
+
+    def _follow(self, change: Mapping[str, Any]) -> None:
+        """Fly with what the controls say; a fault is told in the status line, and the picture stays."""
+        from IPython.display import Markdown
+
+        chosen = {name: control.value for name, control in self.controls.items()}
+        self.status.value = "flying …"
+        duration_s = self.view.result.settings.flight.duration_s
+        try:
+            self.view = fly(**chosen, duration_s=duration_s, overrides=self.overrides)
+        except SteelnbError as fault:
+            self.status.value = str(fault)
+            return
+        if self._picture is not None and self._sentence is not None:
+            self._sentence.update(Markdown(self.view.summary))
+            # The renderer of Plotly leaves what it has drawn as it is; one of another type in between ends it.
+            self._picture.update({"text/html": f"<div style='height: {HEIGHT_PX}px'></div>"}, raw=True)
+            self._picture.update(self._bundle(), raw=True)
+        self.status.value = self._took()
+
+    def _took(self) -> str:
+        return f"computed in {self.view.seconds:.1f} s"
+
+    def _bundle(self) -> dict[str, Any]:
+        view = self.view
+        picture = figure_scene(*view.trajectories, view.cloud, view.segments, view.result.truth.tower.axes)
+        return plotly_bundle(picture, view.summary)

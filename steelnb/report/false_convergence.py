@@ -1,0 +1,152 @@
+"""Notebook 05: basins of convergence of a registration, and flights that converge to a wrong bar (Figure 3.10)."""
+
+import copy
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Circle
+
+from steelnb.experiment import Result
+from steelnb.metrics import basin_radius_m, position_error_m
+from steelnb.odometry import CloudOdometry
+from steelnb.points import preprocess_scan
+from steelnb.report.cloud_odometry import draw_cloud_legend, draw_clouds
+from steelnb.report.style import COLOURS, Figure, draw_legend, style
+from steelnb.settings import ExperimentSettings
+from steelnb.simulation import Truth
+from steelnb.types import Array, Flight
+
+RIGHT_M = 0.1
+"""An end within this distance of the truth is right: the edge of the report's voxel."""
+
+
+def find_basin(
+    settings: ExperimentSettings,
+    flight: Flight,
+    truth: Truth,
+    frame: int,
+    offset_m: Array,
+    every: int = 4,
+    on_progress: Callable[[float], None] | None = None,
+) -> pd.DataFrame:
+    """Basin of convergence: register scan ``frame`` from starts ``offset_m (N, 3)`` beside its true pose, to a map of
+    every so many other scans at their true poses; a row a start.
+
+    ``x_m``, ``y_m``, ``z_m`` of the start and ``error_m`` of the end from the truth; ``refused`` by the odometry; else
+    ``right`` within `RIGHT_M`, or ``wrong``, of which those ``stayed`` that hardly left their start, since the
+    registration trusts its prior, while the others ``locked`` onto something else.
+    Raises `SettingsError` for an odometry without clouds.
+    """
+    odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
+    true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    for k in range(0, len(flight.scans), every):
+        if k != frame:
+            points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
+            odometry.insert(points, true[k])
+    ends, used = [], []
+    for k, offset in enumerate(offset_m):
+        start = true[frame].copy()
+        start[:3, 3] += offset
+        step = copy.deepcopy(odometry).update(flight.scans[frame], start)
+        ends.append(step.T_world_drone[:3, 3] - true[frame][:3, 3])
+        used.append(bool(step.used))
+        if on_progress:
+            on_progress((k + 1) / len(offset_m))
+    basin = pd.DataFrame(offset_m, columns=["x_m", "y_m", "z_m"])
+    basin["error_m"] = error = np.linalg.norm(ends, axis=1)
+    taken, moved = np.array(used), np.linalg.norm(np.array(ends) - offset_m, axis=1)
+    basin["right"] = taken & (error <= RIGHT_M)
+    basin["wrong"] = taken & (error > RIGHT_M)
+    basin["stayed"] = basin["wrong"] & (moved <= RIGHT_M)
+    basin["locked"] = basin["wrong"] & ~basin["stayed"]
+    basin["refused"] = ~taken
+    return basin
+
+
+def offset_grid(reach_m: float, step_m: float) -> Array:
+    """Offsets ``(N, 3)`` along x and z from −``reach_m`` to ``reach_m``, rows of z, in steps of about ``step_m``."""
+    side = np.linspace(-reach_m, reach_m, 2 * round(reach_m / step_m) + 1)
+    x, z = np.meshgrid(side, side)
+    return np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
+
+
+def basin_table(basins: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """One row a registration: the radius of its basin, within which all starts end right, and the share of its starts
+    that did, ended wrong, stayed, locked, or were refused."""
+    kinds = ["right", "wrong", "stayed", "locked", "refused"]
+    table = pd.DataFrame({label: basin[kinds].mean().add_suffix("_share") for label, basin in basins.items()}).T
+    radii = [
+        basin_radius_m(basin[["x_m", "y_m", "z_m"]].to_numpy(), basin["right"].to_numpy()) for basin in basins.values()
+    ]
+    table.insert(0, "radius_m", radii)
+    return table
+
+
+@style()
+def figure_basins(basins: Mapping[str, pd.DataFrame], table: pd.DataFrame) -> Figure:
+    """The final error of each start beside the true pose, a panel for each registration, with its `basin_table`.
+
+    Dark is right, light ended elsewhere or, where it is as light as its start is far, stayed; grey is refused by the
+    odometry. The dashed circle is the largest within which every start converged to the truth.
+    """
+    figure = Figure(figsize=(4.0 * len(basins) + 0.9, 5.0))
+    panels = figure.subplots(1, len(basins), squeeze=False, sharey=True)[0]
+    for panel, (label, basin) in zip(panels, basins.items(), strict=True):
+        grid = basin.assign(error_m=basin["error_m"].mask(basin["refused"])).pivot(index="z_m", columns="x_m")
+        error, refused = grid["error_m"], grid["refused"].astype(float).replace(0.0, np.nan)
+        image = panel.pcolormesh(error.columns, error.index, error, cmap="viridis", vmin=0, vmax=1.0, shading="nearest")
+        grey = ListedColormap(["#dddddd"])
+        panel.pcolormesh(error.columns, error.index, refused, cmap=grey, shading="nearest")
+        numbers = table.loc[label].to_dict()
+        radius = numbers["radius_m"]
+        panel.add_patch(Circle((0, 0), radius, fill=False, color="white", linestyle="--", linewidth=1.8))
+        panel.plot(0, 0, "+", color="white", markersize=9)
+        panel.set(aspect="equal", xlabel="start off along x (m)")
+        panel.set_title(
+            f"{label}: radius {radius:.2f} m\nwrong {numbers['wrong_share']:.0%} "
+            f"(stayed {numbers['stayed_share']:.0%})\nrefused {numbers['refused_share']:.0%}",
+            fontsize=11,
+        )
+        panel.grid(False)
+    panels[0].set_ylabel("start off along z (m)")
+    bar = figure.colorbar(image, ax=list(panels), shrink=0.75, extend="max")
+    bar.set_label(f"error at the end (m); right below {RIGHT_M:g}")
+    keys = {
+        "refused: the odometry keeps the prior": {"facecolor": "#dddddd", "edgecolor": "#dddddd"},
+        "basin: all starts within converge to the truth": {"color": "#888888", "ls": "--"},
+    }
+    draw_legend(figure, keys)
+    return figure
+
+
+@style()
+def figure_flight(
+    results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int, reach_m: float = 2.2
+) -> Figure:
+    """The error over the scans (left) and, for each label, the built over the true cloud around where the drone was at
+    ``scan`` (right)."""
+    first = next(iter(results.values()))
+    truth, rate_hz = first.truth.trajectory, first.settings.tof.rate_hz
+    drone = truth.at(first.corrected.stamp_s).position[scan]
+    cloud = next(iter(clouds.values()))[1]
+    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * reach_m], axis=0)
+    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.2))
+    curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
+    for label, result in results.items():
+        error = position_error_m(result.corrected, truth)
+        curve.plot(error, color=COLOURS[result.settings.odometry.method], label=label)
+    curve.axvline(scan, color=COLOURS["report"], linewidth=1.0)
+    for begin, end in first.settings.tof.blind_s:
+        curve.axvspan(begin * rate_hz, end * rate_hz, color=COLOURS["report"], alpha=0.2, lw=0)
+    curve.set(xlabel=f"ToF scan ({rate_hz:g} Hz)", ylabel="error (m)", xlim=(0, len(error) - 1))
+    curve.set_ylim(0, 1.35 * curve.get_ylim()[1])
+    curve.legend(loc="upper left", fontsize=10)
+    for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
+        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
+        draw_clouds(panel, built[near], true[near], 0, size=2.0)
+        panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
+        panel.set(title=label, ylabel="z (m)")
+    draw_cloud_legend(figure)
+    return figure

@@ -1,0 +1,277 @@
+"""A recorded flight through an odometry → a folder with trajectories, map, bars, structure, figures and tables."""
+
+import contextlib
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import odometry
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.files import new_folder
+from steelnb.fusion.reconstruct import reconstruct
+from steelnb.fusion.structure import Structure
+from steelnb.io import read_flight, read_truth
+from steelnb.io.clouds import write_ply
+from steelnb.io.flights import GAP_MAX_S
+from steelnb.io.rrd import Log
+from steelnb.io.segments import orientation, write_segments
+from steelnb.io.structures import write_structure
+from steelnb.io.trajectories import write_tum
+from steelnb.metrics import position_error_m, score_trajectory
+from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
+from steelnb.report.recording_truth import truth_at_scans, with_drift
+from steelnb.report.style import Figure
+from steelnb.report.three_views import figure_segments
+from steelnb.settings import METHODS, ExperimentSettings, NoiseSettings, StructureSettings
+from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+
+WARM_UP_SCANS = 3
+"""The second scan is the first that is registered, the third finds everything loaded."""
+TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
+"""Numbers of a run that differ from run to run."""
+
+
+@dataclass(frozen=True)
+class RecordingReport:
+    """The results of `run_recording` and the ``folder`` that it wrote.
+
+    ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
+    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` lines of text.
+    """
+
+    folder: Path
+    flight: Flight
+    estimate: Estimate
+    truth: Trajectory | None
+    structure: Structure | None
+    segments: Segments
+    numbers: dict[str, float]
+    figures: dict[str, Figure]
+    summary: tuple[str, ...]
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The finite numbers that are the same on every run, by names of letters, digits and underscores."""
+        same = {name: value for name, value in self.numbers.items() if name not in TIMES and np.isfinite(value)}
+        return {re.sub(r"\W+", "_", name): float(value) for name, value in same.items()}
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Milliseconds an update, and the share of updates on time."""
+        return {name: self.numbers[name] for name in TIMES}
+
+
+def recording_settings(
+    method: str = "best",
+    sensor: str = "starling2",
+    *,
+    seed: int = 1,
+    range_max_m: float | None = None,
+    floor_m: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> tuple[ExperimentSettings, StructureSettings]:
+    """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
+
+    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. ``range_max_m`` and
+    ``floor_m`` replace the preset's crop in all directions and its floor in the world. Raises `SettingsError`.
+    """
+    if method not in (*METHODS, "segments"):
+        raise SettingsError(f"odometry = {method!r}: expected one of {', '.join(map(repr, (*METHODS, 'segments')))}")
+    chosen = "least_squares" if method == "segments" else method
+    preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
+    seen = {} if range_max_m is None else {"range_max_m": range_max_m}
+    floor = {} if floor_m is None else {"floor_m": floor_m}
+    crop = ({} if range_max_m is None else {"crop_m": range_max_m}) | floor
+    settings = preset.override({f"preprocess.{name}": value for name, value in crop.items()} | dict(overrides or {}))
+    # Poses that no odometry corrected are not adjusted.
+    return settings, StructureSettings().replace(adjust=method != "none", **seen, **floor)
+
+
+def run_recording(
+    recording: Flight | Path | str,
+    output: Path | str | None = None,
+    settings: ExperimentSettings | None = None,
+    *,
+    truth: Trajectory | None = None,
+    added_noise: str | None = None,
+    structure: StructureSettings | None = None,
+    rrd: bool = True,
+    gap_max_s: float = GAP_MAX_S,
+    on_progress: Callable[[float], None] | None = None,
+) -> RecordingReport:
+    """Correct a recorded flight and write the results to a folder; one scan is in memory at a time.
+
+    Parameters
+    ----------
+    recording : a flight, or a path that `read_flight` and `read_truth` open.
+    output : the folder, by default ``NAME_run`` here.
+    settings : of odometry and seed; by default `recording_settings`.
+    truth : true poses, for judging alone.
+    added_noise : drift to add to the truth, or without one to the poses, taken as true, such as "random-walk:0.002".
+    structure : settings of the final reconstruction; None leaves it out.
+    rrd : write ``recording.rrd`` for rerun.
+    gap_max_s : true poses further apart are not interpolated between.
+    on_progress : called with the share of the scans done, 0 to 1.
+
+    Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``map.ply``, ``segments.csv`` (.json, .obj, .ply),
+    ``structure.json`` (empty with the reason where none is found), ``table.csv``, ``frames.csv``, figures, and
+    ``recording.rrd``. Nothing is written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, and what
+    reading raises.
+    """
+    if not isinstance(recording, Flight):
+        truth = truth or read_truth(recording)
+        recording = read_flight(recording, gap_max_s=gap_max_s)
+    settings = settings or recording_settings()[0]
+    flight, notes = recording, tuple[str, ...]()
+    if added_noise is not None:
+        if truth is None:
+            notes = ("the recorded poses are taken as true: errors are those of the drift added to them",)
+        flight, truth = with_drift(flight, truth, NoiseSettings.parse(added_noise), settings.seed, gap_max_s)
+    elif flight.facts.get("poses", "").startswith("true poses"):
+        notes = ("the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift",)
+    true, remarks = truth_at_scans(flight, truth, gap_max_s)
+    target = Path(output) if output else Path(f"{Path(flight.name).stem}_run")
+    with new_folder(target) as folder, contextlib.ExitStack() as stack:
+        odometry.run(flight.first(WARM_UP_SCANS), odometry.make_odometry(settings.odometry, flight.T_drone_sensor))
+        estimator = odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
+        log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
+
+        def observe(k: int, scan: Scan, step: OdometryStep) -> None:
+            if log is not None:
+                log.step(scan, step)
+                if log.map_due(scan.stamp_s):
+                    log.map(scan.stamp_s, estimator.map_points(), estimator.map_segments())
+            if on_progress is not None:
+                on_progress((k + 1) / len(flight))
+
+        estimate = odometry.run(flight, estimator, observe)
+        built = _reconstructed(flight, estimate, structure) if structure else None
+        segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
+        if log is not None:
+            log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
+            log.finish(estimate, true)
+        numbers = measure_recording(flight, estimate, true)
+        numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
+        if built is not None:
+            numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
+        figures = _figures(flight, estimate, true, segments, settings.odometry.method)
+        about = {"source": flight.name, "odometry": settings.odometry.method, "noise": added_noise}
+        _write(folder, flight, estimate, true, segments, built, about)
+        table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
+        table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
+        for name, figure in figures.items():
+            figure.savefig(folder / f"{name}.png", dpi=150)
+        stack.close()  # the .rrd file is whole before the folder is renamed
+        files = sorted(file.name for file in folder.iterdir())
+    summary = (*_summary(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
+    return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
+
+
+def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | None) -> dict[str, float]:
+    """Scans used and not used by reason, milliseconds an update, and, at the poses of ``truth``, errors in metres.
+
+    ``on_time_share``: share of updates done before the next scan.
+    """
+    total, ms = len(estimate.reason), 1e3 * estimate.update_s
+    unused = Counter(reason.partition(":")[0] for reason in estimate.reason if reason)
+    p50, p95, p99 = (float(np.percentile(ms, q)) for q in (50, 95, 99))
+    numbers: dict[str, float] = {
+        "frames": total,
+        "used": total - unused.total(),
+        **{f"not used: {reason}": count for reason, count in unused.most_common()},
+        **{f"skipped: {reason}": count for reason, count in sorted(flight.skipped.items())},
+        "duration_s": float(np.ptp(estimate.prior.stamp_s)),
+        **dict(zip(TIMES, (p50, p95, p99, float(ms.max()), estimate.on_time_share), strict=True)),
+    }
+    if truth is None:
+        return numbers
+    prior, corrected = (score_trajectory(t.at(truth.stamp_s), truth) for t in (estimate.prior, estimate.corrected))
+    numbers |= {"frames_with_truth": len(truth)}
+    numbers |= {f"prior_{name}": value for name, value in prior.items()}
+    numbers |= {f"corrected_{name}": value for name, value in corrected.items()}
+    if prior["ate_rmse_m"] > 0:
+        numbers["drift_removed_percent"] = 100 * (1 - corrected["ate_rmse_m"] / prior["ate_rmse_m"])
+    return numbers
+
+
+def _write(
+    folder: Path, flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments,
+    built: Structure | None, about: dict[str, str | None],
+) -> None:  # fmt: skip
+    write_tum(folder / "prior.tum", estimate.prior)
+    write_tum(folder / "corrected.tum", estimate.corrected)
+    write_ply(folder / "map.ply", estimate.points, "<f8")  # world coordinates may be those of a country
+    write_segments(folder, segments, np.zeros(3), orientation(segments), about)
+    if built is not None:
+        write_structure(built, folder / "structure.json", about=about)
+    frames = pd.DataFrame({"stamp_s": estimate.prior.stamp_s, "matches": estimate.matches, "not_used": estimate.reason})
+    frames["ms"] = 1e3 * estimate.update_s
+    for name, path in (("prior", estimate.prior), ("corrected", estimate.corrected)):
+        error_m = np.full(len(frames), np.nan)
+        if truth is not None:
+            error_m[_index(flight, truth)] = position_error_m(path.at(truth.stamp_s), truth)
+        frames[f"{name}_error_m"] = error_m
+    digits = {"stamp_s": 6, "ms": 2, "prior_error_m": 4, "corrected_error_m": 4}
+    frames.round(digits).to_csv(folder / "frames.csv", index=False, lineterminator="\n")
+
+
+def _figures(
+    flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments, method: str
+) -> dict[str, Figure]:
+    """The path, the map with its bars, and where there is truth the errors over time."""
+    prior, corrected, name = estimate.prior, estimate.corrected, flight.name
+    figures = {"trajectories": figure_recorded_trajectories(prior, corrected, truth, method, name)}
+    if truth is not None:
+        before_m, after_m = (position_error_m(t.at(truth.stamp_s), truth) for t in (prior, corrected))
+        figures["errors"] = figure_recorded_errors(truth.stamp_s, before_m, after_m, method, name)
+    if len(estimate.points) > 1:
+        title = f"{name}: {len(estimate.points)} points of the map, {len(segments)} bars"
+        figures["map"] = figure_segments(estimate.points, segments, orientation(segments), title)
+    return figures
+
+
+def _summary(
+    flight: Flight, numbers: dict[str, float], notes: tuple[str, ...], built: Structure | None
+) -> tuple[str, ...]:
+    """The results in lines of text."""
+    unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
+    skipped = [f"{count} {reason}" for reason, count in sorted(flight.skipped.items())]
+    median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
+    lines = [
+        f"read      {flight.name}: {numbers['frames']} scans with a pose over {numbers['duration_s']:.1f} s",
+        *([f"skipped   {'; '.join(skipped)}"] if skipped else []),
+        *(f"note      {note}" for note in notes),
+        f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else ""),
+        f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
+        f"{100 * on_time:.1f} % on time",
+    ]
+    if "prior_ate_rmse_m" in numbers:
+        removed = numbers.get("drift_removed_percent")
+        lines.append(
+            f"error     {numbers['prior_ate_rmse_m']:.3f} m drifting, {numbers['corrected_ate_rmse_m']:.3f} m "
+            "corrected (ATE, root mean square)"
+            + (f": {removed:.0f} % of the drift removed" if removed is not None else "")
+        )
+    lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
+    if built is not None:
+        found = f"{len(built)} bars, {len(built.joint)} joints" if len(built) else f"empty: {built.reason}"
+        lines.append(f"structure {found}")
+    return tuple(lines)
+
+
+def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:
+    try:
+        return reconstruct(flight.scans, estimate.corrected.T_world_drone, flight.T_drone_sensor, settings)
+    except (EmptyCloudError, DegenerateCloudError, SettingsError) as fault:  # no return above the floor; huge extents
+        return Structure.empty(str(fault))
+
+
+def _index(flight: Flight, truth: Trajectory) -> list[int]:
+    """Numbers of the scans that ``truth`` has a pose for."""
+    return np.searchsorted(flight.prior.stamp_s, truth.stamp_s - 1e-6).tolist()

@@ -1,0 +1,103 @@
+"""Figures of a recorded flight (notebook 09, `steelnb run`): one scan, the path, and its errors."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from steelnb.report.style import COLOURS, LABELS, Figure, style, thinned
+from steelnb.types import Array, Scan, Trajectory
+
+DRIFTING = "drifting"
+AXES = {"x": COLOURS["none"], "y": COLOURS["least_squares"], "z": COLOURS["average"]}
+POINTS_MAX = 40_000
+
+
+@style()
+def figure_scan(scan: Scan, poses: Trajectory, truth: Trajectory | None, title: str) -> Figure:
+    """Left: the ranges of a scan as the sensor sees it. Right: the recorded position over time, the true one dashed.
+
+    A scan that is no image is drawn by direction. The dotted line is the time of the scan.
+    """
+    figure = Figure(figsize=(11, 4.2))
+    seen, path = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    seen.set_title(f"a scan: {np.isfinite(scan.points).all(axis=-1).sum()} points")
+    figure.colorbar(_draw_ranges(seen, scan.points), ax=seen, label="range (m)", shrink=0.9)
+    begin_s = min(poses.stamp_s[0], scan.stamp_s)
+    for axis, (name, colour) in enumerate(AXES.items()):
+        path.plot(poses.stamp_s - begin_s, poses.position[:, axis], color=colour, label=name)
+        if truth is not None:
+            path.plot(truth.stamp_s - begin_s, truth.position[:, axis], "--", color=colour, linewidth=1.0)
+    path.axvline(scan.stamp_s - begin_s, color=COLOURS["report"], linestyle=":")
+    path.set(xlabel="time (s)", ylabel="position (m)", title="poses as recorded")
+    if truth is not None:
+        path.plot([], [], "--", color=COLOURS["report"], label="truth")
+    figure.legend(*path.get_legend_handles_labels(), loc="outside lower right", ncols=4)
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _draw_ranges(panel: Axes, points: Array):  # type: ignore[no-untyped-def]
+    """The ranges of a scan ``(H, W, 3)`` as an image, or of rays ``(N, 3)`` by azimuth and elevation."""
+    if points.ndim == 3:
+        panel.set(xlabel="column", ylabel="row")
+        panel.grid(False)
+        return panel.imshow(np.linalg.norm(points, axis=2), cmap="viridis_r", interpolation="nearest")
+    points = thinned(points[np.isfinite(points).all(axis=1)], POINTS_MAX)
+    range_m = np.linalg.norm(points, axis=1)
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    elevation = np.degrees(np.arcsin(points[:, 2] / np.maximum(range_m, 1e-9)))
+    panel.set(xlabel="to the left (°)", ylabel="upwards (°)")
+    panel.invert_xaxis()
+    return panel.scatter(azimuth, elevation, c=range_m, s=1.5, linewidths=0, cmap="viridis_r")
+
+
+@style()
+def figure_recorded_errors(stamp_s: Array, prior_m: Array, corrected_m: Array, method: str, title: str) -> Figure:
+    """Distance to the truth over time, before and after correction; ``prior_m`` and ``corrected_m`` are ``(N,)``."""
+    figure = Figure(figsize=(9, 4.2))
+    panel = figure.add_subplot()
+    time_s = stamp_s - stamp_s[0]
+    named = ((DRIFTING, prior_m, COLOURS["none"]), (LABELS[method], corrected_m, _colour(method)))
+    for label, error, colour in named:
+        rms = float(np.sqrt((error**2).mean()))
+        panel.plot(time_s, error, color=colour, label=f"{label}: rms {rms:.3f} m, max {error.max():.3f} m")
+    panel.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, max(time_s[-1], 1e-3)), title=title)
+    panel.set_ylim(0, 1.25 * max(panel.get_ylim()[1], 1e-3))
+    panel.legend(loc="upper left")
+    return figure
+
+
+@style()
+def figure_recorded_trajectories(
+    prior: Trajectory, corrected: Trajectory, truth: Trajectory | None, method: str, title: str
+) -> Figure:
+    """The path from above and from the side on which it is widest, at one scale, metres in the world frame."""
+    named = [(DRIFTING, prior, COLOURS["none"], 1.2), (LABELS[method], corrected, _colour(method), 1.4)]
+    if truth is not None:
+        named.insert(1, ("truth", truth, COLOURS["truth"], 1.6))
+    everything = np.concatenate([path.position for _, path, _, _ in named])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    margin = 0.06 * max(float((high - low).max()), 0.1)
+    low, high = low - margin, high + margin
+    views = {"from above": [0, 1], "from the side": [int(np.argmax((high - low)[:2])), 2]}
+    widths, heights = np.array([(high - low)[columns] for columns in views.values()]).T
+    inches = min(9.4 / widths.sum(), 7.0 / heights.max())  # for a metre, in both panels
+    figure = Figure(figsize=(max(inches * widths.sum(), 5.0) + 1.6, max(inches * heights.max(), 1.2) + 1.7))
+    panels = figure.subplots(1, 2, width_ratios=widths.tolist())
+    for panel, (name, columns) in zip(panels, views.items(), strict=True):
+        across, up = columns
+        for label, path, colour, width in named:
+            panel.plot(path.position[:, across], path.position[:, up], color=colour, linewidth=width, label=label)
+        panel.plot(*prior.position[0][columns], "o", color=COLOURS["truth"], markersize=5, label="start")
+        panel.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)", aspect="equal", title=name)
+        panel.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
+        for axis in (panel.xaxis, panel.yaxis):
+            most = int(1.4 * inches * np.ptp(axis.get_view_interval()))
+            axis.set_major_locator(MaxNLocator(max(1, min(8, most)), steps=[1, 2, 5, 10]))
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+def _colour(method: str) -> str:
+    return COLOURS["report"] if method == "none" else COLOURS[method]

@@ -1,0 +1,172 @@
+"""The files that a notebook leaves, and the progress that it shows."""
+
+import contextlib
+import importlib.metadata
+import json
+import math
+import numbers
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from steelnb.errors import FileMissingError
+from steelnb.files import new_folder
+from steelnb.keys import find_root, lock_digest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
+PROGRESS_PERIOD_S = 0.2
+PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
+PICTURES = ("fig_*.png", "structure_*.json", "structure_*.glb")
+RESULTS = ("metrics.json", "provenance.json", "table.csv", "timing.csv", *PICTURES)
+"""Patterns of the files that a notebook leaves; those of an earlier run go when it is run again."""
+Item = TypeVar("Item")
+
+
+def write_results(
+    results_dir: str | Path,
+    *,
+    table: "DataFrame",
+    metrics: Mapping[str, float],
+    figures: Mapping[str, "Figure"],
+    timing: "DataFrame | None" = None,
+    files: Mapping[str, Callable[[Path], object]] | None = None,
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write the results of a notebook into the folder ``results_dir``; write nothing if that is empty.
+
+    ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
+    fig_<name>.png, ``timing`` timing.csv with the machine's description, ``provenance`` (settings, seeds; no times,
+    hosts or paths) provenance.json, to which versions and the hash of the lock are added. ``files`` are others, by
+    name, each with the function that writes it; names start with ``structure_``. The same values give the same bytes.
+    Files are written beside and then renamed. Raises `OutputError`, and ValueError for a metric not finite.
+    """
+    if not str(results_dir):
+        return
+    flat = {name: _finite(name, value) for name, value in metrics.items()}
+    with new_folder(results_dir, stale=RESULTS) as folder:
+        write_json(folder / "metrics.json", flat)
+        write_json(folder / "provenance.json", {**provenance, **environment()})
+        table.to_csv(folder / "table.csv", index=False, float_format="%.9g", lineterminator="\n")
+        if timing is not None:
+            described = timing if "machine" in timing else timing.assign(machine=machine())
+            described.to_csv(folder / "timing.csv", index=False, float_format="%.9g", lineterminator="\n")
+        for name, figure in figures.items():
+            # Matplotlib would note its own version in the file.
+            figure.savefig(folder / f"fig_{name.removeprefix('fig_')}.png", dpi=150, metadata={"Software": None})
+        for name, write in (files or {}).items():
+            write(folder / name)
+
+
+def _finite(name: str, value: Any) -> int | float:
+    """A metric as a Python number; ValueError if it is none or not finite."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"metrics: {name} = {value!r}: expected a finite number")
+    return int(value) if isinstance(value, numbers.Integral) else float(value)
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """A table as JSON, its keys sorted, NumPy arrays and settings as lists and tables."""
+    text = json.dumps(values, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays and pydantic settings for JSON."""
+    for method in ("model_dump", "tolist"):
+        if hasattr(value, method):
+            return getattr(value, method)()
+    raise TypeError(f"provenance: {value!r}: expected numbers, texts, lists, tables or settings")
+
+
+def environment() -> dict[str, Any]:
+    """Versions of Python and the main packages, the SHA-256 of the project's environment.lock, and the processor."""
+    versions = {"python": platform.python_version()}
+    for package in PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[package] = importlib.metadata.version(package)
+    try:
+        digest = lock_digest(find_root())
+    except FileMissingError:
+        digest = None
+    return {"versions": versions, "environment_lock_sha256": digest, "processor": processor()}
+
+
+def machine() -> str:
+    """The processor, cores and system that measured times belong to; no host name."""
+    return f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def processor() -> str:
+    """Name, family, model and stepping of the processor, on which the last digits of a result depend."""
+    found: dict[str, str] = {}
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\n\n")[0].splitlines()
+        found = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    version = "-".join(found.get(name, "?") for name in ("cpu family", "model", "stepping"))
+    return f"{found.get('model name') or platform.machine()} ({version})"
+
+
+def result_files(folder: Path) -> list[Path]:
+    """The files in a folder that `write_results` wrote, sorted by name."""
+    return sorted(path for pattern in RESULTS for path in folder.glob(pattern))
+
+
+def pictures(folder: Path) -> list[Path]:
+    """The figures and structures in a folder."""
+    return [path for pattern in PICTURES for path in folder.glob(pattern)]
+
+
+class Progress:
+    """How far a notebook has come, over ``total`` runs of equal length; one object a notebook.
+
+    `update` takes the fraction of the current run, and is also what calling the object does, so that it can be handed
+    to a function as its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; the
+    workflow names a file in ``STEELNB_PROGRESS_FILE``, and the fraction of the whole is written there.
+    """
+
+    def __init__(self, total: int = 1, description: str = "") -> None:
+        self._total, self._done, self._shown_s = max(total, 1), 0, -math.inf
+        self._file = os.environ.get(PROGRESS_VARIABLE)
+        self._bar: Any = None
+        if not self._file:
+            from tqdm.auto import tqdm
+
+            form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+            self._bar = tqdm(total=1.0, desc=description or "progress", bar_format=form)
+
+    def update(self, fraction: float) -> None:
+        """Say how much of the current run is done, 0 to 1. Shown at most five times a second."""
+        whole = min((self._done + min(max(fraction, 0.0), 1.0)) / self._total, 1.0)
+        now_s = time.monotonic()
+        if whole < 1 and now_s - self._shown_s < PROGRESS_PERIOD_S:
+            return
+        self._shown_s = now_s
+        if self._file:
+            # The folder vanishes when the run is interrupted; that is no fault of the notebook's.
+            with contextlib.suppress(OSError):
+                Path(self._file).write_text(f"{whole:.4f}", encoding="utf-8")
+        else:
+            self._bar.n = whole
+            self._bar.refresh()
+            if whole == 1:
+                self._bar.close()
+
+    __call__ = update
+
+    def step(self) -> None:
+        """End the current run; the next begins."""
+        self._done += 1
+        self.update(0.0)
+
+    def each(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Give the items one by one, a run each."""
+        for item in items:
+            yield item
+            self.step()

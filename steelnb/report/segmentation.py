@@ -1,0 +1,252 @@
+"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials and tables."""
+
+import itertools
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import rng
+from steelnb.hough import suggest_dx
+from steelnb.hough.peers import METHODS
+from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
+from steelnb.points import voxel_grid
+from steelnb.report.batch import flat
+from steelnb.settings import FlightSettings, SegmentationSettings, TofSettings, TowerSettings
+from steelnb.simulation import build_tower
+from steelnb.simulation.views import View, Viewer, pose_on_path
+from steelnb.types import Array, Segments
+
+NOISE_M, CLUTTER = 0.02, 0.1
+USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
+"""The conditions at which the methods are compared."""
+CASE = ("scene", "noise_m", "clutter", "kept", "method")
+MEASURES = ("recall", "precision", "duplicates", "angle_deg", "offset_m")
+ANGLE_MAX_RAD = math.radians(10)
+"""A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
+LEAN_SIGMA_RAD = math.radians(2)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A cloud ``points (N, 3)`` in the world frame, the members seen in it, and the conditions it was made under.
+
+    ``noise_m`` is the range noise, ``clutter`` the share of points that are none of the tower's, ``kept`` the share of
+    the sensor's returns that was kept. ``across (3,)`` points to the right in the first view.
+    """
+
+    name: str
+    seed: int
+    noise_m: float
+    clutter: float
+    kept: float
+    points: Array
+    members: SeenMembers
+    across: Array
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The segments of one method in one scene, their score and the seconds they took."""
+
+    method: str
+    scene: Scene
+    segments: Segments
+    score: SegmentScore
+    seconds: float
+
+
+class Scenes:
+    """Makes scenes of one tower with a Starling 2's sensor, whose range noise is the same at all ranges."""
+
+    def __init__(self) -> None:
+        self.tower = build_tower(TowerSettings.preset("slender"))
+        self._viewer = Viewer(self.tower, TofSettings.preset("starling2"))
+
+    def frames(
+        self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
+    ) -> list[Scene]:
+        """Views from random places on the paths of the two flights, in turn."""
+        scenes = []
+        for k in range(count):
+            place = rng.stream(seed, "place", k)
+            flight = FlightSettings.preset(("vertical", "orbit")[k % 2])  # type: ignore[arg-type]
+            view = self._view(seed, k, flight, place.random(), noise_m)
+            scenes.append(self._scene("frame", seed, k, [view], noise_m, clutter, kept))
+        return scenes
+
+    def sequence(self, seed: int, count: int) -> list[Scene]:
+        """Views one after the other along the path of the vertical flight."""
+        flight, shares = FlightSettings.preset("vertical"), np.linspace(0.0, 1.0, count)
+        views = [self._view(seed, k, flight, float(share), NOISE_M) for k, share in enumerate(shares)]
+        return [self._scene("sequence", seed, k, [view], NOISE_M, CLUTTER, 1.0) for k, view in enumerate(views)]
+
+    def whole(self, seed: int, count: int, leaf_m: float = 0.04) -> Scene:
+        """``count`` views along both flights, placed at their true poses, voxel-filtered, with clutter."""
+        flights = [
+            FlightSettings.preset("vertical"),
+            FlightSettings.preset("orbit").replace(height_max_m=15.0, levels=10),
+        ]
+        views = [
+            self._view(seed, k, flights[k % 2], (k // 2 + 0.5) / math.ceil(count / 2), NOISE_M) for k in range(count)
+        ]
+        return self._scene("tower", seed, 0, views, NOISE_M, CLUTTER, 1.0, leaf_m)
+
+    def _view(self, seed: int, k: int, flight: FlightSettings, share: float, noise_m: float) -> View:
+        lean = rng.stream(seed, "lean", k).normal(scale=LEAN_SIGMA_RAD, size=3)
+        self._viewer.tof = self._viewer.tof.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
+        return self._viewer.view(pose_on_path(self.tower, flight, share, lean), rng.stream(seed, "tof", k))
+
+    def _scene(
+        self, name: str, seed: int, k: int, views: Sequence[View], noise_m: float, clutter: float, kept: float,
+        leaf_m: float | None = None,
+    ) -> Scene:  # fmt: skip
+        points, surface = np.concatenate([v.points for v in views]), np.concatenate([v.surface for v in views])
+        member = np.concatenate([v.member for v in views])
+        if kept < 1:
+            chosen = rng.stream(seed, "kept", k).random(len(points)) < kept
+            points, surface, member = points[chosen], surface[chosen], member[chosen]
+        members = seen_members(self.tower.axes, surface, member)
+        if leaf_m is not None:
+            points = voxel_grid(points, leaf_m)
+        points = _with_clutter(points, clutter, seed, k)
+        return Scene(name, seed, noise_m, clutter, kept, points, members, views[0].across)
+
+
+def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
+    """The points and, evenly in the box around them, so many others that these are ``share`` of all."""
+    more = round(share / (1 - share) * len(points))
+    random = rng.stream(seed, "clutter", k)
+    return np.concatenate([points, random.uniform(points.min(axis=0), points.max(axis=0), (more, 3))])
+
+
+def attempt(method: str, scene: Scene, label: str | None = None, **options: Any) -> Trial:
+    """Segment a scene by one of `steelnb.hough.peers.METHODS` with options of its own, and score it.
+
+    ``label`` names the method in tables, by default as it is called.
+    """
+    begin = time.perf_counter()
+    segments = METHODS[method](scene.points, seed=scene.seed, **options)
+    seconds = time.perf_counter() - begin
+    score = score_segments(
+        segments, scene.members.axes, scene.members.observed(), ANGLE_MAX_RAD, seen=scene.members.seen
+    )
+    return Trial(label or method, scene, segments, score, seconds)
+
+
+def warm_up(scene: Scene, methods: Iterable[str], options: Mapping[str, Mapping[str, Any]]) -> None:
+    """Run each method once on a part of a scene, so that no time holds a compilation or an import."""
+    few = replace(scene, points=scene.points[:: max(1, len(scene.points) // 1000)])
+    for method in methods:
+        attempt(method, few, **options.get(method, {}))
+
+
+def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
+    """One row for each scene name, noise, clutter, share kept, method and seed.
+
+    ``recall``, ``precision``, ``duplicates``, ``points`` and ``segments`` are means over its frames, a frame without
+    segments has precision 0; ``angle_deg`` and ``offset_m`` are medians over all right segments, NaN without any.
+    """
+    groups = _rows(trials).groupby([*CASE, "seed"], sort=False)
+    means = ("points", "bars", "segments", "recall", "precision", "duplicates")
+    columns = {"frames": ("recall", "size")} | {name: (name, "mean") for name in means}
+    return groups.agg(
+        **columns, angle_deg=("angle_deg", _median_of_all), offset_m=("offset_m", _median_of_all)
+    ).reset_index()  # fmt: skip
+
+
+def trial_timing(trials: Iterable[Trial], by_seed: bool = False) -> pd.DataFrame:
+    """Milliseconds a frame, median and 95th percentile, a row for each case of `trial_table`, with or without seeds."""
+    groups = _rows(trials).groupby([*CASE, "seed"] if by_seed else list(CASE), sort=False)
+    times = groups["ms"].quantile(np.array([0.5, 0.95])).unstack().set_axis(["median_ms", "p95_ms"], axis=1)
+    return groups[["points"]].mean().join(times).reset_index()
+
+
+def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
+    """One row a trial; the errors of its right segments are arrays."""
+    return pd.DataFrame(
+        {
+            **dict(zip(CASE, (t.scene.name, t.scene.noise_m, t.scene.clutter, t.scene.kept, t.method), strict=True)),
+            "seed": t.scene.seed,
+            "points": len(t.scene.points),
+            "bars": t.scene.members.observed().sum(),
+            "segments": len(t.segments),
+            "recall": t.score.recall,
+            "precision": np.nan_to_num(t.score.precision),
+            "duplicates": t.score.duplicates,
+            "angle_deg": np.degrees(t.score.angle_rad),
+            "offset_m": t.score.offset_m,
+            "ms": 1e3 * t.seconds,
+        }
+        for t in trials
+    )
+
+
+def _median_of_all(arrays: pd.Series) -> float:
+    values = np.concatenate(arrays.to_list())
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def over_cases(rows: pd.DataFrame) -> pd.DataFrame:
+    """Means over the seeds of `trial_table`, a row a case."""
+    return rows.groupby(list(CASE), sort=False)[["points", "bars", "segments", *MEASURES]].mean().reset_index()
+
+
+def segmentation_metrics(rows: pd.DataFrame) -> dict[str, float]:
+    """The finite means over the seeds at the usual noise, clutter and density, ``<scene>.<method>.<metric>``."""
+    usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
+    return flat(over_cases(rows[usual]), ("scene", "method"), MEASURES)
+
+
+FIXED, CHOSEN, REFERENCE = "fixed", "from the points", "diagonal/64"
+"""Origin of a dx of `tuning_map`: given, `steelnb.hough.suggest_dx`, or the reference program's default."""
+
+
+def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
+    """Hough on the scenes of each noise with every dx × every least number of votes: means over all frames, a row each.
+
+    The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
+    """
+    widths: list[tuple[str, float]] = [(FIXED, width) for width in dx]
+    rows = []
+    for noise_m, (rule, width), votes in itertools.product(
+        scenes, [*widths, (CHOSEN, math.nan), (REFERENCE, math.nan)], min_votes
+    ):
+        settings = SegmentationSettings(points_min=votes)
+        own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
+        trials = [
+            attempt("hough", scene, settings=settings, dx=each)
+            for scene, each in zip(scenes[noise_m], own, strict=True)
+        ]
+        means = over_cases(trial_table(trials)).iloc[0][list(MEASURES)].to_dict()
+        rows.append({"noise_m": noise_m, "rule": rule, "dx_m": float(np.mean(own)), "min_votes": votes, **means})
+    return pd.DataFrame(rows)
+
+
+def _dx(rule: str, width: float, points: Array) -> float:
+    if rule == CHOSEN:
+        return suggest_dx(points)
+    return width if rule == FIXED else float(np.linalg.norm(np.ptp(points, axis=0))) / 64
+
+
+def cost_of_rules(tuning: pd.DataFrame) -> pd.DataFrame:
+    """The loss of each rule for dx against the best fixed dx of each noise and least number of votes.
+
+    The best has the largest mean of recall and precision. Columns: ``best_dx_m``, ``dx_m`` of the rule, and how much
+    ``recall`` and ``precision`` are below the best one's.
+    """
+    by = ["noise_m", "min_votes"]
+    fixed = tuning[tuning["rule"] == FIXED]
+    best = fixed.loc[(fixed["recall"] + fixed["precision"]).groupby([fixed[name] for name in by]).idxmax()]
+    cost = (
+        tuning[tuning["rule"] != FIXED]
+        .merge(best, on=by, suffixes=("", "_best"))
+        .rename(columns={"dx_m_best": "best_dx_m"})
+    )
+    for name in ("recall", "precision"):
+        cost[f"{name}_lost"] = cost[f"{name}_best"] - cost[name]
+    return cost[[*by, "rule", "best_dx_m", "dx_m", "recall_lost", "precision_lost"]]

@@ -1,0 +1,230 @@
+"""Figures of notebooks 07 and 13: segments found by each method, curves over conditions, maps over tuning, seeds."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+
+from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, USUAL, Trial
+from steelnb.report.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    VERMILION,
+    Figure,
+    draw_legend,
+    end_points,
+    style,
+    thinned,
+)
+from steelnb.types import Array
+
+MARKS = {
+    "hough": ("o", "Hough"),
+    "hough-once": ("p", "Hough, one pass"),
+    "hough-blocks": ("D", "Hough in blocks"),
+    "ransac-lines": ("s", "RANSAC lines"),
+    "ransac-lines-uniform": ("P", "RANSAC lines, any two points"),
+    "ransac-planes": ("v", "RANSAC planes"),
+    "gmm": ("^", "GMM"),
+    "dbscan": ("X", "DBSCAN"),
+}
+"""Marker and name of each method, in the order of the figures: told apart also without colour."""
+RIGHT, WRONG, MISSED, POINTS = GREEN, VERMILION, BLUE, "#c8c8c8"
+DASHES = (0, (2, 1.5))
+CONDITIONS = {
+    "noise_m": ("range noise (cm)", 100.0),
+    "clutter": ("clutter (% of the points)", 100.0),
+    "kept": ("points kept (%)", 100.0),
+}
+RECALL_MIN = 0.05
+"""Below this, the errors of the segments that are right are those of one or two."""
+NUMBERS = {
+    "recall": ("recall", 1.0),
+    "precision": ("precision", 1.0),
+    "angle_deg": ("angle (°)", 1.0),
+    "offset_m": ("offset (cm)", 100.0),
+}
+
+
+@style()
+def figure_found(trials: Sequence[Trial]) -> Figure:
+    """The segments of each method in one scene, seen from where the sensor was: right and wrong ones over the points,
+    and the bars missed."""
+    wide, high = np.ptp(_project(trials[0].scene.points, trials[0].scene.across), axis=0) + 0.2
+    columns = len(trials) if high > 1.3 * wide else 3
+    rows = -(-len(trials) // columns)
+    width = 12.0 / columns
+    figure = Figure(figsize=(columns * width + 0.5, rows * (width * high / wide + 0.9) + 0.4))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for k, panel in enumerate(panels.ravel()):
+        if k >= len(trials):
+            panel.set_axis_off()
+            continue
+        _draw_found(panel, trials[k])
+        if k + columns >= len(trials):
+            panel.set_xlabel("across (m)")
+            panel.tick_params(labelbottom=True)
+        if k % columns == 0:
+            panel.set_ylabel("height (m)")
+    keys = {
+        "right segment": {"color": RIGHT, "lw": 2},
+        "wrong segment": {"color": WRONG, "lw": 2},
+        "observed bar missed": {"color": MISSED, "lw": 1.4, "ls": DASHES},
+        "points": {"color": POINTS, "marker": "o", "ls": "", "ms": 4},
+    }
+    draw_legend(figure, keys)
+    return figure
+
+
+def _draw_found(panel: Axes, trial: Trial) -> None:
+    scene, score = trial.scene, trial.score
+    flat = _project(scene.points, scene.across)
+    shown = thinned(flat, 20_000)
+    panel.scatter(shown[:, 0], shown[:, 1], s=0.7, c=POINTS, linewidths=0, rasterized=True)
+    missed = _project(scene.members.axes[scene.members.observed() & ~score.found], scene.across)
+    panel.add_collection(LineCollection(list(missed), colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3))
+    bars = _project(end_points(trial.segments), scene.across)
+    for mask, colour in ((score.right, RIGHT), (~score.right, WRONG)):
+        panel.add_collection(LineCollection(list(bars[mask]), colors=colour, lw=1.5, capstyle="round"))
+    numbers = f"precision {score.precision:.2f}" if len(score.right) else "no segment"
+    panel.set_title(f"{MARKS[trial.method][1]}\nrecall {score.recall:.2f}\n{numbers}", fontsize=10)
+    panel.set_aspect("equal")
+    low, high = flat.min(axis=0) - 0.1, flat.max(axis=0) + 0.1
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def _project(points: Array, across: Array) -> Array:
+    """Points ``(…, 3)`` → ``(…, 2)``: to the right and up."""
+    return np.stack([points @ across, points[..., 2]], axis=-1)
+
+
+@style()
+def figure_conditions(cases: pd.DataFrame) -> Figure:
+    """Recall, precision, angle and offset (rows) over noise, clutter and density (columns), a curve a method.
+
+    ``cases`` is `segmentation.over_cases`; each column of panels takes the cases that differ from `USUAL` in one
+    condition only. Errors of a method that finds next to nothing say nothing, and are left out.
+    """
+    methods = [name for name in MARKS if name in set(cases["method"])]
+    figure = Figure(figsize=(10.5, 10.5))
+    panels = figure.subplots(len(NUMBERS), len(CONDITIONS), sharex="col", sharey="row", squeeze=False)
+    for column, (condition, (words, scale)) in enumerate(CONDITIONS.items()):
+        others = [name for name in USUAL if name != condition]
+        chosen = cases[np.logical_and.reduce([cases[name] == USUAL[name] for name in others])]
+        for row, (number, (unit, factor)) in enumerate(NUMBERS.items()):
+            panel = panels[row, column]
+            for method in methods:
+                marker, label = MARKS[method]
+                curve = chosen[chosen["method"] == method].sort_values(condition)
+                x, y = scale * curve[condition], factor * curve[number]
+                if number not in ("recall", "precision"):
+                    y = y.where(curve["recall"] >= RECALL_MIN)
+                panel.plot(x, y, color=COLOURS[method], marker=marker, markersize=5, label=label)
+            panel.axvline(scale * USUAL[condition], color=GREY, lw=0.8, ls=":", zorder=0)
+            if row == 0 and condition == "kept":
+                panel.set_xscale("log", base=2)
+                panel.set_xticks(scale * np.sort(chosen[condition].unique()))
+                panel.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}")
+            if column == 0:
+                panel.set_ylabel(unit)
+            if row == len(NUMBERS) - 1:
+                panel.set_xlabel(words)
+    for row, number in enumerate(NUMBERS):
+        panels[row, 0].set_ylim(0, 1.03 if number in ("recall", "precision") else None)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+@style()
+def figure_sequence(trials: Sequence[Trial]) -> Figure:
+    """Recall, precision and points of each frame of a sequence, a curve a method."""
+    scenes = list({id(trial.scene): trial.scene for trial in trials}.values())
+    place = {id(scene): k for k, scene in enumerate(scenes)}
+    figure = Figure(figsize=(9.0, 7.0))
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
+    for method in dict.fromkeys(trial.method for trial in trials):
+        own = [trial for trial in trials if trial.method == method]
+        index = [place[id(trial.scene)] for trial in own]
+        marker, label = MARKS[method]
+        look: dict[str, Any] = {"color": COLOURS[method], "marker": marker, "markersize": 5, "label": label}
+        look["linestyle"] = "-" if len(own) == len(scenes) else ""
+        top.plot(index, [trial.score.recall for trial in own], **look)
+        middle.plot(index, [trial.score.precision for trial in own], **look)
+    bottom.plot([scene.members.observed().sum() for scene in scenes], color=BLACK, marker=".")
+    top.set(ylabel="recall", ylim=(-0.03, 1.03))
+    middle.set(ylabel="precision", ylim=(-0.03, 1.03))
+    bottom.set(ylabel="bars observed", xlabel="frame", ylim=(0, None), xlim=(-0.5, len(scenes) - 0.5))
+    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+@style()
+def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame) -> Figure:
+    """Maps of recall and precision over dx: by least number of votes (left) and by range noise (right).
+
+    Both are `segmentation.tuning_map`. Beside the fixed dx stand the two rules that need no tuning, with their dx.
+    """
+    figure = Figure(figsize=(12.0, 8.6))
+    panels = figure.subplots(2, 2, squeeze=False)
+    low = min(0.5, *(float(table[n].min()) for table in (votes, noise) for n in ("recall", "precision")))
+    for column, (table, by) in enumerate(((votes, "min_votes"), (noise, "noise_m"))):
+        for row, number in enumerate(("recall", "precision")):
+            image = _draw_map(panels[row, column], table, by, number, low)
+        panels[1, column].set_xlabel("dx (cm)")
+    figure.colorbar(image, ax=panels, shrink=0.6, label="recall or precision")
+    return figure
+
+
+def _draw_map(panel: Axes, table: pd.DataFrame, by: str, number: str, low: float):  # type: ignore[no-untyped-def]
+    grid = table[table["rule"] == FIXED].pivot_table(index=by, columns="dx_m", values=number)
+    rules = [table[table["rule"] == rule].set_index(by).loc[grid.index].reset_index() for rule in (CHOSEN, REFERENCE)]
+    values = np.column_stack([grid.to_numpy(), *(rule[number] for rule in rules)])
+    image = panel.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=1.0)
+    for (row, column), value in np.ndenumerate(values):
+        colour = "black" if value > (low + 1.0) / 2 + 0.1 * (1 - low) else "white"
+        text = f"{value:.2f}"
+        if column >= grid.shape[1]:
+            text += f"\n({100 * rules[column - grid.shape[1]]['dx_m'][row]:.1f})"
+        panel.annotate(text, (column, row), ha="center", va="center", fontsize=8.5, color=colour)
+    panel.axvline(grid.shape[1] - 0.5, color="white", lw=4)
+    names = [f"{100 * dx:g}" for dx in grid.columns] + ["from\npoints", "diag.\n/ 64"]
+    panel.set_xticks(range(len(names)), names, fontsize=9)
+    panel.set_yticks(range(len(grid)), [f"{100 * v:g}" if by == "noise_m" else f"{v}" for v in grid.index])
+    panel.set(title=number, ylabel="range noise (cm)" if by == "noise_m" else by)
+    panel.grid(False)
+    return image
+
+
+@style()
+def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
+    """Recall, precision and time a frame of each method, a dot a seed, with the mean, or median of the times, as a bar.
+
+    ``table`` is `segmentation.trial_table` and ``timing`` `trial_timing` by seed.
+    """
+    methods = [name for name in MARKS if name in set(table["method"])]
+    columns = {"recall": table, "precision": table, "median_ms": timing}
+    figure = Figure(figsize=(11.0, 0.75 * len(methods) + 1.2))
+    panels = figure.subplots(1, len(columns), sharey=True)
+    for panel, (number, rows) in zip(panels, columns.items(), strict=True):
+        for k, method in enumerate(methods):
+            values = rows[rows["method"] == method].sort_values("seed")[number].to_numpy()
+            place = k + np.linspace(-0.25, 0.25, len(values))
+            panel.plot(values, place, MARKS[method][0], color=COLOURS[method], markersize=4, alpha=0.7, ls="")
+            middle = float(np.median(values) if number == "median_ms" else values.mean())
+            panel.plot([middle] * 2, [k - 0.38, k + 0.38], color=BLACK, lw=2)
+        panel.set(xlabel=number, xlim=(-0.03, 1.03))
+        panel.grid(axis="y", visible=False)
+    panels[2].set(xlabel="time a frame (ms)", xscale="log")
+    panels[2].autoscale(axis="x")
+    panels[2].xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panels[2].xaxis.set_minor_formatter(lambda value, _: "")
+    panels[0].set_yticks(range(len(methods)), [MARKS[name][1] for name in methods])
+    panels[0].set_ylim(len(methods) - 0.5, -0.5)
+    return figure

@@ -1,0 +1,224 @@
+"""Figures of notebooks 10 and 12: rebuilt structures (Figure 3.4), the error on the bars, recall, near side, goals."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+
+from steelnb.report.structure_flights import Rebuilt
+from steelnb.report.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    LIGHT_GREY,
+    VERMILION,
+    Figure,
+    draw_legend,
+    end_points,
+    project_perspective,
+    style,
+)
+from steelnb.types import Array
+
+RIGHT, WRONG, TRUE, JOINT = GREEN, VERMILION, LIGHT_GREY, "#222222"
+POSES = {
+    "raw": (VERMILION, "drifting poses"),
+    "corrected": (BLUE, "corrected poses"),
+    "true": (GREEN, "true poses"),
+}
+AXES = {"middle of points": VERMILION, "section fitted": BLUE}
+MARKERS = {"final": "o", "incremental": "s"}
+TOWER_IN = 7.0
+OBSERVED_FROM = 100  # points
+BAR_M = 2.0
+"""Length of the bar that shows the scale."""
+
+
+@style()
+def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
+    """The structure of each run, a panel a run, over the true members (grey), in perspective.
+
+    Bars within 5° and 10 cm of a member along half their length are green, others red; joints are dots.
+    """
+    figure, panels = _panels(runs)
+    for panel, run in zip(panels, runs, strict=True):
+        right, bars, joints = run.score.member >= 0, end_points(run.structure.segments), run.structure.joint
+        _draw(panel, run, bars[~right], colors=WRONG, linewidths=1.3, zorder=2)
+        _draw(panel, run, bars[right], colors=RIGHT, linewidths=1.5, zorder=3)
+        at = project_perspective(joints, run.source.truth.tower.vertices)
+        panel.plot(at[:, 0], at[:, 1], "o", color=JOINT, markersize=2.4, zorder=4)
+        panel.set_title(
+            f"{POSES[run.poses][1]}, {run.method}\n{np.count_nonzero(right)} bars on a member, "
+            f"{np.count_nonzero(~right)} not;\n{len(joints)} joints; recall {run.score.metrics['recall']:.0%}",
+            fontsize=11,
+        )
+    keys = {
+        "bar on a member": {"color": RIGHT, "lw": 2},
+        "on none": {"color": WRONG, "lw": 2},
+        "true member": {"color": TRUE, "lw": 2},
+        "joint": {"color": JOINT, "marker": "o", "ls": "", "ms": 4},
+    }
+    draw_legend(figure, keys)
+    return figure
+
+
+@style()
+def figure_errors(runs: Sequence[Rebuilt]) -> Figure:
+    """Each run's bars coloured by the distance of their axis to the member's, up to 3 cm, in perspective.
+
+    Bars on no member are black and dashed, members that were observed and not found thick and dark grey.
+    """
+    colours = ListedColormap(colormaps["plasma"](np.linspace(0, 0.87, 256)))  # no yellow, which paper hides
+    scale = Normalize(0, 3)
+    figure, panels = _panels(runs)
+    for panel, run in zip(panels, runs, strict=True):
+        right, bars, truth = run.score.member >= 0, end_points(run.structure.segments), run.source.reference
+        missed = truth.axes[truth.observed & ~run.score.found]
+        _draw(panel, run, missed, colors=GREY, linewidths=2.6, zorder=2)
+        shades = colours(scale(100 * run.score.offset_m[right]))
+        _draw(panel, run, bars[right], colors=shades, linewidths=2.0, zorder=3)
+        _draw(panel, run, bars[~right], colors=BLACK, linewidths=1.3, linestyles="--", zorder=4)
+        median, p90 = (100 * run.score.metrics[f"offset_{name}_m"] for name in ("median", "p90"))
+        panel.set_title(f"{POSES[run.poses][1]}\nmedian {median:.1f} cm, p90 {p90:.1f} cm")
+    figure.colorbar(
+        ScalarMappable(scale, colours), ax=list(panels), shrink=0.6, pad=0.02, extend="max",
+        label="distance of a bar's axis to the true axis (cm)",
+    )  # fmt: skip
+    keys = {
+        "true member": {"color": TRUE, "lw": 1},
+        "observed, not found": {"color": GREY, "lw": 2.6},
+        "bar on no member": {"color": BLACK, "lw": 1.5, "ls": "--"},
+    }
+    draw_legend(figure, keys, ncols=3 if len(runs) > 1 else 2)
+    return figure
+
+
+def _panels(runs: Sequence[Rebuilt]) -> tuple[Figure, list[Axes]]:
+    """A panel for each run, with the true members in grey and a bar of two metres."""
+    flat = project_perspective(runs[0].source.truth.tower.vertices, runs[0].source.truth.tower.vertices)
+    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
+    scale = TOWER_IN / (high - low)
+    figure = Figure(figsize=(len(runs) * max((right - left) * scale + 0.3, 3.7) + 0.8, TOWER_IN + 1.5))
+    panels = list(figure.subplots(1, len(runs), squeeze=False)[0])
+    for panel, run in zip(panels, runs, strict=True):
+        _draw(panel, run, run.source.truth.tower.axes, colors=TRUE, linewidths=0.8, zorder=1)
+        panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
+        panel.set_axis_off()
+        panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
+        panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
+    return figure, panels
+
+
+def _draw(panel: Axes, run: Rebuilt, bars: Array, **look: Any) -> None:
+    """Add bars ``(M, 2, 3)`` to a panel, seen in perspective."""
+    flat = project_perspective(bars.reshape(-1, 3), run.source.truth.tower.vertices).reshape(-1, 2, 2)
+    panel.add_collection(LineCollection(list(flat), capstyle="round", **look))
+
+
+@style()
+def figure_recall(table: pd.DataFrame) -> Figure:
+    """Recall against the points seen of a member, a line for each poses and method, from `recall_by_points`."""
+    figure = Figure(figsize=(7.6, 4.9))
+    panel = figure.add_subplot()
+    table = table.assign(middle=np.sqrt(table["points_from"] * table["points_to"]))
+    for (poses, method), rows in table.groupby(["poses", "method"], sort=False):
+        colour, label = POSES[str(poses)]
+        true, final = poses == "true", method == "final"
+        panel.plot(
+            rows["middle"], 100 * rows["recall"], color=colour, linestyle="-" if final else "--",
+            marker=MARKERS[str(method)], markersize=9 if true else 5, mfc="none" if true else None,
+            zorder=2 if true else 3, label=f"{label}, {method}",
+        )  # fmt: skip
+    grey: dict[str, Any] = {"fontsize": 10, "color": "#555555"}
+    for row in table.drop_duplicates("middle").itertuples():
+        panel.annotate(str(row.members), (row.middle, 107), ha="center", va="center", **grey)
+    panel.annotate("members:", (0, 107), (-6, 0), ("axes fraction", "data"), "offset points", ha="right",
+                   va="center", annotation_clip=False, **grey)  # fmt: skip
+    panel.axvline(OBSERVED_FROM, color="#555555", linestyle=":", linewidth=1.2)
+    panel.annotate("observed\nfrom here on", (OBSERVED_FROM, 86), (4, 0), textcoords="offset points", **grey)
+    panel.set(xscale="log", xlabel="points seen of a member in the flight")
+    panel.set(ylabel="members found (%)", ylim=(0, 112), yticks=range(0, 101, 20))
+    figure.legend(loc="outside lower center", ncols=2, fontsize=10)
+    return figure
+
+
+@style()
+def figure_near_side(bias: pd.DataFrame) -> Figure:
+    """Distance by which bars lie nearer to the sensor than the true axes (`structure_tables.near_side`), a dot a bar.
+
+    Columns are the kinds of member, with the width of their flanges; lines are medians.
+    """
+    kinds = bias.groupby("kind")["section_m"].first().sort_values(ascending=False)
+    figure = Figure(figsize=(7.6, 4.9))
+    panel = figure.add_subplot()
+    panel.axhline(0, color=BLACK, linewidth=1.0)
+    for k, kind in enumerate(kinds.index):
+        for side, (axis, colour) in zip((-0.2, 0.2), AXES.items(), strict=True):
+            chosen = bias[(bias["kind"] == kind) & (bias["axis"] == axis)]["toward_sensor_m"]
+            value = 100 * np.sort(chosen.dropna().to_numpy())
+            if not len(value):
+                continue
+            spread = 0.13 * np.sin(2.4 * np.arange(len(value)))  # the golden angle: dots side by side, no chance
+            panel.plot(k + side + spread, np.clip(value, -4, 6), "o", color=colour, markersize=3.5, alpha=0.55)
+            panel.plot([k + side - 0.17, k + side + 0.17], [np.median(value)] * 2, color=BLACK, linewidth=2.5)
+            panel.annotate(f"{np.median(value):+.1f}", (k + side, 6.5), ha="center", fontsize=11, color=colour)
+    panel.set_xticks(range(len(kinds)), [f"{kind}\n{1000 * flange:.0f} mm" for kind, flange in kinds.items()])
+    panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 7.2), xlabel="kind of member, width of its flanges")
+    panel.set_ylabel("axis nearer to the sensor than the true one (cm)")
+    panel.grid(axis="x", visible=False)
+    keys: dict[str, dict[str, Any]] = {
+        "middle of the points": {"color": AXES["middle of points"], "marker": "o", "ls": ""},
+        "section fitted": {"color": AXES["section fitted"], "marker": "o", "ls": ""},
+        "median (cm, above)": {"color": BLACK, "lw": 2.5},
+    }
+    draw_legend(figure, keys)
+    return figure
+
+
+@style()
+def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
+    """A panel for each goal: a dot a flight, by tower and method, from a `structure_table`.
+
+    The goal is the dashed line, the side of it that is aimed at is white; lines through dots are means.
+    """
+    towers, methods = list(dict.fromkeys(table["tower"])), list(dict.fromkeys(table["method"]))
+    figure = Figure(figsize=(12.5, 8.6))
+    for panel, goal in zip(figure.subplots(3, 4).ravel(), goals.to_dict("records"), strict=True):
+        name, factor, unit = _unit(goal["goal"])
+        for k, tower in enumerate(towers):
+            for m, method in enumerate(methods):
+                value = factor * table[(table["tower"] == tower) & (table["method"] == method)][goal["goal"]]
+                place = k + (m - 0.5 * (len(methods) - 1)) * 0.36
+                spread = np.linspace(-0.1, 0.1, len(value)) if len(value) > 1 else np.zeros(len(value))
+                panel.plot(place + spread, value, MARKERS[method], color=COLOURS[method], markersize=4.5)
+                panel.plot([place - 0.15, place + 0.15], [value.mean()] * 2, color=BLACK, linewidth=1.8)
+        limit, at_most = factor * goal["limit"], goal["side"] == "at most"
+        panel.axhline(limit, color="#555555", linestyle="--", linewidth=1.2)
+        low, high = panel.get_ylim()
+        low, high = (0.0, 1.15 * max(high, limit)) if at_most else (min(low, limit) - 1, 101.0)
+        panel.set(xlim=(-0.5, len(towers) - 0.5), ylim=(low, high), ylabel=unit)
+        panel.set_title(f"{name}: {goal['side']} {limit:g} {unit}", fontsize=11)
+        panel.axhspan(*((limit, high) if at_most else (low, limit)), color="#f1e4dc", zorder=0)
+        panel.set_xticks(range(len(towers)), towers)
+        panel.grid(axis="x", visible=False)
+    keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
+    keys |= {"mean": {"color": BLACK, "lw": 1.8}, "goal": {"color": "#555555", "lw": 1.2, "ls": "--"}}
+    draw_legend(figure, keys)
+    return figure
+
+
+def _unit(column: str) -> tuple[str, float, str]:
+    """The name of a column for a reader, and the factor and name of its unit."""
+    for ending, factor, unit in (("_m", 100.0, "cm"), ("_deg", 1.0, "°"), ("duplicates", 1.0, "bars")):
+        if column.endswith(ending):
+            name = column.removesuffix("_m").removesuffix("_deg").replace("_", " ").replace("ate rmse", "pose error")
+            return name, factor, unit
+    return column.replace("_", " "), 100.0, "%"

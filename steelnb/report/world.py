@@ -1,0 +1,143 @@
+"""Notebook 01: the tower (Figure 3.1), the flights, and the drift of each noise over time."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from steelnb.noise import drifting, random_walk_rms_m
+from steelnb.report.style import COLOURS, Figure, frame_3d, style
+from steelnb.settings import NoiseSettings
+from steelnb.simulation import Tower, Truth
+from steelnb.types import Array, Flight, Trajectory
+
+RATE_HZ = 125.0
+
+
+def flight_table(flights: dict[str, tuple[Flight, Truth]]) -> pd.DataFrame:
+    """Length, speed, height and tilt of each flight, and the returns of its sensor; a row a flight."""
+    rows = []
+    for name, (flight, truth) in flights.items():
+        position, up = truth.trajectory.position, truth.trajectory.T_world_drone[:, 2, 2]
+        tilt = np.arccos(np.clip(up, -1, 1))
+        returns = np.array([np.isfinite(scan.points[..., 0]).sum() for scan in flight.scans])
+        travelled = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
+        rows.append(
+            {
+                "trajectory": name,
+                "duration_s": truth.trajectory.stamp_s[-1],
+                "length_m": travelled,
+                "speed_mean_m_s": travelled / truth.trajectory.stamp_s[-1],
+                "height_min_m": position[:, 2].min(),
+                "height_max_m": position[:, 2].max(),
+                "tilt_rms_deg": np.degrees(np.sqrt((tilt**2).mean())),
+                "scans": len(flight.scans),
+                "returns_median": float(np.median(returns)),
+                "returns_min": int(returns.min()),
+                "members_seen": int(truth.visibility.observed().sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def drift_curves(noise: str, seeds: Sequence[int], duration_s: float) -> tuple[Array, Array]:
+    """Drift of many seeds without flying: stamps ``(N,)`` at 125 Hz and errors ``(S, N)``.
+
+    Drift does not depend on the flight, so a drone that stays where it is will do. Errors are of the position in
+    metres or, where the noise has none, of the heading in radians.
+    """
+    settings = NoiseSettings.parse(noise)
+    stamp = np.arange(round(duration_s * RATE_HZ) + 1) / RATE_HZ
+    still = Trajectory(stamp, np.tile(np.eye(4), (len(stamp), 1, 1)))
+    errors = np.empty((len(seeds), len(stamp)))
+    for k, seed in enumerate(seeds):
+        T = drifting(still, settings, seed).T_world_drone
+        heading = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+        errors[k] = np.abs(heading) if _turns_only(settings) else np.linalg.norm(T[:, :3, 3], axis=1)
+    return stamp, errors
+
+
+def expected_drift(noise: str, stamp_s: Array) -> Array:
+    """Root mean square ``(N,)`` that the model of a noise gives: metres, or radians for a yaw noise."""
+    settings = NoiseSettings.parse(noise)
+    if _turns_only(settings):
+        return np.asarray(settings.yaw_random_walk_rad * np.sqrt(RATE_HZ * stamp_s))
+    return np.hypot(random_walk_rms_m(settings, stamp_s, RATE_HZ), settings.constant_drift_m * RATE_HZ * stamp_s)
+
+
+def _turns_only(settings: NoiseSettings) -> bool:
+    return settings.yaw_random_walk_rad > 0 and not (settings.random_walk_m or settings.constant_drift_m)
+
+
+def drift_table(curves: dict[str, tuple[Array, Array]], every_s: float = 60.0) -> pd.DataFrame:
+    """One row a noise and minute: the measured and the expected root mean square, and the share of seeds above 1."""
+    rows = []
+    for noise, (stamp, errors) in curves.items():
+        unit, expected = "rad" if _turns_only(NoiseSettings.parse(noise)) else "m", expected_drift(noise, stamp)
+        for time_s in np.arange(every_s, stamp[-1] + 1e-9, every_s):
+            k = int(np.searchsorted(stamp, time_s - 1e-9))
+            rms, above = np.sqrt((errors[:, k] ** 2).mean()), (errors[:, k] > 1).mean()
+            rows.append((noise, time_s, unit, len(errors), rms, expected[k], above))
+    return pd.DataFrame(rows, columns=["noise", "time_s", "unit", "seeds", "rms", "expected_rms", "share_above_1"])
+
+
+def drift_metrics(drift: pd.DataFrame) -> dict[str, float]:
+    """The measured values of `drift_table` in one flat map, ``<noise>.rms_<unit>_after_<time>_s``."""
+    named = "{noise}.rms_{unit}_after_{time_s:.0f}_s"
+    return {named.format_map(row): float(row["rms"]) for row in drift.to_dict("records")}
+
+
+@style()
+def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
+    """The tower as the sensors see it, with the flights around it, and its members by class from two sides."""
+    figure = Figure(figsize=(11, 7))
+    grid = figure.add_gridspec(1, 3, width_ratios=(1.25, 1, 0.55))
+    scene = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
+    colour = np.array([COLOURS[tower.members[m].kind] for m in tower.triangle_member])
+    mesh = Poly3DCollection(tower.vertices[tower.triangles], facecolors=colour, edgecolors=colour, linewidths=0.15)
+    scene.add_collection3d(mesh, autolim=False)
+    for name, flight in flights.items():
+        scene.plot(*flight.position.T, color=COLOURS[name], linewidth=1.1, label=f"{name} flight")
+    frame_3d(scene, np.concatenate([tower.vertices, *(f.position for f in flights.values())]))
+    scene.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.0))
+    for panel, (across, name) in enumerate(((0, "x"), (1, "y")), start=1):
+        side = figure.add_subplot(grid[panel])
+        for kind in ("ring", "bracing", "arm", "leg"):
+            lines = tower.axes[[member.kind == kind for member in tower.members]][:, :, [across, 2]]
+            apart = np.concatenate([lines, np.full((len(lines), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+            side.plot(*apart.T, color=COLOURS[kind], linewidth=1.2, label=f"{kind} ({len(lines)})")
+        side.set(aspect="equal", xlabel=f"{name} (m)", ylim=(-0.3, tower.settings.height_m + 0.5))
+        side.set_title("front" if panel == 1 else "side")
+        if panel == 1:
+            side.set_ylabel("z (m)")
+    figure.legend(*side.get_legend_handles_labels(), loc="outside lower right", ncols=4)
+    return figure
+
+
+@style()
+def figure_drift(curves: Mapping[str, tuple[Array, Array]], analytic_m: Mapping[str, Array], claim: str) -> Figure:
+    """Drift over time, a panel for each noise.
+
+    ``curves`` maps a noise to stamps ``(N,)`` and errors ``(S, N)`` of many seeds, metres, or radians for a yaw noise;
+    ``analytic_m`` to the expected RMS at those stamps. The report's claim (1 m after 3 min) is marked in the panel of
+    the noise named ``claim``.
+    """
+    figure = Figure(figsize=(11, 3.8))
+    for k, (name, (stamp, errors)) in enumerate(curves.items()):
+        panel = figure.add_subplot(1, len(curves), k + 1)
+        yaw = name.startswith("yaw")
+        scale = np.degrees(1.0) if yaw else 1.0
+        minutes = stamp / 60
+        thin = slice(None, None, max(1, len(stamp) // 500))
+        panel.plot(minutes[thin], scale * errors[:8, thin].T, color="#999999", linewidth=0.7, alpha=0.8)
+        panel.plot([], [], color="#999999", linewidth=0.9, label="single seeds")
+        rms = scale * np.sqrt((errors**2).mean(axis=0))
+        panel.plot(minutes[thin], rms[thin], color=COLOURS["average"], label=f"RMS of {len(errors)} seeds")
+        panel.plot(minutes[thin], scale * analytic_m[name][thin], "--", color=COLOURS["truth"], label="expected")
+        if name == claim:
+            panel.plot(3, 1.0, "*", color=COLOURS["none"], markersize=13, label="report: about 1 m")
+        panel.set(title=name, xlabel="time (min)", ylabel="heading error (°)" if yaw else "position error (m)")
+        panel.set_ylim(bottom=0)
+        panel.legend(loc="upper left", fontsize=9)
+    return figure

@@ -1,0 +1,41 @@
+"""Frozen settings, one class for each module that has any, and presets in TOML files. Unknown keys are refused.
+
+Four choices matter to a newcomer: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and
+the method. Lengths are metres, angles radians, times seconds; the unit is in the name.
+"""
+
+from typing import get_args
+
+from steelnb.settings.base import Positive, Settings, parse_parameter
+from steelnb.settings.experiment import ExperimentSettings
+from steelnb.settings.odometry import (
+    SEGMENT_METHODS,
+    CloudSettings,
+    FusionSettings,
+    HoughSettings,
+    OdometrySettings,
+    PreprocessSettings,
+    SegmentSettings,
+)
+from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
+from steelnb.settings.structure import SegmentationSettings, StructureSettings, Tolerance
+from steelnb.settings.world import (
+    REPORT_NOISE,
+    FlightSettings,
+    NoiseSettings,
+    TofSettings,
+    TowerSettings,
+    TrajectoryName,
+)
+
+TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
+SENSORS = sensor_names()
+METHODS = method_names()
+
+__all__ = [
+    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CloudSettings", "ExperimentSettings",
+    "FlightSettings", "FusionSettings", "HoughSettings", "NoiseSettings", "OdometrySettings", "Positive",
+    "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings", "StructureSettings", "TofSettings",
+    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_tables", "read_toml",
+    "sensor_names",
+]  # fmt: skip

@@ -1,0 +1,93 @@
+"""Frozen settings: unknown keys, wrong types and values out of range are refused."""
+
+import ast
+import difflib
+import json
+import tomllib
+from typing import Annotated, Any, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from steelnb.errors import SettingsError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+
+
+S = TypeVar("S", bound="Settings")
+
+
+class Settings(BaseModel):
+    """Base of all settings: frozen, strict, no unknown key; every fault is a one-line `SettingsError`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as fault:
+            raise SettingsError(describe_fault(type(self).__name__, fault)) from None
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some values changed, checked like the original."""
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+
+
+def describe_fault(where: str, fault: ValidationError) -> str:
+    """The first fault of a pydantic error as one line: where, the value given, and the value expected."""
+    first = fault.errors()[0]
+    message = first["msg"].removeprefix("Value error, ")
+    message = f"{message[:1].lower()}{message[1:]}"
+    if not first["loc"]:
+        return f"{where}: {message}"
+    return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"
+
+
+def quoted(names: Any) -> str:
+    """Names in quotes, for a message."""
+    return ", ".join(repr(name) for name in names)
+
+
+def as_tuples(value: Any) -> Any:
+    """Lists, as JSON and TOML have them, as the tuples of settings."""
+    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def overridden(settings: S, overrides: dict[str, Any]) -> S:
+    """A copy with single settings changed, each named ``table.setting`` or ``setting``. Raises `SettingsError`."""
+    for path, value in overrides.items():
+        table, _, name = path.rpartition(".")
+        place = getattr(settings, table, None) if table else settings
+        if not isinstance(place, Settings) or name not in setting_names(place):
+            near = difflib.get_close_matches(path, setting_names(settings), n=1)
+            guess = f", did you mean {near[0]!r}?" if near else ""
+            raise SettingsError(f"overrides: unknown setting {path!r}{guess}; expected table.setting")
+        changed = place.replace(**{name: as_tuples(value)})
+        settings = settings.replace(**{table: changed}) if table else changed  # type: ignore[assignment]
+    return settings
+
+
+def setting_names(settings: Settings) -> list[str]:
+    """The names of single settings, those of its tables with the table's name in front."""
+    names = []
+    for name in type(settings).model_fields:
+        value = getattr(settings, name)
+        names += [f"{name}.{inner}" for inner in setting_names(value)] if isinstance(value, Settings) else [name]
+    return names
+
+
+def parse_parameter(text: str) -> tuple[str, Any]:
+    """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `SettingsError`."""
+    name, equals, value = (piece.strip() for piece in text.partition("="))
+    if not name or not equals:
+        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=orbit or tof.rate_hz=10")
+    for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
+        try:
+            parsed = read(value)
+            json.dumps(parsed)  # refuses what a notebook's parameter cannot be: sets, bytes, dates
+        except (ValueError, SyntaxError, TypeError):
+            continue
+        return name, parsed
+    return name, value

@@ -1,0 +1,65 @@
+"""Settings of one experiment: the simulated world and the odometry."""
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from steelnb.settings.base import Settings, overridden
+from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
+
+
+class ExperimentSettings(Settings):
+    """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower."""
+
+    sensor: str
+    noise_name: str
+    seed: Annotated[int, Field(ge=0)]
+    tower: TowerSettings = TowerSettings()
+    flight: FlightSettings
+    tof: TofSettings
+    noise: NoiseSettings
+    odometry: OdometrySettings
+
+    @classmethod
+    def preset(
+        cls,
+        trajectory: TrajectoryName = "vertical",
+        noise: str = "random-walk",
+        method: str = "least_squares",
+        sensor: str = "starling2",
+        seed: int = 1,
+        duration_s: float = 200.0,
+        overrides: dict[str, Any] | None = None,
+    ) -> "ExperimentSettings":
+        """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
+
+        ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
+        `SettingsError`.
+        """
+        settings = cls(
+            sensor=sensor,
+            noise_name=noise,
+            seed=seed,
+            flight=FlightSettings.preset(trajectory, duration_s),
+            tof=TofSettings.preset(sensor),
+            noise=NoiseSettings.parse(noise),
+            odometry=OdometrySettings.preset(method, sensor),
+        )
+        return settings.override(overrides or {})
+
+    def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
+        """A copy with single settings changed, each named ``table.setting``. Raises `SettingsError`.
+
+        The tables are those of the world (``tower``, ``flight``, ``tof``, ``noise``) and of the odometry
+        (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, and ``odometry`` for its own).
+        """
+        settings = self
+        for path, value in overrides.items():
+            table = path.partition(".")[0]
+            if table != "odometry" and table in type(self).model_fields:
+                settings = overridden(settings, {path: value})
+            else:
+                odometry = settings.odometry.override({path.removeprefix("odometry."): value})
+                settings = settings.replace(odometry=odometry)
+        return settings

@@ -1,0 +1,145 @@
+"""Settings of the estimators. Lengths in metres, angles in radians."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted
+from steelnb.settings.presets import merged, method_names, method_preset, sensor_preset
+
+SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
+"""Odometries by segments alone; all other methods are by clouds, ``combined`` by both."""
+
+
+class PreprocessSettings(Settings):
+    """Pass-through box of ±``crop_m`` in the drone frame (forward half), floor in the world frame, voxel grid."""
+
+    crop_m: Positive = 6.0
+    floor_m: Finite = 0.3
+    voxel_leaf_m: Positive = 0.05
+
+
+class HoughSettings(Settings):
+    """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments.
+
+    ``dx_m`` is the cell of the transform and the largest root mean square radius of a segment. ``granularity`` is how
+    often the icosahedron of directions is subdivided. ``skip_weak`` passes over a line with too few points where the
+    original ends its search.
+    """
+
+    dx_m: Positive
+    min_votes: Annotated[int, Field(ge=2)]
+    max_lines: Annotated[int, Field(ge=1)]
+    granularity: Annotated[int, Field(ge=0, le=6)] = 4
+    gap_max_m: Positive
+    pca_ratio_min: Probability
+    density_min_per_m: NotNegative = 0.0
+    length_min_m: NotNegative = 0.0
+    skip_weak: bool = False
+
+
+class FusionSettings(Settings):
+    """Association of segments with mapped bars: angle, and distance across, on top of both radii if ``add_radii``."""
+
+    angle_max_rad: Positive
+    distance_max_m: Positive
+    add_radii: bool = False
+
+    @classmethod
+    def preset(cls, sensor: str = "starling2") -> "FusionSettings":
+        """The settings that belong to a sensor."""
+        return cls(**sensor_preset(sensor).get("fusion", {}))
+
+
+class SegmentSettings(Settings):
+    """Correction by segments. ``gain`` belongs to ``average``; the robust scale (Geman-McClure) to the other rules.
+
+    A bar counts once it has been seen ``sightings_min`` times.
+    """
+
+    gain: Annotated[float, Field(gt=0, le=1)] = 0.5
+    robust_scale_m: Positive = 0.05
+    sightings_min: Annotated[int, Field(ge=1)] = 1
+
+
+class CloudSettings(Settings):
+    """Registration of each scan to a voxel map.
+
+    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``shape`` is
+    the source of the covariances of GICP: the nearest neighbours, regularised to planes (``neighbours``), or the points
+    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``; ``voxels``
+    pairs points with voxels without a search tree). ``accumulate`` keeps count-weighted means in the map; without it
+    the map is voxelised anew with every scan, as the original does. ``fast`` extrapolates the solver's steps (Besl and
+    McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm. ``drop_rotation`` is the original's
+    fault: it solves for six degrees of freedom, keeps the translation, and inserts the rotated cloud. ``bars_weight``
+    is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused.
+    """
+
+    error: Literal["point", "plane", "gicp"] = "gicp"
+    dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
+    robust_scale: Positive | None = None
+    max_correspondence_m: Positive = 0.3
+    iterations_max: Annotated[int, Field(ge=1)] = 150
+    map_voxel_m: Positive = 0.1
+    accumulate: bool = False
+    shape: Literal["neighbours", "measured", "voxels"] = "neighbours"
+    fast: bool = False
+    drop_rotation: bool = False
+    bars_weight: NotNegative = 0.0
+    jump_max_m: Positive = 1.0
+
+
+class OdometrySettings(Settings):
+    """One method and all that it takes from the sensor's and the method's preset.
+
+    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
+    prediction follows the rate of the drift, 0 for a drift that stands still; the priors are the standard deviations of
+    a correction from its prediction, None for none. Tables that a method does not use are None.
+    """
+
+    method: str
+    near_side: bool = False
+    drift_gain: Probability = 0.0
+    prior_sigma_m: Positive | None = None
+    prior_sigma_rad: Positive | None = None
+    preprocess: PreprocessSettings
+    hough: HoughSettings | None = None
+    fusion: FusionSettings | None = None
+    segments: SegmentSettings | None = None
+    clouds: CloudSettings | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.method not in method_names():
+            raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
+        if (self.clouds is None) != (self.method in SEGMENT_METHODS):
+            raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
+        by_bars = self.clouds is None or self.clouds.bars_weight > 0
+        if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
+            raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
+        if (self.prior_sigma_m is None) != (self.prior_sigma_rad is None):
+            raise ValueError("prior_sigma_m and prior_sigma_rad: expected both or none")
+        return self
+
+    @classmethod
+    def preset(
+        cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
+    ) -> "OdometrySettings":
+        """The settings of a method with a sensor's data; ``overrides`` as in `override`. Raises `SettingsError`."""
+        tables, of_sensor = method_preset(method), sensor_preset(sensor)
+        tables = merged(tables, of_sensor.get("methods", {}).get(method, {}))
+        by_clouds, by_segments = "clouds" in tables, "segments" in tables
+        kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
+        built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
+        crops = of_sensor.get("preprocess", {}).get("clouds" if by_clouds else "segments", {})
+        if by_segments:
+            built |= {"hough": HoughSettings(**of_sensor.get("hough", {})), "fusion": FusionSettings.preset(sensor)}
+        settings = cls(method=method, preprocess=PreprocessSettings(**crops), **built, **tables)
+        return settings.override(overrides or {})
+
+    def override(self, overrides: dict[str, Any]) -> "OdometrySettings":
+        """A copy with single settings changed, named as ``drift_gain`` or ``clouds.map_voxel_m``.
+
+        Raises `SettingsError` for one that the method does not have.
+        """
+        return overridden(self, overrides)

@@ -1,0 +1,98 @@
+"""Presets: TOML files in ``steelnb/presets``, which a user can copy, change and name by their path."""
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from steelnb.errors import FileMissingError, SettingsError
+from steelnb.settings.base import S, as_tuples, quoted
+
+PRESETS = Path(__file__).parent.parent / "presets"
+
+
+def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
+    """The tables of a TOML file; ``expected`` is what the message about a missing one says.
+
+    Raises `FileMissingError` or `SettingsError`.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise FileMissingError(f"{path}: {fault.strerror}{'; expected ' if expected else ''}{expected}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as fault:
+        raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+
+
+def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
+    """The tables of a TOML file, each as settings of one ``kind``, by name. Raises what `read_toml` raises."""
+    found = {}
+    for name, table in read_toml(path, expected).items():
+        if not isinstance(table, dict):
+            raise SettingsError(f"{path}: [{name}]: {table!r}: expected a table")
+        try:
+            found[name] = kind(**table)
+        except SettingsError as fault:
+            raise SettingsError(f"{path}: [{name}]: {fault}") from None
+    return found
+
+
+def sensor_names() -> tuple[str, ...]:
+    """The sensors that have a preset."""
+    return tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
+
+
+def sensor_preset(sensor: str) -> dict[str, Any]:
+    """The tables of a sensor's preset, or of a file whose name ends in ``.toml``. Raises `SettingsError`."""
+    if isinstance(sensor, str) and sensor.endswith(".toml"):
+        return _values(read_toml(Path(sensor), "a sensor's preset"))
+    if sensor not in sensor_names():
+        raise SettingsError(f"sensor = {sensor!r}: expected one of {quoted(sensor_names())}, or a file FILE.toml")
+    return _preset(f"sensors/{sensor}")
+
+
+def flight_preset(trajectory: str) -> dict[str, Any]:
+    """The settings of one of the report's flights. Raises `SettingsError`."""
+    return _entry("flights", "trajectory", trajectory)
+
+
+def tower_preset(tower: str) -> dict[str, Any]:
+    """The settings of a tower that differ from the report's. Raises `SettingsError`."""
+    return _entry("towers", "tower", tower)
+
+
+def method_names() -> tuple[str, ...]:
+    """The methods that have a preset."""
+    return tuple(_preset("methods"))
+
+
+def method_preset(method: str) -> dict[str, Any]:
+    """The settings of a method, those that it is ``based_on`` included. Raises `SettingsError`."""
+    own = dict(_entry("methods", "method", method))
+    base = own.pop("based_on", None)
+    return merged(method_preset(base), own) if base else own
+
+
+def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Tables of settings with some values replaced, table by table."""
+    result = dict(base)
+    for name, value in changes.items():
+        old = result.get(name)
+        result[name] = merged(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return result
+
+
+def _entry(file: str, kind: str, name: str) -> dict[str, Any]:
+    if name not in _preset(file):
+        raise SettingsError(f"{kind} = {name!r}: expected one of {quoted(_preset(file))}")
+    return _preset(file)[name]
+
+
+@cache
+def _preset(name: str) -> dict[str, Any]:
+    return _values(read_toml(PRESETS / f"{name}.toml"))
+
+
+def _values(table: Any) -> Any:
+    """Tables with lists as the tuples of settings."""
+    return {name: _values(value) for name, value in table.items()} if isinstance(table, dict) else as_tuples(table)

@@ -1,0 +1,56 @@
+"""Settings of segmentation and reconstruction: what counts as a bar. Lengths in metres, angles in radians."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from steelnb.settings.base import NotNegative, Positive, Settings
+
+
+class SegmentationSettings(Settings):
+    """What every method of segmentation takes for a bar, so that they differ in nothing but how they find it.
+
+    Points of one group are cut where they leave a gap, pieces within ``merge_distance_m`` of one axis become one, and
+    those with enough points, long enough and thin (`steelnb.hough.peers.bars`), stay. Chosen for the Hough transform on
+    development seeds 11 to 16.
+    """
+
+    points_min: Annotated[int, Field(ge=2)] = 15
+    gap_max_m: Positive = 0.25
+    merge_distance_m: NotNegative = 0.12
+    length_min_m: NotNegative = 0.3
+
+
+class StructureSettings(Settings):
+    """The final reconstruction (`steelnb.fusion.reconstruct`).
+
+    ``tube_m``: radius of the tube about a bar that holds its points; all lengths of the method are in proportion to it
+    (`fusion.scales`). ``min_votes``: fewest filtered points of a bar. ``copy_distance_m``: what mostly runs within it
+    of a stronger bar is a copy of that. Points below ``floor_m`` or further from the sensor than ``range_max_m`` are
+    left out. ``adjust``: poses and bars are adjusted together. ``tilt_max_rad``: a bar whose direction has a larger
+    standard deviation is left out. The defaults were chosen with those of `fusion.scales.Scales`.
+    """
+
+    tube_m: Positive = 0.06
+    min_votes: Annotated[int, Field(ge=2)] = 8
+    copy_distance_m: Positive = 0.2
+    floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.2
+    range_max_m: Positive = 6.0
+    adjust: bool = True
+    tilt_max_rad: Positive = 0.05
+
+    @classmethod
+    def for_cloud(cls, tube_m: float) -> "StructureSettings":
+        """For a plain cloud whose bars' points lie within ``tube_m``: no floor, and bars as near to each other as two
+        tubes, since a coarse cloud does not tell the two flanges of a wide leg apart as a flight does."""
+        return cls(tube_m=tube_m, floor_m=-1e6, copy_distance_m=2 * tube_m)
+
+
+class Tolerance(Settings):
+    """How two structures are compared. Up to ``offset_m``, ``angle_deg`` and ``end_m`` a bar has not moved, and up to
+    ``joint_m`` a joint."""
+
+    offset_m: NotNegative = 0.01
+    angle_deg: NotNegative = 0.5
+    end_m: NotNegative = 0.03
+    joint_m: NotNegative = 0.02

@@ -1,0 +1,160 @@
+"""Settings of the simulated world: tower, flight, sensor and drift. Lengths in metres, angles in radians, seconds.
+
+No estimator sees them.
+"""
+
+import itertools
+import math
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import SettingsError
+from steelnb.settings.base import NotNegative, Positive, Probability, Settings, quoted
+from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
+from steelnb.types import Array
+
+TrajectoryName = Literal["vertical", "orbit"]
+
+
+class TowerSettings(Settings):
+    """A lattice tower of steel angle sections ``(flange, thickness)``. The defaults are the report's: 16 m high.
+
+    The report gives no base width. Its own crop lets the Hough transform see 1.5 m ahead, and its orbit is 3 to 4 m
+    from the axis, so the body must have been about 2 m from the axis to be seen at all: hence a base of 4 m.
+    """
+
+    height_m: Positive = 16.0
+    base_width_m: Positive = 4.0
+    waist_height_m: Positive = 9.0
+    waist_width_m: Positive = 1.7
+    top_width_m: Positive = 1.0
+    arm_height_m: tuple[Positive, ...] = (10.2, 12.4, 14.6)
+    arm_reach_m: tuple[Positive, ...] = (3.2, 3.8, 2.8)
+    arm_depth_m: Positive = 0.7
+    leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
+    ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
+    bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
+    arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if len(self.arm_height_m) != len(self.arm_reach_m):
+            raise ValueError("arm_height_m and arm_reach_m must have the same length")
+        if not self.waist_height_m < self.height_m:
+            raise ValueError("waist_height_m must lie below height_m")
+        levels = (self.waist_height_m, *self.arm_height_m)
+        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(levels[1:])):
+            raise ValueError("arms must be at least arm_depth_m apart")
+        if self.arm_height_m and (
+            min(self.arm_height_m) <= self.waist_height_m
+            or max(self.arm_height_m) + self.arm_depth_m > self.height_m + 1e-9
+        ):
+            raise ValueError("arms must lie between waist_height_m and height_m")
+        return self
+
+    @classmethod
+    def preset(cls, tower: str = "report") -> "TowerSettings":
+        """A tower of ``presets/towers.toml`` by name. Raises `SettingsError`."""
+        return cls(**tower_preset(tower))
+
+
+class FlightSettings(Settings):
+    """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height."""
+
+    trajectory: TrajectoryName = "vertical"
+    duration_s: Positive = 200.0
+    standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
+    height_min_m: Positive = 0.7
+    height_max_m: Positive = 15.0
+    levels: Annotated[int, Field(ge=2, le=100)] = 12
+    speed_m_s: Positive = 0.18
+    gust_sigma_m_s: NotNegative = 0.3
+
+    @classmethod
+    def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
+        """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long: ``presets/flights.toml``."""
+        return cls(trajectory=trajectory, duration_s=duration_s, **flight_preset(trajectory))
+
+
+class TofSettings(Settings):
+    """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
+
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. A pixel beside a depth edge
+    turns into a flying pixel, somewhere between the two depths, with ``flying_pixel_probability``; any pixel is lost
+    with ``dropout_probability``; in the intervals ``blind_s`` (from, to) nothing returns at all. ``mount_m`` and
+    ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor on the drone.
+    """
+
+    columns: Annotated[int, Field(ge=1, le=4096)] = 64
+    rows: Annotated[int, Field(ge=1, le=4096)] = 64
+    fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
+    fov_vertical_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
+    range_max_m: Positive = 4.0
+    sigma_floor_m: NotNegative = 0.04
+    sigma_relative: NotNegative = 0.0
+    flying_pixel_probability: Probability = 0.0
+    dropout_probability: Probability = 0.0
+    rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
+    blind_s: tuple[tuple[float, float], ...] = ()
+    mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
+    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def T_drone_sensor(self) -> Array:
+        """The mount of the sensor, ``(4, 4)``."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
+        T[:3, 3] = self.mount_m
+        return T
+
+    @classmethod
+    def preset(cls, sensor: str) -> "TofSettings":
+        """``report``: the simulated sensor of the report; ``starling2``: an upright Starling 2; or a TOML file."""
+        return cls(**sensor_preset(sensor).get("tof", {}))
+
+
+class NoiseSettings(Settings):
+    """Drift of the pose prior, added at every simulator step (125 Hz).
+
+    ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
+    of the constant step vector; ``yaw_random_walk_rad``: standard deviation of the heading step.
+    """
+
+    random_walk_m: NotNegative = 0.0
+    constant_drift_m: NotNegative = 0.0
+    yaw_random_walk_rad: NotNegative = 0.0
+
+    @classmethod
+    def parse(cls, text: str) -> "NoiseSettings":
+        """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
+
+        A name without a level takes the report's. ``constant-drift-per-axis`` reads the level as the step per axis, √3
+        more in all. ``none`` is no noise. Raises `SettingsError`.
+        """
+        if not isinstance(text, str):
+            raise SettingsError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
+        values: dict[str, Any] = {}
+        for part in [] if text == "none" else text.split("+"):
+            name, _, level = part.strip().partition(":")
+            if name not in REPORT_NOISE:
+                raise SettingsError(f"noise = {text!r}: unknown noise {name!r}; expected one of {quoted(REPORT_NOISE)}")
+            key, default, factor = REPORT_NOISE[name]
+            if key in values:
+                raise SettingsError(f"noise = {text!r}: {key} is given twice")
+            try:
+                values[key] = factor * (float(level) if level else default)
+            except ValueError:
+                raise SettingsError(f"noise = {text!r}: the level {level!r} is not a number") from None
+        return cls(**values)
+
+
+REPORT_NOISE = {
+    "random-walk": ("random_walk_m", 0.002, 1.0),
+    "constant-drift": ("constant_drift_m", 0.0001, 1.0),
+    "constant-drift-per-axis": ("constant_drift_m", 0.0001, math.sqrt(3)),
+    "yaw-random-walk": ("yaw_random_walk_rad", 0.0005, 1.0),
+}
+"""Name → setting, the report's level, and the factor from the level to the setting."""

@@ -1,0 +1,217 @@
+"""Frozen types that the modules hand to each other.
+
+Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N, 3)`` float64 in metres with NaN rows
+for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of the drone. ``stamp_s (N,)`` strictly rising, ``T_world_drone (N, 4, 4)``."""
+
+    stamp_s: Array
+    T_world_drone: Array
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    @property
+    def position(self) -> Array:
+        """Positions in the world frame, ``(N, 3)`` metres."""
+        return self.T_world_drone[:, :3, 3]
+
+    def at(self, stamp_s: Array) -> "Trajectory":
+        """The poses whose stamps equal ``stamp_s`` to a microsecond; raises ValueError if one is missing."""
+        index = np.clip(np.searchsorted(self.stamp_s, stamp_s - 1e-6), 0, len(self) - 1)
+        if not np.allclose(self.stamp_s[index], stamp_s, atol=1e-6):
+            raise ValueError("the trajectory has no pose at some of the stamps asked for")
+        return Trajectory(self.stamp_s[index], self.T_world_drone[index])
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Specific force ``(N, 3)`` in m/s² and angular rate ``(N, 3)`` in rad/s, drone frame, at ``stamp_s (N,)``."""
+
+    stamp_s: Array
+    specific_force: Array
+    angular_rate: Array
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One range image as points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame; invalid returns are NaN.
+
+    ``fault`` says why a scan of a recording has no points, such as "unreadable file"; it is empty for all others.
+    """
+
+    stamp_s: float
+    points: Array
+    fault: str = ""
+
+
+class RangeScans(Sequence[Scan]):
+    """Scans kept as range images: a quarter of the memory of the points, which are made when asked for.
+
+    ``stamp_s (K,)``; ``range_m (K, H, W)`` float32 along the ray, NaN for no return; ``ray (H, W, 3)`` unit vectors in
+    the sensor frame, whose x axis is the optical axis.
+    """
+
+    def __init__(self, stamp_s: Array, range_m: NDArray[np.float32], ray: Array) -> None:
+        self.stamp_s, self.range_m, self.ray = stamp_s, range_m, ray
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
+        if isinstance(index, slice):
+            return RangeScans(self.stamp_s[index], self.range_m[index], self.ray)
+        return Scan(float(self.stamp_s[index]), self.range_m[index][..., None] * self.ray)
+
+    def __iter__(self) -> Iterator[Scan]:
+        return (self[index] for index in range(len(self)))
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The input of every estimator, from a simulation, a bag or a folder of scans. It holds no truth.
+
+    ``scans``: K scans in the sensor frame, in memory or read one by one as they are iterated over; ``prior``: the
+    drifting poses of the drone at their stamps; ``T_drone_sensor (4, 4)``: the mount of the sensor; ``imu``: None where
+    there is none. ``name`` is for titles and file names; ``facts`` say where the parts of a recording come from;
+    ``skipped`` counts what was left out when it was opened, by reason.
+    """
+
+    scans: Sequence[Scan]
+    prior: Trajectory
+    T_drone_sensor: Array
+    imu: Imu | None = None
+    name: str = "flight"
+    facts: Mapping[str, str] = field(default_factory=dict)
+    skipped: Mapping[str, int] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.prior)
+
+    def first(self, count: int) -> "Flight":
+        """The flight up to its first ``count`` scans."""
+        prior = Trajectory(self.prior.stamp_s[:count], self.prior.T_world_drone[:count])
+        return replace(self, scans=self.scans[:count], prior=prior)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, ``count (M,)`` points each,
+    and ``label (N,)``, the line of each input point or −1."""
+
+    anchor: Array
+    direction: Array
+    count: IntArray
+    label: IntArray
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Line segments: ``start (M, 3)``, ``end (M, 3)``, ``count (M,)`` points each and ``radius (M,)``, the root mean
+    square distance of those points to the axis, in metres."""
+
+    start: Array
+    end: Array
+    count: IntArray
+    radius: Array
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+    @staticmethod
+    def empty() -> "Segments":
+        return Segments(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0))
+
+    @staticmethod
+    def joined(parts: "Iterable[Segments]") -> "Segments":
+        """All segments of at least one part, in order."""
+        columns = zip(*((part.start, part.end, part.count, part.radius) for part in parts), strict=True)
+        return Segments(*(np.concatenate(column) for column in columns))
+
+    @property
+    def length(self) -> Array:
+        """Lengths ``(M,)`` in metres."""
+        return np.linalg.norm(self.end - self.start, axis=1)
+
+    @property
+    def middle(self) -> Array:
+        """Midpoints ``(M, 3)``."""
+        return 0.5 * (self.start + self.end)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vectors from start to end ``(M, 3)``."""
+        return (self.end - self.start) / np.maximum(self.length, 1e-12)[:, None]
+
+    def transformed(self, T_target_source: Array) -> "Segments":
+        """The same segments in another frame."""
+        rotation, translation = T_target_source[:3, :3], T_target_source[:3, 3]
+        return Segments(
+            self.start @ rotation.T + translation, self.end @ rotation.T + translation, self.count, self.radius
+        )
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
+        """The segments that an index or a mask picks."""
+        return Segments(self.start[index], self.end[index], self.count[index], self.radius[index])
+
+
+@dataclass(frozen=True)
+class OdometryStep:
+    """Result of one scan.
+
+    ``T_world_drone (4, 4)`` is the corrected pose; ``used`` says whether the scan corrected it at all, and ``reason``
+    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took.
+    """
+
+    stamp_s: float
+    T_world_drone: Array
+    used: bool
+    reason: str
+    matches: int
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A corrected flight of K scans and the map built on the way.
+
+    ``prior`` and ``corrected`` are poses at the scans; ``points (N, 3)`` and ``segments`` are the map in the world
+    frame. Per scan: ``matches (K,)`` pairs; ``reason``, why it corrected nothing, empty where it did; ``seconds`` maps
+    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update.
+    """
+
+    prior: Trajectory
+    corrected: Trajectory
+    points: Array
+    segments: Segments
+    matches: IntArray
+    reason: tuple[str, ...]
+    seconds: Mapping[str, Array]
+    update_s: Array
+
+    @property
+    def period_s(self) -> Array:
+        """Time ``(K,)`` from each scan to the next, within which an update is on time; the last has the median."""
+        gaps = np.diff(self.prior.stamp_s)
+        return np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
+
+    @property
+    def on_time_share(self) -> float:
+        """Share of the updates, 0 to 1, done before the next scan."""
+        return float((self.update_s <= self.period_s).mean())
