@@ -8,8 +8,10 @@ LIBRARIES := libegl1 libgl1 libx11-6 libusb-1.0-0
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
+# `workflow` lies beside the package, not in it.
+export PYTHONPATH = .
 
-.PHONY: help setup reproduce study smoke test lint check gallery lab lock clean
+.PHONY: help setup reproduce study smoke test lint check docs lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -28,38 +30,44 @@ $(READY): environment.lock pyproject.toml
 	@cp scripts/jupyterlab/overrides.json $(VENV)/share/jupyter/lab/settings/
 	@touch $@
 
-reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/
-	@$(BIN)/steelnb reproduce
+# ONLY="id ...", BUDGET=smoke, OUT=folder, P="seed=3 tof.rate_hz=10": some notebooks, short, elsewhere, with parameters.
+reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/ (ONLY= BUDGET= OUT= P=)
+	@$(BIN)/python -m workflow reproduce $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)") $(if $(OUT),--output "$(OUT)") $(if $(P),-p "$(P)")
+
+smoke: $(READY)  ## the same with short flights, into results-smoke/
+	@$(BIN)/python -m workflow reproduce $(ONLY) --budget smoke
+
+check: $(READY)  ## run everything again in a scratch folder and compare with the committed results (ONLY= BUDGET=)
+	@$(BIN)/python -m workflow check $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)")
 
 study: $(READY)  ## run what is missing of notebooks/study.toml into results/study/ (half an hour on two cores)
 	@$(BIN)/steelnb study
 
-smoke: $(READY)  ## the same with short flights, into results-smoke/
-	@$(BIN)/steelnb reproduce --budget smoke
-
-test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget
-	@$(BIN)/python -m pytest
+test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget, on two workers
+	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration -m kernels -W ignore::RuntimeWarning
 
 lint: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/mypy
+	@$(BIN)/mypy && $(BIN)/mypy -p workflow
 	@$(BIN)/lint-imports
 
-check: $(READY)  ## run everything again in a scratch folder and compare with the committed results
-	@$(BIN)/steelnb check
-
-gallery: $(READY)  ## every notebook as executed, as pages to read offline: gallery/index.html
-	@$(BIN)/steelnb gallery
+docs: $(READY)  ## pages to read offline, with every notebook as executed: docs/_build/html/index.html (BUDGET=full: as published)
+	@$(BIN)/python -m workflow reproduce --budget "$(or $(BUDGET),smoke)"
+	@$(BIN)/python -m workflow pages --budget "$(or $(BUDGET),smoke)"
+	@$(BIN)/python -m sphinx -W --keep-going -q -j 2 docs docs/_build/html
 
 lab: $(READY)  ## open JupyterLab on the notebook to explore
 	@$(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
-lock:  ## write environment.lock anew from pyproject.toml (needs uv)
-	uv lock --quiet --upgrade --python $(PYTHON)
-	uv export --quiet --format requirements-txt --no-emit-project --no-header --no-annotate > environment.lock
-	rm uv.lock
+GROUPS := workflow docs dev build
+lock:  ## write environment.lock anew from pyproject.toml, versions kept where they fit (needs uv)
+	@mkdir -p .cache
+	grep -oE '^[A-Za-z0-9_.-]+==[^ ;]+' environment.lock > .cache/constraints.txt
+	uv pip compile pyproject.toml --all-extras $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
+	    --no-header --no-annotate --no-emit-package steelnb --quiet -c .cache/constraints.txt -o environment.lock
 
 clean:  ## remove the environment and every cache; results stay
-	rm -rf $(VENV) .cache results-smoke gallery .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .cache results-smoke docs/_build docs/notebooks docs/_static/plotly.min.js .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
