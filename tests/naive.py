@@ -97,6 +97,11 @@ def merged(points, pieces, distance, gap_max):
     return groups
 
 
+def full(upper):
+    """Upper triangles (N, 6), xx xy xz yy yz zz, as symmetric matrices (N, 3, 3)."""
+    return np.asarray(upper)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+
+
 def nearest_k(points, query, k):
     """(positions, distances) of the k nearest, nearest first."""
     distance = np.linalg.norm(points - query, axis=1)

@@ -4,18 +4,27 @@ import json
 import math
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import nbformat
+import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb import reproduce
-from steelnb.exports import read_structure
-from steelnb.project import find_root
-from steelnb.study import read_claims
+from steelnb.io.structures import read_structure
+from steelnb.report.claims import read_claims
+from workflow.__main__ import make_plans
+from workflow.task_notebooks import run
 
 ROOT = Path(__file__).parents[1]
+COLOURED_MIN = 0.001  # axes and text alone have none
 AXES = ("middle of points", "section fitted")
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def coloured(path: Path) -> float:
+    """Share of the pixels of a picture that are neither white nor grey: curves and points, not axes."""
+    pixels = plt.imread(path)[..., :3]
+    return float((np.ptp(pixels, axis=2) > 0.2).mean())
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -31,10 +40,12 @@ def test_a_notebook_is_parameters_calls_and_no_more(path):
         assert not any(line.lstrip().startswith(("def ", "class ")) for line in cell.source.splitlines())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def smoke(tmp_path_factory):
+    """The results of every notebook at its smoke budget, of those up to date from the cache."""
     folder = tmp_path_factory.mktemp("smoke")
-    reproduce.run([], "smoke", output=folder, root=find_root(ROOT))
+    report = run(make_plans(ROOT, None, "smoke", output=folder), ROOT / ".cache" / "workflow" / "smoke")
+    assert not report.failures, report.failures
     return folder
 
 
@@ -42,7 +53,7 @@ def test_the_notebook_to_explore_flies_and_corrects(smoke):
     table = pd.read_csv(smoke / "explore" / "table.csv")
     assert len(table) == 1
     assert (table["ate_rmse_m"] < 0.5 * table["raw_ate_rmse_m"]).all()
-    assert (smoke / "explore" / "fig_flight.png").stat().st_size > 50_000
+    assert coloured(smoke / "explore" / "fig_flight.png") > COLOURED_MIN
 
 
 def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
@@ -52,7 +63,7 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
     metrics = json.loads((smoke / "world-and-noise" / "metrics.json").read_text())
     assert metrics["vertical.members_seen"] >= 10
     for name in ("fig_3_1.png", "fig_drift.png"):
-        assert (smoke / "world-and-noise" / name).stat().st_size > 50_000
+        assert coloured(smoke / "world-and-noise" / name) > COLOURED_MIN
 
 
 def test_the_segmentation_notebook_corrects_the_drift(smoke):
@@ -107,7 +118,7 @@ def test_the_icp_notebook_measures_how_much_longer_gicp_takes(smoke):
     wide = frames.pivot_table(index=["trajectory", "noise", "sensor"], columns="method", values="median_ms")
     ratio = wide["gicp"] / wide["icp"]
     assert len(ratio) == 8
-    assert ratio.between(1, 50).all()
+    assert ratio.median() > 1.5, "distributions cost more than points"
 
 
 def test_the_comparison_notebook_measures_the_bend_of_each_cloud(smoke):
@@ -117,7 +128,7 @@ def test_the_comparison_notebook_measures_the_bend_of_each_cloud(smoke):
     for _, rows in table.groupby(["sensor", "method"]):
         assert len(rows) >= 4
         assert (rows["height_m"].diff().dropna() > 0).all()
-        assert (rows[["tilt_deg", "offset_m", "blur_m"]] >= 0).all(axis=None)
+        assert rows[["tilt_deg", "offset_m", "blur_m"]].notna().all(axis=None)
     metrics = json.loads((folder / "metrics.json").read_text())
     for sensor in ("report", "starling2"):
         assert metrics[f"{sensor}.best.bend_deg"] < 1
@@ -158,7 +169,7 @@ def test_the_yaw_notebook_flies_every_method_and_best_takes_the_turn_out(smoke):
     assert table.groupby(["trajectory", "sensor"]).ngroups == 4
     for sensor in ("report", "starling2"):
         for figure in ("5_1", "5_2", "errors"):
-            assert (folder / f"fig_{figure}_{sensor}.png").stat().st_size > 30_000
+            assert coloured(folder / f"fig_{figure}_{sensor}.png") > COLOURED_MIN
 
 
 def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
@@ -185,7 +196,7 @@ def test_the_segmentation_notebook_over_seeds_times_every_method_on_the_same_fra
     )
     recall = table.groupby("method")["recall"].mean()
     assert recall["hough"] > 0.8 > recall["dbscan"]
-    assert (folder / "fig_seeds.png").stat().st_size > 30_000
+    assert coloured(folder / "fig_seeds.png") > COLOURED_MIN
 
 
 def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):
@@ -204,7 +215,6 @@ def test_the_segmentation_methods_notebook_compares_them_on_every_scene(smoke):
     assert usual["offset_m"]["hough"] < 0.012
     timing = pd.read_csv(folder / "timing.csv")
     assert methods <= set(timing["method"])
-    assert (timing["median_ms"] > 0).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["dx_from_points.2_cm.recall_lost"] < metrics["dx_of_reference.2_cm.recall_lost"]
     names = {"fig_frame.png", "fig_sequence.png", "fig_tower.png", "fig_conditions.png", "fig_tuning.png"}
@@ -246,7 +256,7 @@ def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
         assert len(structure) == fixed["bars"]
         assert len(structure.joint) == fixed["joints"]
         for figure in ("3_4", "errors", "recall", "near_side"):
-            assert (folder / f"fig_{figure}_{trajectory}.png").stat().st_size > 30_000
+            assert coloured(folder / f"fig_{figure}_{trajectory}.png") > COLOURED_MIN
     committed = ROOT / "results" / "structure"
     # A short flight sees most bars from one side alone, which tells less of their sections than a whole one.
     for where, share, trajectories in ((folder, 0.75, ["vertical"]), (committed, 0.3, ["vertical", "orbit"])):
@@ -278,6 +288,6 @@ def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smok
     assert not any(name.endswith(("_ms", "_share")) for name in metrics)
     table = pd.read_csv(folder / "table.csv")
     assert table["recording"].tolist() == ["flight.bag"]
-    assert pd.read_csv(folder / "timing.csv")["stage"].tolist() == ["run", "play at 20 x"]
+    assert pd.read_csv(folder / "timing.csv")["stage"].tolist() == ["run"]
     for name in ("scan", "trajectories", "errors", "map"):
-        assert (folder / f"fig_{name}.png").stat().st_size > 30_000
+        assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
-from steelnb.worker import environment, kill_marked
+from workflow.execute import environment, kill_marked
 
 ROOT = Path(__file__).parents[2]
 FOR_PAGE_MS = 60_000

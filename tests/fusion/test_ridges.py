@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from steelnb.fusion.ridges import ridge_points
-from steelnb.mapping import VoxelMap
+from steelnb.points import VoxelMap
 
 VOXEL, RADIUS, SHARE, CONTRACT = 0.05, 0.17, 0.3, 0.09
 

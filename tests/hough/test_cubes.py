@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from numba import config
 
 from steelnb.hough.cubes import Cubes, sort_into_cubes, walk
 
+JIT = not config.DISABLE_JIT
 AHEAD = np.array([1.0, 2.0, -2.0]) / 3
 
 
@@ -19,13 +21,14 @@ def distances(points: np.ndarray, at: np.ndarray, along: np.ndarray, begin: floa
     return np.linalg.norm(points - at - t * along, axis=1)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("distance", [0.03, 0.2, 3.0])
 @pytest.mark.parametrize("along", [AHEAD, np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.6, 0.8])])
 def test_a_walk_finds_all_points_near_the_stretch_once(distance: float, along: np.ndarray) -> None:
     rng = np.random.default_rng(1)
-    points = np.array([300.0, 0, -7]) + rng.uniform(-1, 1, (4000, 3))
+    points = np.array([300.0, 0, -7]) + rng.uniform(-1, 1, (4000 if JIT else 100, 3))
     cubes = sort_into_cubes(points, distance)
-    for at in points[:20] + rng.normal(0, 0.05, (20, 3)):
+    for at in points[: 20 if JIT else 2] + rng.normal(0, 0.05, (20 if JIT else 2, 3)):
         for begin, end in ((0.0, 0.7), (-5.0, 5.0), (0.2, 0.2), (-1e9, 1e9)):
             found = walked(cubes, at, along, begin, end)
             assert len(found) == len(set(found.tolist()))
@@ -45,6 +48,7 @@ def test_a_walk_does_not_see_what_is_far_away() -> None:
     assert set(near.tolist()) <= set(among.tolist())
 
 
+@pytest.mark.kernels
 def test_no_points_and_all_at_one_place() -> None:
     assert len(walked(sort_into_cubes(np.zeros((0, 3)), 0.1), np.zeros(3), AHEAD, -1, 1)) == 0
     cubes = sort_into_cubes(np.ones((5, 3)), 1e-7)

@@ -2,9 +2,14 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from steelnb.datatypes import Segments, Trajectory
 from steelnb.metrics import position_error_m, score_segments, score_trajectory, seen_members
+from steelnb.simulation import build_tower
+from steelnb.simulation.truth import SLICE_M, SliceCounter, Visibility
+from steelnb.types import Segments, Trajectory
+from tests.fusion.made import random_bars, rigid, turned
 
 
 def line(n, offset=0.0):
@@ -27,6 +32,24 @@ def test_trajectory_errors_are_unaligned_and_at_the_stamps_of_the_estimate():
     assert score["error_final_m"] == pytest.approx(0.5)
     assert score["rpe_rmse_m"] == pytest.approx(10 * 0.01)  # ten scans of 0.4 s, 1 cm each
     np.testing.assert_allclose(position_error_m(estimate, truth), offset)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0, 2))
+def test_the_error_of_a_shifted_trajectory_is_the_shift_in_any_frame(seed, size):
+    rng, truth, T = np.random.default_rng(seed), line(30), rigid(seed)
+    shifted, shift = truth.T_world_drone.copy(), rng.normal(size=3)
+    shifted[:, :3, 3] += size * shift / np.linalg.norm(shift)
+    score = score_trajectory(Trajectory(truth.stamp_s, shifted), truth)
+    assert score.pop("rpe_rmse_m") == pytest.approx(0, abs=1e-9)
+    assert list(score.values()) == pytest.approx([size] * 4, abs=1e-9)
+    noisy = truth.T_world_drone.copy()
+    noisy[:, :3, 3] += rng.normal(size=(30, 3))
+    noisy = Trajectory(truth.stamp_s, noisy)
+    score = score_trajectory(noisy, truth)
+    assert score["error_mean_m"] < score["ate_rmse_m"] < score["error_max_m"]
+    moved = [Trajectory(each.stamp_s, T @ each.T_world_drone) for each in (noisy, truth)]
+    assert score_trajectory(*moved) == pytest.approx(score)
 
 
 def test_stamps_that_the_truth_does_not_have_are_refused():
@@ -61,20 +84,68 @@ def test_segment_scores_of_a_case_worked_by_hand():
     assert score_segments(found, AXES, observed=np.array([True, False, False])).recall == 1.0
 
 
-@pytest.mark.parametrize(("tilt_deg", "right"), [(4.5, True), (5.5, False)])
-def test_a_segment_tilted_too_far_is_wrong(tilt_deg, right):
-    half = 0.4 * math.tan(math.radians(tilt_deg))
-    assert score_segments(segments(([-half, 0, 1.6], [half, 0, 2.4])), AXES).right[0] == right
-
-
-@pytest.mark.parametrize(("beyond_m", "right"), [(0.8, True), (1.4, False)])
-def test_a_segment_must_lie_on_the_member_for_half_its_length(beyond_m, right):
-    assert score_segments(segments(([0, 0, 3], [0, 0, 4 + beyond_m])), AXES).right[0] == right
+@pytest.mark.parametrize(
+    ("tilt_deg", "low", "high", "right"),
+    [(4.5, 1.6, 2.4, True), (5.5, 1.6, 2.4, False), (0, 3, 4.8, True), (0, 3, 5.4, False)],
+)
+def test_a_segment_is_right_up_to_five_degrees_and_with_half_its_length_on_the_member(tilt_deg, low, high, right):
+    half = (high - low) / 2 * math.tan(math.radians(tilt_deg))
+    assert score_segments(segments(([-half, 0, low], [half, 0, high])), AXES).right[0] == right
 
 
 def test_of_two_members_side_by_side_the_nearer_is_meant():
     axes = np.array([([0, 0, 0], [0, 0, 2]), ([0.12, 0, 0], [0.12, 0, 2])], dtype=float)
     assert score_segments(segments(([0.08, 0, 0], [0.08, 0, 2])), axes).found.tolist() == [False, True]
+
+
+TOWER = build_tower()
+
+
+def on_axes(axes):
+    n = len(axes)
+    return Segments(axes[:, 0], axes[:, 1], np.full(n, 50), np.full(n, 0.01))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_true_members_score_perfectly_in_any_frame_and_sense(seed):
+    T = rigid(seed)
+    truth = on_axes(TOWER.axes).transformed(T)
+    score = score_segments(turned(truth, seed), np.stack([truth.start, truth.end], axis=1))
+    assert (score.recall, score.precision, score.duplicates) == (1.0, 1.0, 0)
+    assert score.offset_m.max() < 1e-6
+    assert score.angle_rad.max() < 1e-6
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0, 0.2))
+def test_shifted_members_are_right_up_to_ten_centimetres_and_have_their_shift_as_offset(seed, shift_m):
+    bars = random_bars(seed, 6, reach_m=30.0)  # too far apart to be taken for each other
+    axes = np.stack([bars.start, bars.end], axis=1)
+    aside = np.cross(bars.direction, np.random.default_rng(seed).normal(size=3))
+    aside *= shift_m / np.linalg.norm(aside, axis=1)[:, None]
+    score = score_segments(Segments(bars.start + aside, bars.end + aside, bars.count, bars.radius), axes)
+    assert score.recall == score.precision == float(shift_m <= 0.1)
+    np.testing.assert_allclose(score.offset_m, shift_m, atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_more_segments_never_lower_recall(seed):
+    rng = np.random.default_rng(seed)
+    axes = TOWER.axes[rng.choice(len(TOWER.axes), 30, replace=False)]
+    low = rng.uniform(0, 0.7, (60, 1))
+    each = np.repeat(axes, 2, axis=0)
+    run = each[:, 1] - each[:, 0]
+    start = each[:, 0] + low * run + rng.normal(scale=0.03, size=(60, 3))
+    segments = Segments(start, start + 0.4 * run, np.full(60, 50), np.full(60, 0.01))
+    order, observed = rng.permutation(60), rng.random(30) < 0.7
+    found = np.array([score_segments(segments.take(order[:n]), axes, observed).found for n in range(0, 61, 15)])
+    assert not found[0].any()
+    assert found[-1].any()
+    assert (found[1:] >= found[:-1]).all()
+    score = score_segments(segments, axes, observed)
+    assert score.recall == pytest.approx(found[-1][observed].mean())
 
 
 def test_an_empty_map_scores_nothing_found():
@@ -117,11 +188,40 @@ def test_the_axis_of_a_seen_member_runs_through_the_middle_of_its_surface():
     seen = seen_members(AXES, points, member)
     np.testing.assert_allclose(seen.axes[0], [[0.06, 0, 1], [0.06, 0, 3]], atol=1e-9)
     np.testing.assert_allclose(seen.axes[1:], AXES[1:])
-    assert seen.count.tolist() == [len(points) - 1, 1, 0]
-    np.testing.assert_allclose(seen.length_m, [2, 0, 0], atol=1e-9)
+    assert seen.visibility.returns.tolist() == [len(points) - 1, 1, 0]
+    # Slices from 1 m to 3 m, without those of the gap of 0.9 m.
+    assert seen.visibility.length_m[0] == pytest.approx(1.1, abs=0.11)
+    assert seen.visibility.length_m[1:].tolist() == [SLICE_M, 0]
     assert seen.observed().tolist() == [True, False, False]
-    assert seen.observed(count_min=1000).tolist() == [False, False, False]
+    thin = seen_members(AXES, points[::5], member[::5])  # 22 returns
+    assert thin.observed().tolist() == [False, False, False]
     # Parts of 1 cm; the 0.9 m without a point are hidden but for 5 cm at each side.
     assert seen.seen[0].sum() == pytest.approx(200 - 80, abs=2)
     assert not seen.seen[0, 60:130].any()
     assert not seen.seen[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("each", "slices", "observed"), [(9, 11, False), (10, 10, True), (100, 5, False), (17, 6, True)]
+)
+def test_observed_takes_both_100_returns_and_30_cm(each, slices, observed):
+    visibility = Visibility((np.full(slices, each), np.append(np.full(slices, each), np.zeros(40, int))))
+    assert visibility.observed().tolist() == [observed] * 2
+    assert visibility.observed(each * slices + 1).tolist() == [False] * 2
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_returns_are_counted_in_the_slices_of_their_members(seed):
+    rng = np.random.default_rng(seed)
+    bars = random_bars(seed, 5)
+    member, share = rng.integers(0, 5, 300), rng.random(300)
+    points = (bars.start + 0)[member] + share[:, None] * (bars.end - bars.start)[member]
+    counter = SliceCounter(np.stack([bars.start, bars.end], axis=1))
+    for some in np.array_split(np.arange(300), 4):  # scan by scan
+        counter.add(points[some], member[some])
+    for m, found in enumerate(counter.visibility().slices):
+        size = math.ceil(bars.length[m] / SLICE_M - 1e-9)
+        along = share[member == m] * bars.length[m]
+        expected = np.histogram(along, np.arange(size + 1) * SLICE_M)[0]
+        np.testing.assert_array_equal(found, expected)

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from steelnb.config import NoiseSettings
-from steelnb.datatypes import Trajectory
 from steelnb.noise import drifting, random_walk_rms_m
+from steelnb.settings import NoiseSettings
+from steelnb.types import Trajectory
 
 
 def still(seconds):
@@ -62,3 +64,20 @@ def test_drift_begins_at_zero_and_a_sum_contains_its_parts():
     np.testing.assert_array_equal(whole.T_world_drone[0], truth.T_world_drone[0])
     moved = [part.position - truth.position for part in parts]
     np.testing.assert_allclose(whole.position - truth.position, moved[0] + moved[1], atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.1, 10))
+def test_drift_is_that_of_its_seed_and_in_proportion_to_its_level(seed, level):
+    truth = still(2)
+    names = ("random_walk_m", "constant_drift_m", "yaw_random_walk_rad")
+    for name in names:
+        one, same, more, none = (
+            drifting(truth, NoiseSettings(**{name: 1e-4 * size}), seed) for size in (1.0, 1.0, level, 0.0)
+        )
+        np.testing.assert_array_equal(one.T_world_drone, same.T_world_drone)
+        np.testing.assert_array_equal(none.T_world_drone, truth.T_world_drone)
+        np.testing.assert_allclose(more.position - truth.position, level * (one.position - truth.position), atol=1e-12)
+        yaw, larger = (np.arctan2(each.T_world_drone[:, 1, 0], each.T_world_drone[:, 0, 0]) for each in (one, more))
+        np.testing.assert_allclose(larger, level * yaw, atol=1e-12)
+        assert np.abs(one.T_world_drone - truth.T_world_drone).max() > 1e-5

@@ -1,15 +1,15 @@
+import functools
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from steelnb import experiment
-from steelnb.config import CLOUD_METHODS, CloudSettings, ExperimentSettings, PreprocessSettings
-from steelnb.datatypes import Trajectory
-from steelnb.errors import SettingsError
-from steelnb.mapping import VoxelMap
 from steelnb.metrics import position_error_m, score_gaps
 from steelnb.odometry import CloudOdometry
-from steelnb.preprocess import preprocess_scan
+from steelnb.points import VoxelMap, preprocess_scan
+from steelnb.settings import METHODS, SEGMENT_METHODS, ExperimentSettings, OdometrySettings
+from steelnb.types import Trajectory
 
 NOISE = "constant-drift:0.0004+random-walk"
 
@@ -20,19 +20,26 @@ def world():
     return settings, *experiment.simulate(settings)
 
 
-def run(world, method, **changes):
-    settings, flight, truth = world
-    odometry = CloudOdometry(CloudSettings.preset(method).but(**changes), settings.preprocess, flight.T_drone_sensor)
-    steps = [odometry.update(s, T) for s, T in zip(flight.scans, flight.prior.T_world_drone, strict=True)]
-    corrected = Trajectory(flight.prior.stamp_s, np.array([step.T_world_drone for step in steps]))
-    return odometry, steps, position_error_m(corrected, truth.trajectory)
+@pytest.fixture(scope="module")
+def run(world):
+    """A method's odometry after the flight, its steps and its errors; the tests share the runs and change nothing."""
+    _, flight, truth = world
+
+    @functools.cache
+    def fly(method, **changes):
+        odometry = CloudOdometry(OdometrySettings.preset(method, overrides=changes), flight.T_drone_sensor)
+        steps = [odometry.update(s, T) for s, T in zip(flight.scans, flight.prior.T_world_drone, strict=True)]
+        corrected = Trajectory(flight.prior.stamp_s, np.array([step.T_world_drone for step in steps]))
+        return odometry, steps, position_error_m(corrected, truth.trajectory)
+
+    return fly
 
 
-@pytest.mark.parametrize("method", CLOUD_METHODS)
-def test_every_method_takes_most_of_the_drift_out(world, method):
+@pytest.mark.parametrize("method", [method for method in METHODS if method not in SEGMENT_METHODS])
+def test_every_method_takes_most_of_the_drift_out(world, run, method):
     _, flight, truth = world
     raw = position_error_m(flight.prior, truth.trajectory)
-    odometry, steps, error = run(world, method)
+    odometry, steps, error = run(method)
     assert raw[-1] > 0.5
     assert error[-1] < 0.3 * raw[-1]
     assert not steps[0].used
@@ -42,32 +49,29 @@ def test_every_method_takes_most_of_the_drift_out(world, method):
     assert len(odometry.map_segments()) == 0
 
 
-def test_best_is_within_two_centimetres_and_beats_the_report_s(world):
-    error = {method: run(world, method)[2].mean() for method in ("best", "gicp", "icp")}
+def test_best_is_within_two_centimetres_and_beats_the_report_s(run):
+    error = {method: run(method)[2].mean() for method in ("best", "gicp", "icp")}
     assert error["best"] < 0.02
     assert error["best"] < min(error["gicp"], error["icp"])
 
 
-def test_restricted_methods_leave_the_other_angles_alone(world):
+def test_restricted_methods_leave_the_other_angles_alone(world, run):
     _, flight, _ = world
-    for method in ("icp-3dof", "icp-3dof-dropped"):
-        _, steps, _ = run(world, method)
-        for step, T in zip(steps, flight.prior.T_world_drone, strict=True):
-            np.testing.assert_allclose(step.T_world_drone[:3, :3], T[:3, :3], atol=1e-9)
-    for method in ("icp-4dof", "best"):
-        _, steps, _ = run(world, method)
-        for step, T in zip(steps, flight.prior.T_world_drone, strict=True):
-            np.testing.assert_allclose(step.T_world_drone[2, :3], T[2, :3], atol=1e-9)  # roll and pitch
+    roll_and_pitch, all_three = np.s_[2, :3], np.s_[:3, :3]
+    kept = {"icp-3dof": all_three, "icp-3dof-dropped": all_three, "icp-4dof": roll_and_pitch, "best": roll_and_pitch}
+    for method, part in kept.items():
+        for step, T in zip(run(method)[1], flight.prior.T_world_drone, strict=True):
+            np.testing.assert_allclose(step.T_world_drone[part], T[part], atol=1e-9)
 
 
 @pytest.mark.parametrize(("method", "same"), [("icp-3dof", True), ("icp-3dof-dropped", False)])
-def test_only_the_original_s_fault_maps_scans_elsewhere_than_it_says_they_are(world, method, same):
+def test_only_the_original_s_fault_maps_scans_elsewhere_than_it_says_they_are(world, run, method, same):
     settings, flight, _ = world
-    odometry, steps, _ = run(world, method)
-    again = VoxelMap(odometry.settings.map_voxel_m, odometry.settings.remember)
+    odometry, steps, _ = run(method)
+    again = VoxelMap(odometry.clouds.map_voxel_m, odometry.clouds.accumulate)
     for scan, step, T in zip(flight.scans, steps, flight.prior.T_world_drone, strict=True):
         # The floor is cut at the pose before the correction: that of the step before, moved on by the prior.
-        points = preprocess_scan(scan, T, flight.T_drone_sensor, settings.preprocess.but(floor_m=0.6))
+        points = preprocess_scan(scan, T, flight.T_drone_sensor, settings.odometry.preprocess.replace(floor_m=0.6))
         again.insert(points @ step.T_world_drone[:3, :3].T + step.T_world_drone[:3, 3])
     high = [points[points[:, 2] > 1.5] for points in (odometry.map_points(), again.means())]
     apart = cKDTree(high[0]).query(high[1])[0]
@@ -75,8 +79,8 @@ def test_only_the_original_s_fault_maps_scans_elsewhere_than_it_says_they_are(wo
 
 
 def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_map(world):
-    settings, flight, _ = world
-    odometry = CloudOdometry(CloudSettings.preset("best"), settings.preprocess, flight.T_drone_sensor)
+    _, flight, _ = world
+    odometry = CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor)
     for k in range(5):
         odometry.update(flight.scans[k], flight.prior.T_world_drone[k])
     before, offset = len(odometry.map), odometry.prediction.offset.copy()
@@ -101,15 +105,16 @@ def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_m
     assert odometry.update(flight.scans[6], flight.prior.T_world_drone[6]).used
 
 
-def test_a_constant_drift_is_followed_by_its_rate(world):
+def test_a_constant_drift_is_followed_by_its_rate(world, run):
     # Without prediction every frame starts behind by the same and stops behind by a little, which the map adds up.
     _, flight, truth = world
-    odometry, _, error = run(world, "best")
-    behind = run(world, "best", accelerated=False, drift_gain=0.0)[2]
+    few = {"clouds.iterations_max": 3}
+    odometry, _, error = run("best", **few)
+    behind = run("best", **few, drift_gain=0.0)[2]
     drift = flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position
     rate = -(drift[-1] - drift[0]) / (len(drift) - 1)
     np.testing.assert_allclose(odometry.prediction.offset_rate, rate, atol=0.25 * np.linalg.norm(rate))
-    assert error[-10:].mean() < behind[-10:].mean()
+    assert error[-10:].mean() < 0.8 * behind[-10:].mean()
 
 
 def test_it_recovers_after_a_gap():
@@ -138,12 +143,6 @@ def test_gaps_are_left_out_of_the_error():
     assert score_gaps(Trajectory(truth.stamp_s, drifted), truth, [(2.0, 3.0)])["ate_outside_gaps_rmse_m"] > 0.1
 
 
-def test_the_defaults_are_best_with_the_report_s_crop():
-    odometry = CloudOdometry()
-    assert odometry.settings.method == "best"
-    assert odometry.preprocess == PreprocessSettings(x_max_m=4.0, y_max_m=4.0, z_max_m=4.0)
-
-
-def test_a_prior_that_is_no_pose_is_refused():
-    with pytest.raises(SettingsError, match="T_world_drone_prior"):
-        CloudOdometry().update(np.zeros((5, 3)), np.eye(3))
+def test_the_defaults_of_all_entrances_agree():
+    assert CloudOdometry().settings == OdometrySettings.preset("best", "starling2")
+    assert CloudOdometry().settings == ExperimentSettings.preset(method="best").odometry

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from steelnb.config import TofSettings
 from steelnb.odometry.near_side import SHARE_OF_WIDTH, NearSide, apparent_width
+from steelnb.settings import TofSettings
 from steelnb.simulation.tof import rays
 
 
@@ -67,9 +67,9 @@ def test_the_constants_are_those_of_an_angle_section():
 
 def test_the_shift_follows_the_width_and_needs_an_organised_scan():
     state = NearSide()
-    state.look(np.zeros((50, 3)))
+    state.update(np.zeros((50, 3)))
     assert state.shift_m == 0.0
-    state.look(strip(0.1, 20))
-    state.look(strip(0.2, 20))
+    state.update(strip(0.1, 20))
+    state.update(strip(0.2, 20))
     assert 0.1 < state.width_m < 0.2
     assert state.shift_m == SHARE_OF_WIDTH * state.width_m

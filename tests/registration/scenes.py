@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-def room(n, seed, noise_m=0.0):
+def corner(n, seed, noise_m=0.0):
     """Points of a corner of three walls with a ball and a bar in it, about 4 m wide: every direction is constrained."""
     rng = np.random.default_rng(seed)
     u, v = rng.uniform(0, 4, (2, n))

@@ -4,17 +4,18 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from steelnb.preprocess.covariances import full, neighbour_covariances
+from steelnb.points.covariances import neighbour_covariances
 from steelnb.registration import register
-from tests.registration.scenes import apart, motion, moved, room
+from tests import naive
+from tests.registration.scenes import apart, corner, motion, moved
 
 T_START = motion(2, 0.06, seed=4)
 TIGHT = {"rotation_epsilon_rad": 1e-6, "translation_epsilon_m": 1e-6}
 
 
 def scan_pair():
-    """Two samples of the room, 80 % in common, with noise, apart by a motion."""
-    here, there = room(3000, 1, 0.01), room(3000, 2, 0.01)
+    """Two samples of the corner, 80 % in common, with noise, apart by a motion."""
+    here, there = corner(3000, 1, 0.01), corner(3000, 2, 0.01)
     return here[here[:, 0] < 3.2], moved(there[there[:, 0] > 0.8], motion(3, 0.1))
 
 
@@ -58,8 +59,8 @@ def test_open3d_ends_at_the_same_pose(method):
 
 
 def test_open3d_has_the_same_covariances():
-    points = room(500, 1)
+    points = corner(500, 1)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(20))
     n = 20  # theirs divides by n, as ours
-    np.testing.assert_allclose(full(neighbour_covariances(points, n)), np.asarray(cloud.covariances), atol=1e-12)
+    np.testing.assert_allclose(naive.full(neighbour_covariances(points, n)), np.asarray(cloud.covariances), atol=1e-12)

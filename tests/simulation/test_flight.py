@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from steelnb.config import FlightSettings, TowerSettings
 from steelnb.errors import CollisionError
+from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
-from steelnb.simulation.paths import reference, waypoints
+from steelnb.simulation.paths import setpoints, waypoints
 from steelnb.simulation.tower import half_width
 
 TOWER = build_tower()
@@ -51,7 +51,7 @@ def test_the_imu_integrates_back_to_the_flight(name):
 
 
 def test_a_seed_changes_the_gusts_and_nothing_changes_without_them():
-    calm = FlightSettings.preset("vertical", 5.0).but(gust_sigma_m_s=0.0)
+    calm = FlightSettings.preset("vertical", 5.0).replace(gust_sigma_m_s=0.0)
     a, b = (fly(TOWER, calm, seed)[0].position for seed in (1, 2))
     np.testing.assert_array_equal(a, b)
     a, b, c = (fly(TOWER, FlightSettings.preset("vertical", 5.0), seed)[0].position for seed in (1, 2, 1))
@@ -61,14 +61,14 @@ def test_a_seed_changes_the_gusts_and_nothing_changes_without_them():
 
 @pytest.mark.parametrize("name", ["vertical", "orbit"])
 def test_touching_the_structure_is_an_error_with_time_and_place(name):
-    settings = FlightSettings.preset(name).but(standoff_m=-0.05)
+    settings = FlightSettings.preset(name).replace(standoff_m=-0.05)
     with pytest.raises(CollisionError, match=r"standoff_m = -0.05.* t = \d+\.\d\d s, at x = .* m"):
         fly(TOWER, settings, 1)
 
 
 def test_the_path_goes_through_its_waypoints_slowly():
     settings, tower = FlightSettings.preset("orbit"), TowerSettings()
-    position, velocity = reference(settings, tower, 25_000, 0.008)
+    position, velocity = setpoints(settings, tower, 25_000, 0.008)
     corner = waypoints(settings, tower)
     nearest = [np.linalg.norm(position - point, axis=1).min() for point in corner]
     assert max(nearest) < 0.3  # rounded corners

@@ -1,14 +1,20 @@
+import math
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.config import FlightSettings, TofSettings
-from steelnb.datatypes import Trajectory
+from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.tof import measure, rays
+from steelnb.simulation.tof import GROUND_M, RANGE_MIN_M, cast_rays, make_scene, measured_ranges, rays
+from steelnb.types import Trajectory
 
 TOWER = build_tower()
-EXACT = TofSettings.preset("report").but(sigma_floor_m=0.0)
+SCENE = make_scene(TOWER)
+EXACT = TofSettings.preset("report").replace(sigma_floor_m=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +30,7 @@ def distance_to_axes(points):
 
 
 def test_rays_are_a_pinhole_s_with_the_given_fields_of_view():
-    settings = TofSettings.preset("starling2")
-    ray = rays(settings)
+    ray = rays(TofSettings.preset("starling2"))
     assert ray.shape == (240, 180, 3)
     np.testing.assert_allclose(np.linalg.norm(ray, axis=2), 1)
     pixel = ray / ray[..., :1]
@@ -38,7 +43,7 @@ def test_rays_are_a_pinhole_s_with_the_given_fields_of_view():
 def test_exact_returns_lie_on_the_structure_or_the_ground(flight):
     T_drone_sensor = np.eye(4)
     T_drone_sensor[:3, 3] = [0.06, 0.02, -0.01]
-    scans, hits = scan_flight(TOWER, flight, T_drone_sensor, EXACT, 1)
+    scans, visibility = scan_flight(TOWER, flight, T_drone_sensor, EXACT, 1)
     poses = flight.at(scans.stamp_s).T_world_drone @ T_drone_sensor
     steel = 0
     for scan, T in zip(scans, poses, strict=True):
@@ -47,22 +52,69 @@ def test_exact_returns_lie_on_the_structure_or_the_ground(flight):
         points = points[np.abs(points[:, 2]) > 1e-3]
         steel += len(points)
         assert distance_to_axes(points).max() <= np.hypot(0.12, 0.12)
-    assert hits.sum() == pytest.approx(steel, rel=0.01)
+    assert visibility.returns.sum() == pytest.approx(steel, rel=0.01)
     assert len(scans) == 50
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.3, 20), st.floats(-math.pi, math.pi), st.floats(0.2, 1.5), st.floats(-0.5, 0.5))
+def test_ranges_to_the_ground_are_those_of_the_plane(height, yaw, pitch, roll):
+    """Beside the tower, looking down: range = height over the fall of the ray, and no return above the horizon."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    T[:3, 3] = [30, 0, height]
+    ray = rays(EXACT)
+    exact, member = cast_rays(SCENE, T[None], ray)
+    world = ray @ T[:3, :3].T
+    with np.errstate(divide="ignore"):
+        at = -height / world[..., 2:] * world + T[:3, 3]
+    ground = (world[..., 2] < -1e-3) & (np.abs(at[..., :2]).max(axis=-1) < GROUND_M - 0.1)
+    tower = member[0] >= 0
+    assert ground.any()
+    np.testing.assert_allclose(exact[0][ground & ~tower], (-height / world[..., 2])[ground & ~tower], rtol=1e-4)
+    assert np.isinf(exact[0][(world[..., 2] > 1e-3) & ~tower]).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_ray_hits_the_member_that_it_says(seed):
+    """Aimed at a point on a member from 2 m away: hit there, or before by another one."""
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(len(TOWER.members)))
+    begin, end = TOWER.axes[m]
+    flange = np.array(TOWER.members[m].flange_a) * TOWER.members[m].section_m[0]
+    target = begin + rng.uniform(0.05, 0.95) * (end - begin) + 0.5 * flange
+    aim = rng.normal(size=3) * [1, 1, 0.2]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.align_vectors(aim[None], [[1, 0, 0]])[0].as_matrix()
+    T[:3, 3] = target - 2.0 * aim / np.linalg.norm(aim)
+    exact, member = cast_rays(SCENE, T[None], np.array([[[1.0, 0, 0]]]))
+    at = T[:3, 3] + exact[0, 0, 0] * T[:3, 0]
+    if exact[0, 0, 0] < 2.0 - 0.15:
+        assert T[2, 3] < 0 or member[0, 0, 0] >= 0
+    else:
+        assert np.linalg.norm(at - target) < 0.15
+    if member[0, 0, 0] >= 0:
+        begin, end = TOWER.axes[member[0, 0, 0]]
+        axis = (end - begin) / np.linalg.norm(end - begin)
+        assert np.linalg.norm(np.cross(at - begin, axis)) < TOWER.members[member[0, 0, 0]].section_m[
+            0
+        ] * 1.01 * np.sqrt(2)
+
+
 def test_noise_has_the_sigma_of_its_settings(flight):
-    for settings in (TofSettings.preset("report"), TofSettings.preset("starling2")):
-        exact, _ = scan_flight(TOWER, flight, np.eye(4), settings.but(sigma_floor_m=0.0, sigma_relative=0.0), 1)
-        noisy, _ = scan_flight(TOWER, flight, np.eye(4), settings, 1)
+    flight = Trajectory(flight.stamp_s[:501], flight.T_world_drone[:501])
+    for sensor in (TofSettings.preset("report"), TofSettings.preset("starling2")):
+        exact, _ = scan_flight(TOWER, flight, np.eye(4), sensor.replace(sigma_floor_m=0.0, sigma_relative=0.0), 1)
+        noisy, _ = scan_flight(TOWER, flight, np.eye(4), sensor, 1)
         np.testing.assert_array_equal(np.isnan(exact.range_m), np.isnan(noisy.range_m))
-        sigma = np.maximum(settings.sigma_floor_m, settings.sigma_relative * exact.range_m)
+        sigma = np.maximum(sensor.sigma_floor_m, sensor.sigma_relative * exact.range_m)
         score = ((noisy.range_m - exact.range_m) / sigma)[np.isfinite(exact.range_m)]
         assert score.std() == pytest.approx(1, abs=0.02)
         assert abs(score.mean()) < 0.02
         limits = exact.range_m[np.isfinite(exact.range_m)]
-        assert limits.min() >= settings.range_min_m
-        assert limits.max() <= settings.range_max_m
+        assert limits.min() >= RANGE_MIN_M
+        assert limits.max() <= sensor.range_max_m
 
 
 def test_a_longer_flight_begins_with_the_scans_of_a_shorter_one(flight):
@@ -79,18 +131,18 @@ def test_flying_pixels_lie_between_two_surfaces_and_only_at_edges():
     exact = np.full((20, 20), 4.0)
     exact[:, 8:12] = 2.0
     exact[:3] = np.inf
-    settings = EXACT.but(flying_pixel_probability=1.0)
-    result = measure(exact, settings, rng.stream(1, "test"))
+    settings = EXACT.replace(flying_pixel_probability=1.0)
+    result = measured_ranges(exact, settings, rng.stream(1, "test"))
     edge = np.zeros(exact.shape, dtype=bool)
     edge[3:, 7:9] = edge[3:, 11:13] = True
     assert np.isnan(result[:3]).all()
     np.testing.assert_array_equal(result[3:][~edge[3:]], exact[3:][~edge[3:]])
     assert ((result[edge] > 2) & (result[edge] < 4)).mean() > 0.98
-    half = measure(exact, settings.but(flying_pixel_probability=0.5), rng.stream(1, "test"))
+    half = measured_ranges(exact, settings.replace(flying_pixel_probability=0.5), rng.stream(1, "test"))
     assert 0.3 < (half[edge] != exact[edge]).mean() < 0.7
 
 
 def test_dropouts_are_as_frequent_as_asked():
     exact = np.full((200, 200), 2.0)
-    result = measure(exact, EXACT.but(dropout_probability=0.3), rng.stream(1, "test"))
+    result = measured_ranges(exact, EXACT.replace(dropout_probability=0.3), rng.stream(1, "test"))
     assert np.isnan(result).mean() == pytest.approx(0.3, abs=0.01)

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.hough.peers import METHODS, segment_by_dbscan, segment_by_gmm, segment_by_hough, segment_by_ransac_lines
+from steelnb.settings import SegmentationSettings
+
+BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
+OPTIONS = {"gmm": {"components": [2, 3, 6], "sample": 900}}
+EXACT = [name for name in METHODS if name != "ransac-planes"]
+
+
+def cloud(bars=BARS, points=300, noise_m=0.01, clutter=0, seed=0):
+    rng = np.random.default_rng(seed)
+    pieces = [start + rng.uniform(size=(points, 1)) * (end - start) for start, end in bars]
+    result = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(points * len(bars), 3))
+    return np.concatenate([result, rng.uniform(-1, 2, (clutter, 3))])
+
+
+def ends(bars):
+    """Ends of bars (M, 2, 3), lower z (then x) first, bars by their first end."""
+    bars = np.array([sorted(bar, key=lambda p: (round(p[2], 1), p[0], p[1])) for bar in bars])
+    return bars[np.lexsort(bars[:, 0].T)]
+
+
+@pytest.mark.parametrize("method", EXACT)
+def test_bars_that_stand_apart_are_found_with_their_ends(method):
+    found = METHODS[method](cloud(), dx=0.05, **OPTIONS.get(method, {}))
+    assert len(found) == 3
+    np.testing.assert_allclose(ends(np.stack([found.start, found.end], axis=1)), ends(BARS), atol=0.03)
+    assert (found.count >= 290).all()
+    np.testing.assert_allclose(found.radius, 0.01 * np.sqrt(2), rtol=0.15)
+
+
+@pytest.mark.parametrize("method", ["hough", "ransac-lines"])
+def test_clutter_makes_no_bar(method):
+    found = METHODS[method](cloud(clutter=150), dx=0.05)
+    assert len(found) == 3
+    assert len(METHODS[method](np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
+
+
+def test_a_plane_gives_one_bar_of_the_many_in_it():
+    points = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
+    assert len(segment_by_hough(points, dx=0.05)) == 4
+    assert len(METHODS["ransac-planes"](points, dx=0.05)) <= 1
+    assert len(METHODS["ransac-planes"](cloud(BARS[:1]), dx=0.05)) == 1
+
+
+def test_bars_that_touch_are_one_cluster():
+    cross = np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float)
+    points = cloud(cross, points=1500)
+    assert len(segment_by_hough(points, dx=0.05)) == len(segment_by_ransac_lines(points, dx=0.05)) == 2
+    assert len(segment_by_dbscan(points, dx=0.05)) == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_seed_gives_the_same_bars_again(method):
+    points = cloud(clutter=100)
+    before = points.copy()
+    once, again = (METHODS[method](points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
+    for name in ("start", "end", "count", "radius"):
+        np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
+    np.testing.assert_array_equal(points, before)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("points", "options", "error", "says"),
+    [
+        (np.zeros((0, 3)), {}, EmptyCloudError, "0 points"),
+        (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, EmptyCloudError, "1 of 2"),
+        (np.zeros((1, 3)), {}, DegenerateCloudError, "1 point"),
+        (np.ones((40, 3)), {}, DegenerateCloudError, "identical"),
+        (np.zeros((5, 2)), {}, SettingsError, "shape"),
+        (cloud(), {"dx": 0.0}, SettingsError, "dx = 0"),
+        (cloud(), {"dx": -0.1}, SettingsError, "dx = -0.1"),
+        (cloud(), {"dx": float("nan")}, SettingsError, "dx = nan"),
+    ],
+)
+def test_bad_input_is_refused_with_its_value(method, points, options, error, says):
+    with pytest.raises(error, match=says):
+        METHODS[method](points, **options)
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "says"),
+    [
+        ("ransac-lines", {"trials": 0}, "trials = 0"),
+        ("ransac-lines", {"sample_m": 0.0}, "sample_m = 0"),
+        ("ransac-planes", {"planes_max": 0}, "planes_max = 0"),
+        ("dbscan", {"neighbours_min": 0}, "neighbours_min = 0"),
+        ("gmm", {"components": []}, "components"),
+        ("gmm", {"components": [0, 3]}, "components"),
+        ("gmm", {"sample": 1}, "sample = 1"),
+    ],
+)
+def test_bad_options_are_refused_with_their_value(method, options, says):
+    with pytest.raises(SettingsError, match=says):
+        METHODS[method](cloud(), **options)
+
+
+def test_the_criterion_picks_the_number_of_components():
+    points = cloud(noise_m=0.02)
+    picked = segment_by_gmm(points, components=[3, 40], sample=900)
+    np.testing.assert_array_equal(picked.start, segment_by_gmm(points, components=[3], sample=900).start)
+
+
+@pytest.mark.parametrize("method", EXACT)
+def test_settings_say_what_a_bar_is(method):
+    options = {"dx": 0.05, **OPTIONS.get(method, {})}
+    assert len(METHODS[method](cloud(), SegmentationSettings(length_min_m=1.45), **options)) == 2
+    assert len(METHODS[method](cloud(), SegmentationSettings(points_min=400), **options)) == 0

@@ -1,0 +1,145 @@
+"""Flights in memory, bags of any messages written by rosbags, and mutations of files."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.io.bag_files import TRANSFORMS, typestore
+from steelnb.io.bag_writer import Messages
+from steelnb.io.bags import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
+from steelnb.types import Array, Flight, Imu, Scan, Trajectory
+
+KINDS = ("a.bag", "a.mcap", "a.db3")
+STAMPS = np.round(0.2 * np.arange(5), 9)
+POINTS = np.arange(60, dtype=float).reshape(4, 5, 3) + 1
+
+
+def T_of(xyz=(0, 0, 0), rpy=(0, 0, 0)) -> Array:
+    T = np.eye(4)
+    T[:3, 3], T[:3, :3] = xyz, Rotation.from_euler("xyz", rpy).as_matrix()
+    return T
+
+
+def poses(count: int, step_s: float = 0.2, begin_s: float = 0.0, seed: int = 0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, 3] = rng.normal(size=(count, 3))
+    T[:, :3, :3] = Rotation.random(count, rng).as_matrix()
+    return Trajectory(np.round(begin_s + step_s * np.arange(count), 9), T)
+
+
+def made_up(count: int = 6, rows: int = 5, columns: int = 7, begin_s: float = 0.0) -> Flight:
+    """Organised scans of single precision with one NaN, random poses, a mount, and an IMU at 50 Hz."""
+    rng = np.random.default_rng(1)
+    prior = poses(count, begin_s=begin_s)
+    scans = []
+    for stamp in prior.stamp_s:
+        points = rng.normal(size=(rows, columns, 3)).astype(np.float32).astype(np.float64)
+        points[0, 0] = np.nan
+        scans.append(Scan(float(stamp), points))
+    time_s = np.round(np.arange(prior.stamp_s[0], prior.stamp_s[-1], 0.02), 9)
+    imu = Imu(time_s, rng.normal(size=(len(time_s), 3)), rng.normal(size=(len(time_s), 3)))
+    return Flight(scans, prior, T_of((0.06, -0.01, 0.02), (0.1, -0.2, 0.3)), imu, "made-up")
+
+
+class Bagged:
+    """A bag in the making; messages are received at their stamps unless rows say otherwise."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.make, self.rows = path, Messages(1 if path.suffix == ".bag" else 2), []
+
+    def clouds(self, topic="/points", stamps=STAMPS, frame="tof", points=POINTS) -> "Bagged":
+        for stamp in stamps:
+            message = self.make.cloud(ns(stamp), points)
+            message.header.frame_id = frame
+            self.rows.append((topic, CLOUD, float(stamp), message))
+        return self
+
+    def odometry(self, topic="/odom", trajectory=None, child="base_link", kind=ODOMETRY) -> "Bagged":
+        trajectory = trajectory or poses(len(STAMPS))
+        for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
+            message = self.make.odometry(ns(stamp), T[:3, 3], quaternion(T))
+            message.child_frame_id = child
+            if kind == POSE:
+                message = self.make.make(POSE, message.header, message.pose.pose)
+            elif kind == POSE_COVARIANCE:
+                message = self.make.make(POSE_COVARIANCE, message.header, message.pose)
+            elif kind == TRANSFORM:
+                message = self.make.transform(ns(stamp), "odom", child, T[:3, 3], quaternion(T)).transforms[0]
+            self.rows.append((topic, kind, float(stamp), message))
+        return self
+
+    def tf(self, parent, child, T, stamp=0.0, topic="/tf_static") -> "Bagged":
+        message = self.make.transform(ns(stamp), parent, child, T[:3, 3], quaternion(T))
+        self.rows.append((topic, TRANSFORMS[0], stamp, message))
+        return self
+
+    def images(self, topic, pixels, encoding, frame="camera_optical_frame", stamps=STAMPS) -> "Bagged":
+        raw = np.ascontiguousarray(pixels)
+        for stamp in stamps:
+            data, header = raw.reshape(-1).view(np.uint8), self.make.header(ns(stamp), frame)
+            step = raw.shape[1] * raw.itemsize
+            message = self.make.make(IMAGE, header, raw.shape[0], raw.shape[1], encoding, 0, step, data)
+            self.rows.append((topic, IMAGE, float(stamp), message))
+        return self
+
+    def camera(self, topic="/depth/camera_info", fx=2.0, distortion=0.0) -> "Bagged":
+        roi = self.make.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
+        K = np.array([fx, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1])
+        arrays = (np.full(5, distortion), K, np.eye(3).ravel(), np.zeros(12))
+        message = self.make.make(CAMERA, self.make.header(0, "c"), 2, 3, "plumb_bob", *arrays, 0, 0, roi)
+        self.rows.append((topic, CAMERA, 0.0, message))
+        return self
+
+    def write(self, in_order: bool = True, little_endian: bool = True) -> Path:
+        """Write by rosbags; `bytes` are written as they are, and unsorted rows are received 0.1 s apart."""
+        from rosbags import rosbag1, rosbag2
+
+        one = self.path.suffix == ".bag"
+        store = typestore(1 if one else 2)
+        folder = self.path.with_suffix(".rows") / "a"
+        if one:
+            writer: Any = rosbag1.Writer(self.path)
+        else:
+            folder.parent.mkdir()
+            plugin = "MCAP" if self.path.suffix == ".mcap" else "SQLITE3"
+            writer = rosbag2.Writer(folder, version=8, storage_plugin=rosbag2.StoragePlugin[plugin])
+        rows = sorted(self.rows, key=lambda row: row[2]) if in_order else self.rows
+        with writer:
+            topics: dict[tuple[str, str], Any] = {}
+            for k, (topic, kind, stamp, message) in enumerate(rows):
+                if (topic, kind) not in topics:
+                    topics[topic, kind] = writer.add_connection(topic, kind, typestore=store)
+                raw = message
+                if not isinstance(message, bytes):
+                    more = {} if one else {"little_endian": little_endian}
+                    raw = (store.serialize_ros1 if one else store.serialize_cdr)(message, kind, **more)
+                writer.write(topics[topic, kind], ns(stamp if in_order else 0.1 * k), raw)
+        if not one:
+            (folder / f"a{self.path.suffix}").rename(self.path)
+        return self.path
+
+
+def mutated(data: bytes, count: int, seed: int = 0) -> Iterator[bytes]:
+    """Cuts, and changes of up to 20 bytes, most of them in the first and the last 3,000."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        if k % 4 == 0:
+            yield data[: rng.integers(len(data))]
+            continue
+        noisy = np.frombuffer(data, np.uint8).copy()
+        ends = np.concatenate([rng.integers(0, 3000, 8), -rng.integers(1, 3000, 6), rng.integers(0, len(data), 6)])
+        where = ends[: rng.integers(1, 21)] % len(data)
+        noisy[where] = rng.integers(0, 256, len(where))
+        yield noisy.tobytes()
+
+
+def quaternion(T: Array) -> Array:
+    return Rotation.from_matrix(T[:3, :3]).as_quat()
+
+
+def ns(stamp_s: float) -> int:
+    return round(stamp_s * 1e9)

@@ -1,0 +1,121 @@
+"""JSON: an exact round trip, and an error for each way to be wrong."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steelnb.errors import (
+    FileContentError,
+    FileMissingError,
+    NonFiniteError,
+    SteelnbError,
+    StructureError,
+    UnitsError,
+    VersionError,
+)
+from steelnb.fusion.structure import Structure
+from steelnb.io.structures import read_structure, write_structure
+from tests.io.made import UTM, frame, shifted, tower
+
+
+def assert_same(a: Structure, b: Structure) -> None:
+    pairs = [(getattr(a.segments, n), getattr(b.segments, n)) for n in ("start", "end", "count", "radius")]
+    pairs += [(getattr(a, n), getattr(b, n)) for n in ("width_m", "sightings", "sigma_m", "joint", "tie")]
+    for mine, other in pairs:
+        np.testing.assert_array_equal(mine, other)  # NaN equals NaN here, and nothing is rounded
+        assert mine.dtype == other.dtype
+        assert mine.shape == other.shape
+    assert a.reason == b.reason
+
+
+@pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty("no “bar”")])
+def test_round_trip_is_exact(structure: Structure, tmp_path: Path) -> None:
+    (path,) = write_structure(structure, tmp_path / "a.json", about={"source": "made up"})
+    assert_same(read_structure(path), structure)
+
+
+def test_the_order_of_ties_is_kept(tmp_path: Path) -> None:
+    mixed = replace(frame(), tie=frame().tie[[3, 0, 5, 1, 4, 2]])
+    write_structure(mixed, tmp_path / "a.json")
+    assert_same(read_structure(tmp_path / "a.json"), mixed)
+
+
+def test_version_1_had_no_reason_and_is_still_read(tmp_path: Path) -> None:
+    path = changed(tmp_path, lambda c: (c.update(version=1), c.pop("reason")))
+    assert_same(read_structure(path), frame())
+
+
+def changed(tmp_path: Path, change) -> Path:
+    """The file of a small structure, after ``change`` was applied to its content."""
+    (path,) = write_structure(frame(), tmp_path / "changed.json")
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))  # which writes NaN as it is, as many programs do
+    return path
+
+
+CASES = {
+    "a later version": (lambda c: c.update(version=3), VersionError, "version = 3; expected 2"),
+    "a reason in version 1": (lambda c: c.update(version=1), VersionError, "version = 1; expected 2"),
+    "version in words": (lambda c: c.update(version="2"), VersionError, "version = '2'; expected 2"),
+    "no reason": (lambda c: c.pop("reason"), FileContentError, "reason: field required"),
+    "no version": (lambda c: c.pop("version"), VersionError, "version = None"),
+    "no units": (lambda c: c.pop("units"), UnitsError, "units = None"),
+    "feet": (lambda c: c.update(units={"length": "foot"}), UnitsError, "foot"),
+    "NaN": (lambda c: c["bars"][1]["start_m"].__setitem__(2, np.nan), NonFiniteError, "bars[1].start_m[2]"),
+    "infinite": (lambda c: c["joints"][0].update(position_m=[0, np.inf, 0]), NonFiniteError, "joints[0].position_m[1]"),
+    "two coordinates": (lambda c: c["bars"][0].update(end_m=[1, 2]), FileContentError, "bars[0].end_m"),
+    "null": (lambda c: c["bars"][0].update(end_m=[1, 2, None]), FileContentError, "bars[0].end_m[2]"),
+    "text": (lambda c: c["bars"][0].update(end_m=[1, 2, "3"]), FileContentError, "bars[0].end_m[2] = 3"),
+    "negative width": (lambda c: c["bars"][2].update(width_m=-1), FileContentError, "bars[2].width_m = -1"),
+    "no width": (lambda c: c["bars"][2].pop("width_m"), FileContentError, "bars[2].width_m: field required"),
+    "misspelt": (lambda c: c["bars"][2].update(widht_m=1), FileContentError, "bars[2].widht_m"),
+    "y up": (lambda c: c["frame"].update(up="y"), FileContentError, "frame.up = y"),
+    "no frame": (lambda c: c.pop("frame"), FileContentError, "frame"),
+    "no bars": (lambda c: c.pop("bars"), FileContentError, "bars: field required"),
+    "half a sighting": (lambda c: c["bars"][0].update(sightings=1.5), FileContentError, "bars[0].sightings"),
+    "tie to no bar": (lambda c: c["ties"].append({"joint": 0, "bar": 3}), StructureError, "joint 0 and bar 3"),
+    "tie to no joint": (lambda c: c["ties"].append({"joint": 9, "bar": 0}), StructureError, "joint 9 and bar 0"),
+    "negative tie": (lambda c: c["ties"].append({"joint": -1, "bar": 0}), FileContentError, "ties[6].joint = -1"),
+    "tied twice": (lambda c: c["ties"].append({"joint": 0, "bar": 0}), StructureError, "twice"),
+    "no length": (lambda c: c["bars"][0].update(end_m=[0, 0, 0]), StructureError, "bar 0 starts and ends"),
+    "another format": (lambda c: c.update(format="steelnb segments, version 1"), FileContentError, "format ="),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_content_is_refused(case: str, tmp_path: Path) -> None:
+    change, error, words = CASES[case]
+    path = changed(tmp_path, change)
+    with pytest.raises(error) as caught:
+        read_structure(path)
+    assert type(caught.value) is error
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"null", b"\xff\xfe", b"[" * 100_000, b'{"format": 1}'])
+def test_what_is_no_structure_is_refused(text: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_bytes(text)
+    with pytest.raises(FileContentError):
+        read_structure(path)
+
+
+def test_a_cut_file_is_refused(tmp_path: Path) -> None:
+    (path,) = write_structure(frame(), tmp_path / "a.json")
+    whole = path.read_bytes().rstrip()
+    for size in range(0, len(whole), 97):
+        path.write_bytes(whole[:size])
+        with pytest.raises(SteelnbError):
+            read_structure(path)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileMissingError, match="none"):
+        read_structure(tmp_path / "none.json")
+    with pytest.raises(FileMissingError):
+        read_structure(tmp_path)

@@ -1,0 +1,39 @@
+"""Made-up lattices and clouds of them."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+def lattice(height: float = 15.0, base: float = 6.0, top: float = 3.0, panels: int = 5) -> np.ndarray:
+    """Bars ``(M, 2, 3)`` of a square tower: four legs, rings, and X-bracing on each face."""
+    levels = np.linspace(0, height, panels + 1)
+    half = (base + (top - base) * levels / height) / 2
+    corner = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    joint = np.stack([np.column_stack([corner * h, np.full(4, z)]) for h, z in zip(half, levels, strict=True)])
+    bars = [(joint[0, j], joint[-1, j]) for j in range(4)]
+    for k in range(panels):
+        for j in range(4):
+            n = (j + 1) % 4
+            bars += [(joint[k, j], joint[k + 1, n]), (joint[k, n], joint[k + 1, j]), (joint[k + 1, j], joint[k + 1, n])]
+    return np.array(bars)
+
+
+def scanned(bars: np.ndarray, per_m: float, width: float, noise: float, seed: int = 0) -> np.ndarray:
+    """Points on bars as wide as ``width``, with Gaussian ``noise``, metres."""
+    rng = np.random.default_rng(seed)
+    points = []
+    for start, end in bars:
+        n = rng.poisson(per_m * np.linalg.norm(end - start))
+        points.append(start + rng.uniform(size=(n, 1)) * (end - start) + rng.uniform(-width / 2, width / 2, (n, 3)))
+    cloud = np.concatenate(points)
+    return cloud + rng.normal(scale=noise, size=cloud.shape)
+
+
+def thinned(points: np.ndarray, apart: float) -> np.ndarray:
+    """A subset of which no two points are nearer than ``apart``, as LiDAR surveys are delivered."""
+    tree, keep, gone = cKDTree(points), [], np.zeros(len(points), dtype=bool)
+    for i in range(len(points)):
+        if not gone[i]:
+            keep.append(i)
+            gone[tree.query_ball_point(points[i], apart)] = True
+    return points[keep]

@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steelnb.fusion import Structure
+from steelnb.metrics.reconstruction import Reference, reference, score_structure
+from steelnb.settings import TowerSettings
+from steelnb.simulation import build_tower
+from steelnb.simulation.truth import SLICE_M, Visibility
+from steelnb.types import Segments
+from tests.fusion.made import turned
+
+# A post of 4 m with joints at 0, 2 and 4 m, and a strut of 3 m from its middle.
+JOINTS = np.array([[0, 0, 0], [0, 0, 2], [0, 0, 4], [3, 0, 2]], dtype=float)
+AXES = JOINTS[[[0, 2], [1, 3]]]
+ALONG = ((0, 1, 2), (1, 3))
+
+
+def truth(observed=(True, True), joint_observed=(True, True, True, True)):
+    slices = tuple(np.ones(round(length / SLICE_M), dtype=bool) for length in (4, 3))
+    return Reference(AXES, JOINTS, ALONG, slices, np.array(observed), np.array(joint_observed))
+
+
+def made(axes=AXES, joint=JOINTS, tie=((0, 0), (1, 0), (2, 0), (1, 1), (3, 1))):
+    axes, n = np.asarray(axes, dtype=float), len(axes)
+    segments = Segments(axes[:, 0], axes[:, 1], np.full(n, 10), np.full(n, 0.01))
+    return Structure(segments, np.full(n, 0.07), np.full(n, 9), np.full(n, 0.01), joint, np.array(tie).reshape(-1, 2))
+
+
+def test_the_truth_is_perfect():
+    metrics = score_structure(made(), truth()).metrics
+    ones = ("recall", "precision", "joint_recall", "joint_precision", "edge_recall", "edge_precision")
+    assert [metrics[name] for name in ones] == [1.0] * 6
+    zeros = ("duplicates", "angle_p90_deg", "offset_p90_m", "end_p90_m", "joint_error_p90_m")
+    assert [metrics[name] for name in zeros] == pytest.approx([0.0] * 5, abs=1e-6)
+
+
+def test_offsets_ends_and_joint_errors_are_what_they_were_made():
+    moved = AXES + np.array([0, 0.03, 0])
+    moved[0, 1, 2] -= 0.2  # the post ends 20 cm short
+    metrics = score_structure(made(moved, JOINTS + np.array([0, 0, 0.04])), truth()).metrics
+    assert metrics["offset_median_m"] == pytest.approx(0.03)
+    assert metrics["end_median_m"] == pytest.approx(0.0, abs=1e-9)
+    assert metrics["end_p90_m"] == pytest.approx(np.percentile([0, 0.2, 0, 0], 90))
+    assert metrics["joint_error_median_m"] == pytest.approx(0.04)
+
+
+def test_angles_beyond_five_degrees_do_not_match():
+    for degrees, right in ((4.5, 1.0), (5.5, 0.5)):
+        tilted = AXES.copy()
+        tilted[1] = [1.5, 0, 2] + 1.5 * np.outer([-1, 1], [np.cos(np.radians(degrees)), 0, np.sin(np.radians(degrees))])
+        metrics = score_structure(made(tilted), truth()).metrics
+        assert metrics["precision"] == right
+        assert metrics["angle_p90_deg"] == pytest.approx(0.9 * degrees if right == 1.0 else 0.0, abs=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_score_does_not_depend_on_order_and_sense_of_bars_and_joints(seed):
+    rng = np.random.default_rng(seed)
+    structure = made(AXES + rng.normal(scale=0.02, size=AXES.shape), JOINTS + rng.normal(scale=0.02, size=(4, 3)))
+    bar, joint, s = rng.permutation(2), rng.permutation(4), turned(structure.segments, seed)
+    tie = np.stack([np.argsort(joint)[structure.tie[:, 0]], np.argsort(bar)[structure.tie[:, 1]]], axis=1)
+    other = made(np.stack([s.start[bar], s.end[bar]], axis=1), structure.joint[joint], tie)
+    score, expected = score_structure(other, truth()).metrics, score_structure(structure, truth()).metrics
+    assert score == pytest.approx(expected, abs=1e-9)
+    assert score["offset_p90_m"] > 0
+
+
+def test_duplicates_wrong_bars_and_pieces():
+    extra = np.concatenate([AXES, AXES[:1] + np.array([0.05, 0, 0]), [[[1, 1, 0], [1, 1, 3]]]])
+    metrics = score_structure(made(extra), truth()).metrics
+    assert (metrics["duplicates"], metrics["precision"], metrics["recall"]) == (1.0, 0.75, 1.0)
+    short = AXES.copy()
+    short[0, 1, 2] = 1.9  # less than half of the post
+    assert score_structure(made(short), truth()).found.tolist() == [False, True]
+
+
+def test_only_what_was_observed_counts():
+    only_post = made(AXES[:1], JOINTS[:3], [(0, 0), (1, 0), (2, 0)])
+    assert score_structure(only_post, truth()).metrics["recall"] == 0.5
+    metrics = score_structure(only_post, truth((True, False), (True, False, True, False))).metrics
+    assert (metrics["recall"], metrics["joint_recall"]) == (1.0, 1.0)
+
+
+def test_an_edge_past_a_joint_that_was_seen_is_wrong():
+    past = made(AXES[:1], JOINTS[[0, 2]], [(0, 0), (1, 0)])
+    metrics = score_structure(past, truth()).metrics
+    assert (metrics["edge_recall"], metrics["edge_precision"], metrics["joint_recall"]) == (0.0, 0.0, 0.5)
+    metrics = score_structure(past, truth(joint_observed=(True, False, True, False))).metrics
+    assert (metrics["edge_recall"], metrics["edge_precision"]) == (1.0, 1.0)
+
+
+def test_an_empty_structure_has_no_recall_and_no_precision():
+    metrics = score_structure(Structure.empty(), truth()).metrics
+    assert metrics["recall"] == metrics["joint_recall"] == metrics["edge_recall"] == 0.0
+    assert np.isnan(metrics["precision"])
+    assert np.isnan(metrics["offset_median_m"])
+
+
+def test_the_centroid_of_a_thin_angle_is_a_quarter_of_its_flange_from_either_face():
+    tower = build_tower(TowerSettings(leg_section_m=(0.1, 0.0001)))
+    seen = Visibility(tuple(np.full(int(length / SLICE_M) + 1, 9) for length in lengths(tower)))
+    heel, centroid = (reference(tower, seen, axis) for axis in ("heel", "centroid"))
+    leg = next(m for m, member in enumerate(tower.members) if member.kind == "leg")
+    apart = np.linalg.norm(centroid.axes[leg] - heel.axes[leg], axis=1)
+    assert apart == pytest.approx(np.full(2, 0.025 * np.sqrt(2)), rel=2e-3)
+    assert np.linalg.norm(centroid.joints - heel.joints, axis=1).max() < 0.1
+
+
+def lengths(tower):
+    return np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1)

@@ -1,0 +1,58 @@
+"""What every odometry refuses, in the same words as `register`: both use `steelnb.points.inputs`."""
+
+import numpy as np
+import pytest
+
+from steelnb.errors import SettingsError
+from steelnb.odometry import make_odometry
+from steelnb.settings import METHODS, OdometrySettings
+
+CLOUD = np.random.default_rng(0).uniform(0.5, 1.4, (400, 3))
+SHEARED, SCALED, REFLECTED, ROW = np.eye(4), np.eye(4), np.eye(4), np.eye(4)
+SHEARED[0, 1], SCALED[:3, :3], REFLECTED[0, 0], ROW[3, 0] = 0.1, 1.01 * np.eye(3), -1.0, 0.5
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("scan", "says"),
+    [
+        (np.ones((5, 4)), r"\(5, 4\)"),
+        (CLOUD.T, r"\(3, 400\)"),
+        (CLOUD[:, :2], r"\(400, 2\)"),
+        (CLOUD.ravel(), r"\(1200,\)"),
+        (CLOUD.reshape(1, 20, 20, 3), r"\(1, 20, 20, 3\)"),
+        (CLOUD.astype(str), "real numbers"),
+        (CLOUD + 1j, "real numbers"),
+        ([[1, 2, 3], [4, 5]], "real numbers"),
+    ],
+)
+def test_arrays_of_another_shape_are_refused(method, scan, says):
+    with pytest.raises(SettingsError, match=says):
+        make_odometry(OdometrySettings.preset(method), np.eye(4)).update(scan, np.eye(4))
+
+
+@pytest.mark.parametrize("method", ["average", "best", "combined"])
+@pytest.mark.parametrize(
+    ("prior", "says"),
+    [
+        (np.eye(3), r"\(3, 3\)"), (np.full((4, 4), np.nan), "not finite"), (SHEARED, "right"), (SCALED, "1.01"),
+        (REFLECTED, "reflection"), (ROW, "last row"), ("pose", r"expected a finite \(4, 4\)"),
+    ],
+)  # fmt: skip
+def test_a_prior_that_is_not_rigid_is_refused(method, prior, says):
+    with pytest.raises(SettingsError, match=f"T_world_drone_prior.*{says}"):
+        make_odometry(OdometrySettings.preset(method), np.eye(4)).update(CLOUD, prior)
+
+
+@pytest.mark.parametrize("method", ["average", "best", "combined"])
+def test_masked_points_do_not_count(method):
+    hidden = np.ma.masked_array(CLOUD, np.ones(CLOUD.shape, dtype=bool))
+    odometry = make_odometry(OdometrySettings.preset(method), np.eye(4))
+    assert not odometry.update(hidden, np.eye(4)).used
+    assert len(odometry.map_points()) == 0
+
+
+@pytest.mark.parametrize("method", ["average", "best", "combined"])
+def test_a_scan_in_millimetres_is_not_cropped_away_without_a_word(method):
+    step = make_odometry(OdometrySettings.preset(method), np.eye(4)).update(1000 * CLOUD, np.eye(4))
+    assert "no point within 6 m (nearest" in step.reason

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from steelnb.points.covariances import neighbour_covariances, normals, regularised
+from steelnb.points.kdtree import build_kdtree
+from tests import naive
+
+RNG = np.random.default_rng(1)
+CLOUDS = {
+    "uniform": RNG.uniform(-1, 1, (150, 3)),
+    "plane": np.column_stack([RNG.uniform(-1, 1, (120, 2)), np.zeros(120)]),
+    "line": np.outer(RNG.uniform(size=90), [1.0, 2, -1]),
+    "clusters": np.vstack([RNG.normal(size=(70, 3)) * 1e-3, RNG.normal(size=(60, 3)) + 20]),
+    "few": RNG.normal(size=(7, 3)),
+    "one": np.array([[1.0, 2, 3]]),
+    "far": RNG.uniform(-1, 1, (120, 3)) + np.array([4e5, 5e6, 100]),
+}
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("k", [4, 20])
+@pytest.mark.parametrize("name", CLOUDS)
+def test_covariances_are_their_slow_twin(name, k):
+    points = CLOUDS[name]
+    result = neighbour_covariances(points, k)
+    expected = naive.covariances(points, min(k, len(points)))
+    np.testing.assert_allclose(naive.full(result), expected, atol=1e-10 * max(expected.max(), 1e-6))
+
+
+def test_covariances_come_in_the_order_of_the_tree_where_its_points_are_given():
+    points = CLOUDS["uniform"]
+    tree = build_kdtree(points)
+    in_order = neighbour_covariances(points, 10)
+    np.testing.assert_array_equal(neighbour_covariances(points, 10, tree), in_order)
+    np.testing.assert_array_equal(neighbour_covariances(tree.point, 10, tree), in_order[tree.order])
+    assert (tree.order != np.arange(len(points))).any()
+
+
+@pytest.mark.parametrize("k", [5, 7, 20, 30])
+def test_ties_and_duplicates_are_taken_as_they_come(k):
+    # A grid: many points are equally far. The trace is Σd²/k − |mean|², whatever the choice among equals.
+    grid = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)
+    middle = np.flatnonzero((grid == 3).all(axis=1))[0]
+    result = naive.full(neighbour_covariances(grid, k))
+    _, distance = naive.nearest_k(grid, grid[middle], k)
+    trace = np.trace(result[middle])
+    assert (distance**2).mean() - 1.0 <= trace <= (distance**2).mean() + 1e-12
+    np.testing.assert_allclose(neighbour_covariances(np.ones((50, 3)), k), 0)
+    half = np.repeat([[0.0, 0, 0], [1, 0, 0]], 30, axis=0)
+    np.testing.assert_allclose(neighbour_covariances(half, min(k, 30)), 0, atol=1e-15)
+
+
+def test_no_points_have_no_covariances():
+    assert neighbour_covariances(np.zeros((0, 3))).shape == (0, 6)
+    assert regularised(np.zeros((0, 6))).shape == (0, 6)
+    assert normals(np.zeros((0, 6))).shape == (0, 3)
+
+
+def test_normals_and_regularised_covariances_have_the_axes_of_the_spread():
+    spread = neighbour_covariances(CLOUDS["uniform"], 8)
+    value, vector = np.linalg.eigh(naive.full(spread))
+    assert (np.diff(value, axis=1) > 1e-6).all()
+    np.testing.assert_allclose(np.abs((normals(spread) * vector[:, :, 0]).sum(axis=1)), 1, atol=1e-9)
+    for thickness in (1e-3, 0.5):
+        expected = (vector * [thickness, 1, 1]) @ vector.transpose(0, 2, 1)
+        np.testing.assert_allclose(naive.full(regularised(spread, thickness)), expected, atol=1e-8)

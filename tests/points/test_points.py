@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb.points import preprocess_scan, voxel_grid
+from steelnb.points.preprocess import crop
+from steelnb.settings import PreprocessSettings
+from steelnb.types import Scan
+from tests import naive
+
+BOX = np.zeros(3), np.ones(3), np.array([0.0, 0.0, 1.0])
+
+
+@pytest.mark.kernels
+def test_crop_includes_the_bounds_of_the_box_and_the_floor_and_drops_every_kind_of_invalid_return():
+    invalid = 0.5 * np.ones((3, 3)) + np.diag([np.nan, np.inf, -np.inf])
+    points = np.array([[0, 0, 0], [1, 1, 1], [1, 1, 1.0001], [-0.0001, 0, 0], [1, 1, 0.5], *invalid])
+    np.testing.assert_array_equal(crop(points, np.eye(4), *BOX, 0.0, 0.0), points[[0, 1, 4]])
+    np.testing.assert_array_equal(crop(points, np.eye(4), *BOX, 0.25, 0.75), points[[1, 4]])
+
+
+@pytest.mark.kernels
+def test_crop_measures_in_the_frames_that_it_is_given():
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-2, 2, (500, 3))
+    T_drone_sensor, T_world_drone = np.eye(4), np.eye(4)
+    T_drone_sensor[:3, :3], T_world_drone[:3, :3] = Rotation.random(2, random_state=6).as_matrix()
+    T_drone_sensor[:3, 3], T_world_drone[:3, 3] = rng.normal(size=(2, 3))
+    drone = points @ T_drone_sensor[:3, :3].T + T_drone_sensor[:3, 3]
+    world = drone @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
+    expected = drone[(np.abs(drone) <= 1).all(axis=1) & (world[:, 2] >= 0.2)]
+    kept = crop(points, T_drone_sensor, -np.ones(3), np.ones(3), T_world_drone[2, :3].copy(), T_world_drone[2, 3], 0.2)
+    assert 10 < len(expected) < 400
+    np.testing.assert_allclose(kept, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("leaf_m", [0.05, 0.3, 10.0])
+def test_voxel_grid_is_its_slow_twin(leaf_m):
+    points = np.random.default_rng(3).uniform(-1, 1, (400, 3))
+    np.testing.assert_allclose(voxel_grid(points, leaf_m), naive.voxel_grid(points, leaf_m), atol=1e-12)
+
+
+def test_voxel_grid_keeps_far_points_apart_where_the_cubes_cannot_be_counted():
+    points = np.array([[0, 0, 0], [1e-7, 0, 0], [1e6, 1e6, 1e6], [-1e6, 1e6, -1e6]])
+    result = voxel_grid(points, 1e-6)
+    np.testing.assert_allclose(result, naive.voxel_grid(points, 1e-6))
+    assert len(result) == 3
+
+
+def test_voxel_grid_does_not_depend_on_the_order_of_points():
+    points = np.random.default_rng(4).normal(size=(500, 3))
+    np.testing.assert_allclose(voxel_grid(points, 0.4), voxel_grid(points[::-1], 0.4), atol=1e-12)
+
+
+@pytest.mark.parametrize("leaf_m", [0.0, -1.0, np.nan])
+def test_voxel_grid_refuses_a_leaf_that_is_none(leaf_m):
+    with pytest.raises(ValueError, match="leaf_m"):
+        voxel_grid(np.zeros((2, 3)), leaf_m)
+
+
+def test_preprocess_scan_crops_in_the_drone_frame_and_cuts_the_floor_in_the_world():
+    # The drone looks along world y, 1 m above the ground; its sensor sits 0.1 m further forward.
+    T_world_drone = np.array([[0, -1, 0, 5], [1, 0, 0, 5], [0, 0, 1, 1.0], [0, 0, 0, 1]])
+    T_drone_sensor = np.eye(4)
+    T_drone_sensor[0, 3] = 0.1
+    points = np.array([[1, 0, 0], [1, 0, -0.8], [1.45, 0, 0], [1, 1.6, 0], [np.nan, 0, 0], [-0.2, 0, 0]])
+    result = preprocess_scan(Scan(0.0, points), T_world_drone, T_drone_sensor, PreprocessSettings(crop_m=1.5))
+    np.testing.assert_allclose(result, [[1.1, 0, 0]])

@@ -1,0 +1,159 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steelnb.errors import SettingsError
+from steelnb.points import VoxelMap, voxel_grid
+from steelnb.points import voxel_kernels as kernels
+from tests import naive
+
+VOXEL = 0.25
+
+
+def frames(count=5, n=400):
+    """Scans of a wavy surface around the origin, so that negative coordinates are among them."""
+    rng = np.random.default_rng(7)
+    for k in range(count):
+        x, y = rng.uniform(-2, 2, (2, n)) + 0.3 * k
+        yield np.stack([x, y, 0.3 * np.sin(3 * x) + 0.02 * rng.normal(size=n)], axis=1)
+
+
+def by_cube(points):
+    return points[np.lexsort(np.floor(points / VOXEL).T[::-1])]
+
+
+@pytest.mark.kernels
+@settings(max_examples=12, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    voxel_m=st.sampled_from([0.1, 0.25, 1.0]),
+    count=st.integers(1, 4),
+    n=st.integers(1, 60),
+)
+def test_moments_and_shapes_are_their_slow_twin_after_every_frame(seed, voxel_m, count, n):
+    voxels, points, weights = VoxelMap(voxel_m), np.zeros((0, 3)), np.zeros(0)
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        frame, weight = rng.normal(size=(n, 3)) * [1, 0.5, 0.1], rng.uniform(0.5, 2, n)
+        voxels.update_shapes(voxels.insert(frame, weight))
+        points, weights = np.vstack([points, frame]), np.append(weights, weight)
+        expected = naive.voxel_moments(points, weights, voxel_m)
+        means, mass, shapes = voxels.means(), voxels.weights(), naive.full(voxels.shapes())
+        assert len(voxels) == len(expected) == len(means)
+        for slot, cube in enumerate(map(tuple, np.floor(means / voxel_m).astype(int))):
+            weight_, mean, covariance = expected[cube]
+            assert mass[slot] == pytest.approx(weight_)
+            np.testing.assert_allclose(means[slot], mean, atol=1e-12)
+            np.testing.assert_allclose(shapes[slot], covariance, atol=1e-12)
+
+
+def test_insert_tells_which_voxels_it_touched_and_slots_stay():
+    voxels = VoxelMap(VOXEL)
+    first, second = list(frames(2))
+    voxels.insert(first)
+    before = voxels.means()
+    touched = voxels.insert(second)
+    cubes = {tuple(c) for c in np.floor(second / VOXEL).astype(int)}
+    assert len(touched) == len(set(touched)) == len(cubes)
+    assert {tuple(c) for c in np.floor(voxels.means(touched) / VOXEL).astype(int)} == cubes
+    untouched = np.setdiff1d(np.arange(len(before)), touched)
+    assert len(untouched) > 10
+    np.testing.assert_array_equal(voxels.means(untouched), before[untouched])
+
+
+def test_without_accumulation_the_map_is_the_reports_filter_over_old_means_and_new_points():
+    voxels, cloud = VoxelMap(VOXEL, accumulate=False), np.zeros((0, 3))
+    for frame in frames():
+        voxels.insert(frame)
+        cloud = voxel_grid(np.vstack([cloud, frame]), VOXEL)  # PC0 ← voxel grid of PC0 + PC1
+        np.testing.assert_allclose(by_cube(voxels.means()), by_cube(cloud), atol=1e-9)
+    accumulated = VoxelMap(VOXEL)
+    for frame in frames():
+        accumulated.insert(frame)
+    assert np.abs(by_cube(accumulated.means()) - by_cube(cloud)).max() > 0.01
+
+
+@pytest.mark.parametrize("accumulate", [True, False])
+def test_growing_past_every_capacity_changes_nothing(accumulate):
+    # 60,000 voxels in many insertions, past the first sizes of arrays and table, against one insertion of all.
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-5, 5, (70_000, 3))
+    grown, whole = VoxelMap(0.2, accumulate), VoxelMap(0.2, accumulate)
+    whole.update_shapes(whole.insert(points))
+    for part in np.array_split(points, 40):
+        grown.update_shapes(grown.insert(part))
+    assert len(grown) == len(whole) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
+    if accumulate:
+        np.testing.assert_allclose(grown.means(), whole.means(), atol=1e-12)
+        np.testing.assert_allclose(grown.shapes(), whole.shapes(), atol=1e-12)
+    assert sum(array.nbytes for array in vars(grown).values() if isinstance(array, np.ndarray)) < 100e6
+
+
+def test_near_finds_the_voxels_that_reach_into_a_cube():
+    voxels = VoxelMap(VOXEL)
+    for frame in frames():
+        voxels.insert(frame)
+    corner = np.floor(voxels.means() / VOXEL) * VOXEL
+    for centre, radius in [((0, 0, 0), 0.6), ((-1.1, 0.4, 0.1), 0.33), ((0.5, 0.5, 0.2), 1e9), ((30, 0, 0), 1.0)]:
+        reaches = ((corner <= np.add(centre, radius)) & (corner + VOXEL > np.subtract(centre, radius))).all(axis=1)
+        np.testing.assert_array_equal(np.sort(voxels.near(np.array(centre), radius)), np.flatnonzero(reaches))
+    assert len(voxels.near(np.array([0, 0, 0.0]), 0.6)) > 10
+
+
+def test_points_on_faces_and_at_negative_coordinates_fall_into_the_voxel_above():
+    voxels = VoxelMap(0.5)
+    voxels.insert(np.array([[0.0, 0, 0], [-0.5, 0, 0], [-1e-9, 0, 0], [0.5, 0, 0], [-0.75, 0, 0]]))
+    assert len(voxels) == 4
+    np.testing.assert_allclose(np.sort(voxels.means()[:, 0]), [-0.75, -0.25, 0.0, 0.5], atol=1e-8)
+
+
+def test_far_points_keep_their_precision():
+    offset = np.array([9e4, -8e4, 1e3])
+    near, far = VoxelMap(0.1), VoxelMap(0.1)
+    points = next(frames(1)) + 0.05
+    near.update_shapes(near.insert(points))
+    far.update_shapes(far.insert(points + offset))
+    np.testing.assert_allclose(by_cube(far.means() - offset), by_cube(near.means()), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("points", "weight"),
+    [
+        (np.full((2, 3), np.nan), None),
+        (np.array([[np.inf, 0, 0]]), None),
+        (np.array([[1e6, 0, 0]]), None),
+        (np.zeros((2, 3)), np.array([1.0, 0.0])),
+        (np.zeros((2, 3)), np.array([1.0, np.nan])),
+        (np.zeros((2, 3)), np.ones(3)),
+    ],
+)
+def test_points_and_weights_that_cannot_be_kept_leave_the_map_as_it_was(points, weight):
+    voxels = VoxelMap(0.1)
+    voxels.insert(next(frames(1)))
+    before = voxels.means()
+    with pytest.raises(SettingsError):
+        voxels.insert(points, weight)
+    np.testing.assert_array_equal(voxels.means(), before)
+
+
+@pytest.mark.parametrize("voxel_m", [0.0, -1.0, np.nan, np.inf])
+def test_a_voxel_without_size_is_refused(voxel_m):
+    with pytest.raises(SettingsError, match="voxel_m"):
+        VoxelMap(voxel_m)
+
+
+def test_an_empty_scan_changes_nothing():
+    voxels = VoxelMap(0.1)
+    assert len(voxels.insert(np.zeros((0, 3)))) == 0
+    voxels.update_shapes(np.zeros(0, dtype=np.int64))
+    assert len(voxels) == 0
+    assert voxels.means().shape == (0, 3)
+
+
+@pytest.mark.parametrize("step", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (512, 0, 0), (0, 512, 0), (0, 0, 512), (1, 1, 1)])
+def test_voxels_in_a_row_spread_over_the_table(step):
+    # A tower beside the next, and the next: their voxels differ in one index only.
+    keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
+    places = {kernels._place(key, (1 << 12) - 1) for key in keys}
+    assert len(places) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # as many as at random, and a tenth less

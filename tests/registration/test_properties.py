@@ -1,0 +1,155 @@
+"""Properties of `register`: of every error, degree of freedom, kind of target and robust kernel, on random scenes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from steelnb.points import VoxelMap
+from steelnb.registration import make_target, register, voxel_target
+from tests.registration.scenes import apart, corner, motion, moved
+
+METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp", "vgicp": "gicp"}
+REASONS = {"converged", "iterations exhausted", "too few pairs", "singular"}
+SEEDS = st.integers(0, 10_000)
+
+
+def as_target(points, kind, method):
+    if kind == "cloud":
+        return points
+    if kind == "prepared" and method != "vgicp":
+        return make_target(points, METHODS[method])
+    voxels = VoxelMap(0.1)
+    voxels.update_shapes(voxels.insert(points))
+    return voxels if kind == "map" else voxel_target(voxels)
+
+
+def rigid(seed, shift_m):
+    """A random rigid motion: any rotation, and a shift of that size."""
+    T = motion(0, shift_m, seed=seed)
+    T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+    return T
+
+
+@pytest.mark.parametrize("dof", ["xyz", "xyz_yaw", "se3"])
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=4, deadline=None)
+@given(kind=st.sampled_from(["cloud", "prepared", "map"]), seed=SEEDS)
+def test_the_pose_is_found_forward_inverse_and_from_perturbed_starts(method, dof, kind, seed):
+    here, T_true = corner(3000, seed), motion(3, 0.08, dof, seed)
+    there = moved(here, T_true)
+    # The very same points are found to the solver's tolerance; means of voxels are other points than the source's.
+    shift_m, turn_deg = (1e-3, 0.02) if kind != "map" and method != "vgicp" else (0.012, 0.2)
+    options = {"method": method, "dof": dof, "max_correspondence_m": 0.5, "voxel_m": 0.1}
+    start = motion(4, 0.1, dof, seed + 1) @ T_true
+    runs = [
+        (register(here, as_target(there, kind, method), **options), T_true),
+        (register(there, as_target(here, kind, method), **options), np.linalg.inv(T_true)),
+        (register(here, as_target(there, kind, method), T_init=start, **options), T_true),
+    ]
+    for result, T in runs:
+        assert result.converged, result.reason
+        assert np.less(apart(result.T_target_source, T), (shift_m, turn_deg)).all()
+    # The start is further away than the tolerance by far.
+    assert apart(start, T_true)[0] > 4 * shift_m or apart(start, T_true)[1] > 4 * turn_deg
+
+
+@pytest.mark.parametrize("method", ["icp", "plane", "gicp"])
+@settings(max_examples=8, deadline=None)
+@given(seed=SEEDS, shift_m=st.sampled_from([0.0, 3.0, 100.0, 1e4]), robust=st.sampled_from(["none", "cauchy"]))
+def test_a_rigid_motion_of_both_clouds_moves_the_answer_along(method, seed, shift_m, robust):
+    here, there = corner(800, seed), corner(900, seed + 1, 0.005)
+    T_init, A, B = motion(2, 0.05, seed=seed), rigid(seed + 2, shift_m), rigid(seed + 3, shift_m)
+    scale = {"icp": 0.05, "plane": 0.03, "gicp": 2.0}[method]
+    options = {"max_correspondence_m": 0.5, "robust": robust, "robust_scale": scale}
+    plain = register(here, there, method, T_init=T_init, **options)
+    T_moved = B @ T_init @ np.linalg.inv(A)
+    both = register(moved(here, A), moved(there, B), method, T_init=T_moved, **options)
+    np.testing.assert_allclose(np.linalg.inv(B) @ both.T_target_source @ A, plain.T_target_source, atol=1e-6)
+    assert (both.iterations, both.inliers) == (plain.iterations, plain.inliers)
+    assert both.rmse_m == pytest.approx(plain.rmse_m, abs=1e-7)
+    np.testing.assert_allclose(both.eigenvalues, plain.eigenvalues, rtol=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=6, deadline=None)
+@given(seed=SEEDS)
+def test_neither_the_order_of_the_points_nor_target_points_out_of_reach_change_the_pose(method, seed):
+    rng = np.random.default_rng(seed)
+    here, there = corner(800, seed), corner(900, seed + 1, 0.005)
+    far = there.mean(axis=0) + 50 * np.sign(rng.normal(size=(100, 3))) + rng.normal(size=(100, 3))
+    shuffled = rng.permutation(np.vstack([there, far]))
+    options = {"T_init": motion(2, 0.05, seed=seed), "max_correspondence_m": 0.5}
+    plain = register(here, there, method, **options)
+    other = register(rng.permutation(here), shuffled, method, **options)
+    np.testing.assert_allclose(other.T_target_source, plain.T_target_source, atol=1e-8)
+    assert other.inliers == plain.inliers
+
+
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=6, deadline=None)
+@given(seed=SEEDS, dof=st.sampled_from(["xyz", "xyz_yaw"]))
+def test_a_restricted_solve_keeps_the_rest_of_the_start(method, seed, dof):
+    # The start is tilted against the truth; yaw is about any given gravity.
+    points, tilt = corner(1500, seed), motion(2, 0.03, "se3", seed)
+    gravity = np.random.default_rng(seed).normal(size=3)
+    result = register(points, points, method, dof, T_init=tilt, max_correspondence_m=0.5, gravity=gravity)
+    change = result.T_target_source[:3, :3] @ tilt[:3, :3].T
+    np.testing.assert_allclose(change @ gravity, gravity, atol=1e-12 * np.linalg.norm(gravity))
+    if dof == "xyz":
+        np.testing.assert_allclose(change, np.eye(3), atol=1e-12)
+    else:
+        about = abs(Rotation.from_matrix(tilt[:3, :3]).as_rotvec() @ gravity) / np.linalg.norm(gravity)
+        assert about < 5e-3 or np.abs(change - np.eye(3)).max() > 1e-4  # the free angle was used
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_yaw_is_about_the_gravity_that_is_given(method):
+    points, T_true = corner(2000, 2), motion(0, 0.05)
+    T_true[:3, :3] = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
+    options = {"dof": "xyz_yaw", "max_correspondence_m": 0.5, "voxel_m": 0.1}
+    right = register(points, moved(points, T_true), method, gravity=[0, -7, 0], **options)
+    wrong = register(points, moved(points, T_true), method, **options)
+    assert np.less(apart(right.T_target_source, T_true), (0.012, 0.2)).all()
+    assert apart(wrong.T_target_source, T_true)[1] > 1
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=SEEDS, share=st.floats(0.15, 0.3))
+def test_robust_kernels_resist_points_that_belong_to_nothing(seed, share):
+    here = corner(3000, seed)
+    stray = here[: int(share * 3000)] + np.array([0.25, 0.1, 0.2])  # part of the scan shifted to one side
+    source = np.random.default_rng(seed).permutation(np.concatenate([here, stray]))
+    error_m = {
+        robust: apart(register(source, here, "icp", robust=robust, robust_scale=0.03).T_target_source, np.eye(4))[0]
+        for robust in ("none", "huber", "cauchy", "geman_mcclure")
+    }
+    assert error_m["none"] > 0.008
+    assert max(error_m["huber"], error_m["cauchy"]) < 0.8 * error_m["none"]
+    assert error_m["geman_mcclure"] < 2e-3
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("shape", ["plane", "line", "two places", "one place"])
+@pytest.mark.parametrize("method", METHODS)
+@settings(max_examples=5, deadline=None)
+@given(seed=SEEDS, dof=st.sampled_from(["xyz", "xyz_yaw", "se3"]))
+def test_degenerate_clouds_give_a_rigid_pose_and_a_reason(method, shape, seed, dof):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-2, 2, (60, 3)) * {"plane": [1, 1, 0], "line": [1, 0, 0]}.get(shape, [1, 1, 1])
+    if shape.endswith("place") or shape.endswith("places"):
+        points = points[rng.integers(0, 1 if shape == "one place" else 2, 60)]
+    T_init = motion(1, 0.05, dof, seed)
+    result = register(points, points, method, dof, T_init=T_init, max_correspondence_m=0.5)
+    T = result.T_target_source
+    assert result.reason in REASONS
+    assert result.converged == (result.reason == "converged")
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(T[:3, :3]) > 0.9
+    # No direction that the points leave open is moved along: on a plane, a point keeps its place but for its height.
+    if shape == "plane" and method == "plane":
+        drift = moved(points, T) - moved(points, T_init)
+        assert np.abs(drift[:, :2]).max() < 0.05 * np.abs(drift[:, 2]).max() + 1e-6
+    assert np.isfinite(result.covariance).all()
+    assert np.linalg.eigvalsh(result.covariance).min() > -1e-6 * max(np.abs(result.covariance).max(), 1e-12)

@@ -1,0 +1,92 @@
+"""Runs that share a flight, their tables, and the search for false convergence."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.report import batch, cloud_odometry, false_convergence
+from steelnb.study.row import paired_clouds
+
+SHORT = {"tof.columns": 90, "tof.rows": 120}
+
+
+@pytest.fixture(scope="module")
+def runs():
+    wanted = ["icp-3dof", ("icp-3dof", {"clouds.accumulate": True}), "gicp"]
+    cases = batch.make_cases(["vertical"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
+    return batch.run_all(cases)
+
+
+def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
+    assert all(run.truth is runs[0].truth for run in runs)
+    assert [batch.map_kind(run.settings) for run in runs] == ["re-voxelised", "weighted", "re-voxelised"]
+    table = batch.cloud_table(runs)
+    assert list(table)[:4] == ["trajectory", "noise", "method", "map"]
+    assert (table["scans"] == [len(run.corrected) for run in runs]).all()
+    numbers = batch.metrics(runs, batch.CLOUD_CASE)
+    assert numbers["vertical.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
+    assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
+    assert batch.timing(runs, with_map=True)["map"].tolist()[-1] == "re-voxelised"
+    with pytest.raises(SettingsError):
+        batch.make_cases(["vertical"], "starling2", ["wind"], ["best"], 1, 5.0)
+
+
+def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
+    rows = pd.DataFrame({"case": ["a", "b"], "seed": [1, 2], "x_m": [0.5, np.nan], "n": [3, 4]})
+    assert batch.flat(rows, ["case", "seed"]) == {"a.1.x_m": 0.5, "a.1.n": 3.0, "b.2.n": 4.0}
+    assert batch.flat(rows.set_index("case"), columns=["n"]) == {"a.n": 3.0, "b.n": 4.0}
+
+
+def test_paired_clouds_hold_the_same_returns_at_two_poses(runs):
+    flight, _ = experiment.simulate(runs[0].settings)
+    built, true = paired_clouds(flight, runs[0], every=10)
+    assert built.shape == true.shape
+    off = np.linalg.norm(built - true, axis=1)
+    assert off.max() < 2 * runs[0].metrics["error_max_m"] + 0.05
+    assert off.max() > 0
+
+
+def test_an_error_that_jumps_is_a_slip_at_its_scan(runs):
+    run = runs[0]
+    moved = run.corrected.T_world_drone.copy()
+    moved[:, :3, 3] = run.truth.trajectory.at(run.corrected.stamp_s).position
+    moved[20:, 0, 3] += 0.5
+    off = experiment.Result(**{**vars(run), "corrected": type(run.corrected)(run.corrected.stamp_s, moved)})
+    slip = batch.find_slips([off]).iloc[0]
+    assert slip["slip_m"] == pytest.approx(0.5)
+    assert 0 <= slip["slip_s"] - run.corrected.stamp_s[20] <= 1.0
+    paired = run.matches > 0
+    assert slip["wrong_share"] == pytest.approx(paired[20:].sum() / paired.sum())
+
+
+def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
+    flight, truth = experiment.simulate(runs[0].settings)
+    starts = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    basin = false_convergence.find_basin(runs[0].settings, flight, truth, 15, starts)
+    assert basin["right"].tolist() == [True, True, False]
+    assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
+    assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
+    table = false_convergence.basin_table({"3-DoF ICP": basin})
+    assert table["radius_m"].tolist() == [0.03]
+    assert table["right_share"].tolist() == [pytest.approx(2 / 3)]
+    grid = false_convergence.offset_grid(0.2, 0.1)
+    assert np.ptp(grid, axis=0) == pytest.approx([0.4, 0.0, 0.4])
+    assert len(grid) == 25
+    segments = batch.make_cases(["vertical"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
+    with pytest.raises(SettingsError, match="an odometry by clouds"):
+        false_convergence.find_basin(segments, flight, truth, 0, starts)
+
+
+def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
+    rows = pd.DataFrame(
+        {"trajectory": "orbit", "noise": "walk", "method": ["a", "b", "c"], "error_mean_m": [3.0, 1.0, 2.0]}
+    )
+    (found,) = cloud_odometry.ranking(rows, ["a", "b", "c"]).to_dict("records")
+    assert (found["order"], found["as_claimed"]) == ("b < c < a", False)
+    assert found["pairs_as_claimed"] == pytest.approx(2 / 3)
+    rows["error_max_m"] = rows["error_final_m"] = rows["error_mean_m"]
+    beside = cloud_odometry.beside_report(rows, {"a": {"orbit": (0.0, 2.0)}, "b": {"vertical": (0.0, 9.0)}})
+    assert beside["method"].tolist() == ["a"]
+    assert beside["within_report"].tolist() == [False]

@@ -1,0 +1,281 @@
+"""Verdicts on claims, over made-up runs whose verdicts are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb.errors import FileMissingError, SettingsError
+from steelnb.report.claims import (
+    FAILS,
+    HOLDS,
+    NOT_RUN,
+    ONLY_WHEN,
+    USUAL,
+    Claim,
+    describe_cells,
+    frame_runs,
+    interval,
+    judge,
+    judge_all,
+    read_claims,
+    verdict_metrics,
+    verdict_table,
+)
+from steelnb.study.plan import read_plan
+
+ROOT = Path(__file__).parents[2]
+NOISES = ("random-walk", "constant-drift")
+
+
+def runs(error, seeds=30, methods=("one", "two"), **more) -> pd.DataFrame:
+    """A run for each flight, noise, method and seed, its error as a function of these and of normal noise."""
+    random = np.random.default_rng(5)
+    rows = []
+    for seed in range(seeds):
+        common = random.normal()  # what a seed does to both methods: pairing takes it out
+        for trajectory in ("vertical", "orbit"):
+            for noise in NOISES:
+                for method in methods:
+                    case = {"trajectory": trajectory, "noise": noise, "method": method, "seed": seed}
+                    value = error(trajectory, noise, method, random.normal()) + 10 * common
+                    rows.append({**USUAL, **case, "status": "ok", "error_mean_m": value, "by_seed": common, **more})
+    return pd.DataFrame(rows)
+
+
+def better(where=lambda trajectory, noise: True, by=0.5) -> pd.DataFrame:
+    """Runs in which two is better than one by so much in some cells, and no worse elsewhere."""
+    return runs(lambda t, n, method, z: (by if method == "one" and where(t, n) else 0.0) + 0.1 * z)
+
+
+def claim(**changes) -> Claim:
+    given = {
+        "section": "1", "claim": "two is better than one", "metric": "error_mean_m", "comparison": "below",
+        "threshold": [0.0], "a": {"method": "two"}, "b": {"method": "one"},
+    }  # fmt: skip
+    return Claim(**{**given, **changes})
+
+
+def test_a_difference_that_pairing_alone_shows_holds():
+    table = better()
+    found = judge("c", claim(), table)
+    assert (found.verdict, found.condition, found.n_seeds) == (HOLDS, "", 30)
+    assert found.low < -0.5 + 0.05
+    assert found.low < found.estimate < found.high < 0
+    assert found.estimate == pytest.approx(-0.5, abs=0.05)
+    assert len(found.cells) == 4
+    assert found.cells["holds"].all()
+    # The seeds differ by twenty times as much: unpaired, nothing would show.
+    apart = table.groupby("method")["error_mean_m"].std() / np.sqrt(30)
+    assert apart.min() > 0.5
+
+
+@pytest.mark.parametrize("shift", [0.0, -0.5])
+def test_no_difference_or_the_opposite_one_does_not_hold(shift):
+    found = judge("c", claim(), better(by=shift))
+    assert (found.verdict, found.condition) == (FAILS, "")
+    if shift:
+        assert found.low > 0
+
+
+def test_what_holds_in_some_cells_names_them():
+    found = judge("c", claim(), better(lambda trajectory, noise: trajectory == "vertical"))
+    assert (found.verdict, found.condition) == (ONLY_WHEN, "vertical")
+    found = judge("c", claim(), better(lambda trajectory, noise: (trajectory, noise) == ("vertical", "random-walk")))
+    assert found.condition == "vertical, random-walk"
+    cells = pd.DataFrame(
+        [("a", "x", True), ("a", "y", False), ("b", "x", True), ("b", "y", True)], columns=["t", "n", "holds"]
+    )
+    assert describe_cells(cells, ["t", "n"]) == "a, x; b, x; b, y"
+    assert describe_cells(cells[cells["n"] == "x"].assign(holds=[True, False]), ["t", "n"]) == "a"
+
+
+def test_levels_ratios_and_ranges():
+    table = runs(lambda t, n, method, z: 0.0).assign(ms=lambda rows: np.where(rows["method"] == "two", 9.0, 3.0))
+    table["ms"] += 0.1 * np.random.default_rng(1).normal(size=len(table))
+    ratio = judge("c", claim(metric="ms", form="ratio", comparison="between", threshold=[2.5, 3.5]), table)
+    assert ratio.verdict == HOLDS
+    assert ratio.estimate == pytest.approx(3.0, abs=0.05)
+    narrow = claim(metric="ms", form="ratio", comparison="between", threshold=[3.2, 3.5])
+    assert judge("c", narrow, table).verdict == FAILS
+    level = claim(metric="ms", form="level", a={"method": "two"}, b={}, threshold=[8.0])
+    assert judge("c", level, table).verdict == FAILS
+    assert judge("c", level.replace(threshold=[10.0]), table).verdict == HOLDS
+    assert judge("c", level.replace(threshold=[8.0], comparison="above"), table).verdict == HOLDS
+
+
+def test_a_correlation_over_seeds():
+    table = runs(lambda t, n, method, z: 0.0)
+    random = np.random.default_rng(2)
+    table["cause"] = table["by_seed"] + 0.3 * random.normal(size=len(table))
+    table["chance"] = random.normal(size=len(table))
+    base = {"form": "correlation", "comparison": "above", "a": {"method": "one"}, "b": {"metric": "error_mean_m"}}
+    found = judge("c", claim(metric="cause", **base), table)
+    assert found.verdict == HOLDS
+    assert 0.8 < found.low < found.estimate < found.high <= 1
+    assert judge("c", claim(metric="chance", **base), table).verdict == FAILS
+
+
+def test_an_interval_covers_the_truth_as_often_as_it_says():
+    random = np.random.default_rng(3)
+    covered = 0
+    for _ in range(200):
+        low, high = interval("level", random.normal(size=(30, 1, 1)))[1:]
+        covered += low < 0 < high
+    assert 0.88 <= covered / 200 <= 0.99  # 0.93 expected: thirty seeds are few
+    values = random.normal(size=(30, 2, 2))
+    assert interval("difference", values) == interval("difference", values)
+    assert interval("level", np.full((5, 1, 1), 0.7)) == (0.7, 0.7, 0.7)
+
+
+def test_a_share_of_runs_has_the_exact_binomial_interval():
+    happened = np.zeros((30, 1, 1))
+    assert interval("level", happened) == pytest.approx((0, 0, 1 - 0.025 ** (1 / 30)))
+    happened[7] = 1
+    # Clopper and Pearson's tables, 1 of 30.
+    assert interval("level", happened) == pytest.approx((1 / 30, 0.000844, 0.1722), abs=5e-5)
+    happened[3] = np.nan
+    assert interval("level", happened)[0] == pytest.approx(1 / 29)
+
+
+def test_failed_runs_and_missing_numbers_are_left_out():
+    table = better()
+    table.loc[table["seed"] == 3, "status"] = "failed"
+    lost = (table["seed"] == 4) & (table["trajectory"] == "orbit")
+    table.loc[(table["seed"] == 3) | lost, "error_mean_m"] = np.nan
+    found = judge("c", claim(), table)
+    assert found.n_seeds == 29  # seed 4 still has its vertical flight
+    assert found.verdict == HOLDS
+    with pytest.raises(SettingsError, match="fewer than two seeds"):
+        judge("c", claim(), table[table["seed"] == 0])
+
+
+def test_a_walk_is_read_off_the_curve_at_three_minutes():
+    time = np.linspace(0, 199.8, 100)
+    table = runs(lambda t, n, method, z: 0.0, seeds=4)
+    table["curve_time_s"] = [time] * len(table)
+    table["curve_raw_m"] = [time / 100 + seed for seed in table["seed"]]
+    level = claim(metric="raw_at_180_s_m", form="level", b={}, comparison="between", threshold=[0.0, 9.0])
+    assert judge("c", level, table).estimate == pytest.approx(1.8 + 1.5)
+    table["curve_time_s"] = [time / 2] * len(table)
+    with pytest.raises(SettingsError, match="fewer than two"):
+        judge("c", level, table)
+
+
+def test_what_happens_at_times_is_above_zero_and_what_never_happens_is_not():
+    table = runs(lambda t, n, method, z: 0.0)
+    table["slip_m"] = np.where(table["seed"] % 5 == 0, 0.4, 0.1)
+    times = claim(metric="slipped", form="level", b={}, comparison="above", threshold=[0.0])
+    found = judge("c", times, table)
+    assert (found.verdict, found.estimate) == (HOLDS, pytest.approx(0.2))
+    assert 0 < found.low < 0.2 < found.high < 0.5
+    assert judge("c", times, table.assign(slip_m=0.1)).verdict == FAILS
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"comparison": "near"}, ["comparison = 'near'"]),
+        ({"threshold": [1.0, 2.0]}, ["threshold = [1.0, 2.0]", "between"]),
+        ({"b": {}}, ["b:", "a difference or ratio names runs"]),
+        ({"form": "level"}, ["a level has none"]),
+        ({"form": "correlation"}, ["a correlation a metric"]),
+        ({"by": ["planet"]}, ["unknown column 'planet'", "trajectory"]),
+        ({"a": {"metric": "x"}}, ["unknown column 'metric'"]),
+        ({"bye": []}, ["bye"]),
+    ],
+)
+def test_bad_claims_are_one_line(changes, words):
+    with pytest.raises(SettingsError) as told:
+        claim(**changes)
+    assert "\n" not in str(told.value)
+    assert all(word in str(told.value) for word in words), told.value
+
+
+def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
+    table = runs(lambda t, n, method, z: 0.0, seeds=3)
+    with pytest.raises(SettingsError, match=r"\[c\]: no runs with method = 'three'"):
+        judge("c", claim(a={"method": "three"}), table)
+    with pytest.raises(SettingsError, match=r"\[c\]: metric = 'mass_kg'"):
+        judge("c", claim(metric="mass_kg"), table)
+    with pytest.raises(FileMissingError, match="expected a file of claims"):
+        read_claims(tmp_path / "claims.toml")
+    (tmp_path / "claims.toml").write_text("[a]\nsection = 3")
+    with pytest.raises(SettingsError, match=r"claims.toml: \[a\]"):
+        read_claims(tmp_path / "claims.toml")
+
+
+def test_every_claim_of_the_project_has_runs_of_thirty_seeds_in_its_study():
+    claims = read_claims(ROOT / "notebooks" / "claims.toml")
+    cases = pd.DataFrame([run.case for run in read_plan(ROOT / "notebooks" / "study.toml")])
+    flown = {name: each for name, each in claims.items() if each.where.get("duration_s") != 0.0}
+    assert len(flown) >= 20
+    for name, each in flown.items():
+        for side in (each.a, each.b):
+            chosen = {**USUAL, **each.where, **each.a, **side}
+            rows = cases
+            for column, value in chosen.items():
+                if column != "metric":
+                    rows = rows[rows[column].isin(value if isinstance(value, list) else [value])]
+            for cell, some in rows.groupby([column for column in each.by if column not in side]):
+                assert some["seed"].nunique() >= 30, (name, cell)
+            assert len(rows), name
+
+
+def test_claims_on_frames_are_judged_by_the_table_of_the_segmentation_methods(tmp_path):
+    frames = frame_runs(ROOT / "results" / "segmentation-seeds")
+    assert frames["seed"].nunique() >= 30
+    assert not frames.duplicated(["method", "seed"]).any()
+    claims = read_claims(ROOT / "notebooks" / "claims.toml")
+    of_frames = {name: each for name, each in claims.items() if each.where.get("duration_s") == 0.0}
+    assert len(of_frames) == 8
+    found = {name: judge(name, each, frames) for name, each in of_frames.items()}
+    dbscan = found["hough-better-than-dbscan"]
+    assert (dbscan.verdict, dbscan.n_seeds) == (HOLDS, frames["seed"].nunique())
+    wide = frames.pivot(index="seed", columns="method", values=["recall", "precision"])
+    recall, precision = wide["recall"], wide["precision"]
+    f1 = 2 * recall * precision / (recall + precision)
+    assert dbscan.estimate == pytest.approx((f1["hough"] - f1["dbscan"]).mean())
+    slower = found["hough-faster-than-ransac-planes"]
+    ms = frames.pivot(index="seed", columns="method", values="frame_median_ms")
+    assert slower.estimate == pytest.approx((ms["hough"] / ms["ransac-planes"]).mean())
+    with pytest.raises(FileMissingError, match=r"table\.csv.*segmentation-seeds"):
+        frame_runs(tmp_path)
+
+
+def test_a_claim_without_runs_is_not_run_and_the_others_are_judged():
+    table = better()
+    claims = {"there": claim(), "missing": claim(a={"method": "three"}), "unmeasured": claim(metric="frame_p95_ms")}
+    there, missing, unmeasured = judge_all(claims, table)
+    assert there.verdict == HOLDS
+    assert (missing.verdict, missing.condition, missing.n_seeds) == (NOT_RUN, "no runs with method = 'three'", 0)
+    assert unmeasured.verdict == NOT_RUN
+    assert "frame_p95_ms" in unmeasured.condition
+    shown = verdict_table([there, missing, unmeasured])
+    names = ["claim", "section", "metric", "estimate", "low", "high", "n_seeds", "verdict", "condition"]
+    assert list(shown) == names, "the README shows them"
+    assert shown["metric"][0] == "error_mean_m, difference (m)"
+    assert claim(metric="frame_p95_ms", form="ratio").measure == "frame_p95_ms, ratio"
+    assert shown["estimate"].isna().tolist() == [False, True, True]
+    numbers = verdict_metrics([there, missing])
+    assert numbers["missing.n_seeds"] == 0
+    assert "missing.estimate" not in numbers
+    assert numbers["there.cells_holding"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("comparison", "threshold", "outside", "undecided"),
+    [
+        ("below", [1.0], (1.1, 2.0), (0.9, 1.1)),
+        ("above", [1.0], (0.1, 0.9), (0.9, 1.1)),
+        ("between", [1.0, 2.0], (2.1, 3.0), (1.9, 2.1)),
+        ("between", [1.0, 2.0], (0.1, 0.9), (0.5, 2.5)),
+    ],
+)
+def test_an_interval_is_as_claimed_or_not_or_cannot_tell(comparison, threshold, outside, undecided):
+    found = claim(comparison=comparison, threshold=threshold)
+    assert found.outside(*outside)
+    assert not found.satisfied(*outside)
+    assert not found.outside(*undecided)
+    assert not found.satisfied(*undecided)

@@ -1,0 +1,152 @@
+"""Figures of the claims, from made-up verdicts and runs."""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb.report.accuracy import figure_error_bands, percentile_bands
+from steelnb.report.claims import HOLDS, NOT_RUN, ONLY_WHEN, Claim, Verdict
+from steelnb.report.claims_figures import claim_goal, figure_claims, interval_text
+
+
+def verdict(
+    word, cells, *, comparison="below", threshold=(0.0,), metric="error_mean_m", text="one is better"
+) -> Verdict:
+    """A verdict whose cells are ``(trajectory, estimate, low, high, holds)``."""
+    claim = Claim(
+        section="3.3", claim=text, metric=metric, comparison=comparison, threshold=list(threshold),
+        a={"method": "one"}, b={"method": "two"}, by=["trajectory"],
+    )  # fmt: skip
+    table = pd.DataFrame(cells, columns=["trajectory", "estimate", "low", "high", "holds"])
+    condition = "no runs with method = 'one'" if word == NOT_RUN else ""
+    return Verdict("x", claim, np.nan, np.nan, np.nan, 30, word, condition, table)
+
+
+def place(panel, mark) -> float:
+    (line,) = [line for line in panel.lines if line.get_marker() == mark]
+    return line.get_xdata()[0]
+
+
+def test_what_is_as_claimed_lies_right_of_the_line_whatever_the_claim():
+    cells = [("vertical", -0.3, -0.4, -0.2, True), ("orbit", 0.1, 0.05, 0.2, False)]
+    for sign, comparison in ((1, "below"), (-1, "above")):
+        turned = [(name, sign * m, *sorted((sign * low, sign * high)), holds) for name, m, low, high, holds in cells]
+        (panel,) = figure_claims([verdict(ONLY_WHEN, turned, comparison=comparison)]).axes
+        assert place(panel, "o") == pytest.approx(-3 * place(panel, "X")), "distances from the line are in proportion"
+        assert place(panel, "o") > 0
+        assert [label.get_text() for label in panel.get_yticklabels()] == ["vertical", "orbit"]
+        (heading,) = panel.texts
+        assert heading.get_text().startswith("HOLDS ONLY WHEN · one is better (3.3; error_mean_m")
+
+
+def test_a_range_is_shaded_between_its_ends():
+    cells = [("vertical", 2.9, 2.8, 3.1, True), ("orbit", 5.0, 4.5, 5.5, False)]
+    (panel,) = figure_claims([verdict(ONLY_WHEN, cells, comparison="between", threshold=(2.5, 3.5))]).axes
+    (band,) = panel.collections
+    left, right = band.get_paths()[0].get_extents().intervalx
+    assert left == 0
+    assert left < place(panel, "o") < right < place(panel, "X") < 1
+
+
+def test_numbers_have_units_and_the_claim_its_goal():
+    metrics = {"bend_deg": "°", "frame_p95_ms": "ms", "growth_lost_m_s": "m/s", "lost_share": ""}
+    cells = [("vertical", -0.123, -0.15, -0.1, True)]
+    for metric, unit in metrics.items():
+        panel = figure_claims([verdict(HOLDS, cells, metric=metric)]).axes[0]
+        (numbers,) = [label.get_text() for label in panel.child_axes[0].get_yticklabels()]
+        assert numbers == f"−0.123 [−0.150, −0.100] {unit}".rstrip()
+        assert f"(3.3; {metric}, difference < 0 {unit}".rstrip() + ")" in panel.texts[0].get_text()
+    assert claim_goal(verdict(HOLDS, cells, threshold=(-0.05,)).claim) == "error_mean_m, difference < −0.05 m"
+    ranged = verdict(HOLDS, cells, comparison="between", threshold=(2.5, 3.5)).claim
+    assert claim_goal(ranged).endswith("in 2.5 to 3.5 m")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ((5.912, 5.1, 7.2), "5.9 [5.1, 7.2]"),
+        ((54.31, 51.0, 76.2), "54 [51, 76]"),
+        ((0.0046, -0.0012, 0.0084), "0.0046 [−0.0012, 0.0084]"),
+        ((0.01, -0.0004, 0.0251), "0.010 [0.000, 0.025]"),
+        ((0.0, 0.0, 0.0), "0.00 [0.00, 0.00]"),
+    ],
+)
+def test_numbers_have_two_digits_of_the_interval(numbers, text):
+    assert interval_text(*numbers) == text
+
+
+def test_a_claim_that_was_not_run_says_why_and_headings_do_not_overlap():
+    long = "a claim of so many words that it takes more than one line of the figure to say what it claims, and another"
+    rows = [verdict(HOLDS, [("orbit", -0.1, -0.2, -0.05, True)] * count, text=long) for count in (1, 3)]
+    figure = figure_claims([*rows, verdict(NOT_RUN, [])])
+    panel, texts = figure.axes[0], figure.axes[0].texts
+    assert "not run" in texts[2].get_text().lower()
+    assert "no runs with method = 'one'" in texts[2].get_text()
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in (*texts, *panel.get_yticklabels())]
+    pairs = itertools.combinations(boxes, 2)
+    assert not [(a, b) for a, b in pairs if a.shrunk(1, 0.7).overlaps(b.shrunk(1, 0.7))]
+
+
+def curves(seeds=11, **case) -> pd.DataFrame:
+    """Runs whose error is time through a hundred, times one to eleven."""
+    time = np.linspace(0, 200, 101)
+    given = {"trajectory": "orbit", "noise": "random-walk", "method": "icp", "status": "ok", **case}
+    return pd.DataFrame(
+        {
+            **given,
+            "seed": seed,
+            "curve_time_s": time,
+            "curve_raw_m": time / 50,
+            "curve_error_m": time / 100 * (seed + 1),
+        }
+        for seed in range(seeds)
+    )
+
+
+def test_a_band_is_median_and_percentiles_over_the_seeds():
+    time, (low, median, high) = percentile_bands(curves(), "curve_error_m")
+    assert time[-1] == 200
+    assert np.allclose(median, time / 100 * 6)
+    assert np.allclose(low, time / 100 * 2)
+    assert np.allclose(high, time / 100 * 10)
+
+
+def test_a_flight_that_ended_early_is_left_out_after_its_end():
+    runs = curves(3)
+    for name in ("curve_time_s", "curve_error_m"):
+        runs.at[2, name] = runs.at[2, name][:51]  # the worst seed, 100 s
+    time, (_, median, _) = percentile_bands(runs, "curve_error_m")
+    assert median[time == 100] == pytest.approx(2.0)
+    assert median[-1] == pytest.approx(3.0)
+
+
+def test_a_panel_for_each_method_and_case_and_a_word_where_there_are_no_runs():
+    runs = pd.concat([curves(), curves(trajectory="vertical", method="gicp"), curves(method="gicp", status="failed")])
+    figure = figure_error_bands(runs, ["icp", "gicp"])
+    assert len(figure.axes) == 4
+    words = [{text.get_text() for text in panel.texts} for panel in figure.axes]
+    assert words == [{"11 seeds"}, {"not run"}, {"not run"}, {"11 seeds"}]
+    assert [len(panel.lines) for panel in figure.axes] == [2, 0, 0, 2]
+    raw, error = figure.axes[0].lines
+    assert raw.get_linestyle() == "--"
+    assert error.get_ydata()[-1] == pytest.approx(12.0)
+    assert figure.axes[0].get_yscale() == "log"
+    assert (error.get_xdata() > 0).all()
+    assert figure.axes[0].get_title() == "orbit\nrandom-walk"
+    assert len(figure_error_bands(runs.iloc[:0], ["icp"]).axes) == 1
+
+
+def test_the_range_of_the_report_stands_behind_what_it_shows_alone():
+    def ranges(**case):
+        (panel,) = figure_error_bands(curves(**case), [case["method"]]).axes
+        return [patch.get_extents().transformed(panel.transData.inverted()).intervaly for patch in panel.patches]
+
+    ((low, high),) = ranges(method="gicp", noise="constant-drift")
+    assert (low, high) == pytest.approx((0.25, 0.4))
+    ((_, high),) = ranges(method="average", trajectory="vertical")
+    assert high == pytest.approx(0.28)
+    assert ranges(method="gicp", noise="random-walk+yaw-random-walk") == []
+    assert ranges(method="best") == []

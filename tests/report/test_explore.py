@@ -1,0 +1,138 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import ipywidgets
+import numpy as np
+import pytest
+from IPython.core.interactiveshell import InteractiveShell
+
+from steelnb import experiment
+from steelnb.errors import CollisionError, SettingsError
+from steelnb.report import explore
+from steelnb.report.scene import PLOTLY_TYPE
+from steelnb.settings import NoiseSettings
+
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+SHORT = {"tof.rate_hz": 2.5}
+
+
+@pytest.fixture(scope="module")
+def view() -> explore.View:
+    return explore.fly("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
+
+
+@pytest.mark.parametrize(
+    ("noise", "level", "walk_m", "turn_rad"),
+    [
+        ("random-walk", 1.0, 0.002, 0.0),
+        ("random-walk", 2.5, 0.005, 0.0),
+        ("random-walk:0.004", 0.5, 0.002, 0.0),
+        ("random-walk + yaw-random-walk", 2.0, 0.004, 0.001),
+        ("random-walk", 0.0, 0.0, 0.0),
+        ("none", 3.0, 0.0, 0.0),
+    ],
+)
+def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float, turn_rad: float) -> None:
+    settings = NoiseSettings.parse(explore.at_level(noise, level))
+    assert settings.random_walk_m == pytest.approx(walk_m)
+    assert settings.yaw_random_walk_rad == pytest.approx(turn_rad)
+
+
+@pytest.mark.parametrize(("noise", "level"), [("random-walk", -1.0), ("random-walk", float("nan")), ("wind", 1.0)])
+def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> None:
+    with pytest.raises(SettingsError):
+        explore.at_level(noise, level)
+
+
+def test_a_flight_is_the_experiment_of_the_same_settings(view: explore.View) -> None:
+    same = experiment.run(view.result.settings)
+    assert same.metrics == view.result.metrics
+    assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
+
+
+def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: explore.View) -> None:
+    more = explore.fly("orbit", "constant-drift", 3.0, "report", "icp-3dof", 1, 6.0, SHORT)
+    assert more.result.truth is view.result.truth
+    assert not np.allclose(more.result.prior.position, view.result.prior.position)
+    other = explore.fly("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, {**SHORT, "tof.columns": 32})
+    assert other.result.truth is not view.result.truth
+
+
+def test_the_cloud_lies_on_the_steel_and_is_light(view: explore.View) -> None:
+    assert 1000 < len(view.cloud) <= explore.POINTS_MAX
+    lowest = view.cloud[:, 2].min() + view.result.metrics["error_max_m"]
+    assert lowest >= view.result.settings.odometry.preprocess.floor_m
+    axes = view.result.truth.tower.axes
+    start, along = axes[:, 0], axes[:, 1] - axes[:, 0]
+    share = np.einsum("nmk,mk->nm", view.cloud[::10, None] - start, along) / (along**2).sum(axis=1)
+    foot = start + np.clip(share, 0, 1)[..., None] * along
+    off_m = np.linalg.norm(view.cloud[::10, None] - foot, axis=2).min(axis=1)
+    assert np.median(off_m) < 0.1
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict]]:
+    """What is displayed in a notebook: kind of message and data, in order."""
+    seen: list[tuple[str, dict]] = []
+    InteractiveShell.clear_instance()
+    shell = InteractiveShell.instance()
+    monkeypatch.setattr(
+        shell.display_pub,
+        "publish",
+        lambda data, *_, update=False, **__: seen.append(("update" if update else "display", data)),
+    )
+    yield seen
+    InteractiveShell.clear_instance()
+
+
+def test_the_panel_redraws_the_picture_when_a_control_moves(view: explore.View, shown: list) -> None:
+    panel = explore.Panel(view, "random-walk", 1.0, SHORT)
+    panel.show()
+    kinds = [(kind, next(iter(data))) for kind, data in shown]
+    assert kinds[-1] == ("display", PLOTLY_TYPE)
+    drawn = shown[-1][1][PLOTLY_TYPE]
+    assert {trace["name"] for trace in drawn["data"]} == {
+        "true members", "cloud", "bars found", "true", "drifting", "corrected"
+    }  # fmt: skip
+    assert len(json.dumps(drawn)) < 1_000_000
+    del shown[:]
+    assert isinstance(panel.controls["level"], ipywidgets.FloatSlider)
+    panel.controls["level"].value = 3.0
+    assert panel.view.result.settings.noise.random_walk_m == pytest.approx(0.006)
+    assert panel.view.result.settings.tof.rate_hz == 2.5
+    assert panel.view.result.metrics["raw_ate_rmse_m"] == pytest.approx(3 * view.result.metrics["raw_ate_rmse_m"])
+    assert [kind for kind, _ in shown] == ["update"] * len(shown)
+    assert shown[-1][1][PLOTLY_TYPE] != drawn
+    panel.controls["method"].value = "least_squares"
+    assert panel.view.result.settings.odometry.method == "least_squares"
+    assert panel.status.value.startswith("computed in")
+
+
+def test_a_flight_that_fails_is_told_and_the_picture_stays(
+    view: explore.View, shown: list, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collide(*_: object, **__: object) -> explore.View:
+        raise CollisionError("the drone touched the tower")
+
+    panel = explore.Panel(view, "random-walk", 1.0, SHORT)
+    panel.show()
+    del shown[:]
+    monkeypatch.setattr(explore, "fly", collide)
+    panel.controls["seed"].value = 7
+    assert panel.status.value == "the drone touched the tower"
+    assert panel.view is view
+    assert not shown
+
+
+def test_the_first_notebook_links_every_other_one() -> None:
+    text = (NOTEBOOKS / "00_explore.ipynb").read_text(encoding="utf-8")
+    others = {path.name for path in NOTEBOOKS.glob("*.ipynb")} - {"00_explore.ipynb"}
+    assert {name for name in others if f"]({name})" not in text} == set()
+
+
+def test_plotly_and_widgets_are_imported_only_when_they_are_wanted() -> None:
+    code = "import sys, steelnb.report.explore; print({'plotly', 'ipywidgets', 'IPython'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,0 +1,76 @@
+"""The files that a notebook leaves, and its progress."""
+
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from steelnb.errors import OutputError
+from steelnb.report.results import Progress, write_results
+
+
+def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:
+    table = pd.DataFrame({"x": [1.0, np.nan]})
+    figures_ = {name: Figure() for name in figures}
+    write_results(folder, table=table, metrics=metrics, figures=figures_, **{"provenance": {}, **more})
+
+
+def test_write_results_writes_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write("", {"x": 1.0})
+    assert not list(tmp_path.iterdir())
+    files = {"structure_a.json": lambda path: path.write_text("{}")}
+    write("out", {"b": np.float32(0.5), "a": np.int64(2)}, ("fig_1", "2"), files=files)
+    out = tmp_path / "out"
+    assert (out / "metrics.json").read_text() == '{\n  "a": 2,\n  "b": 0.5\n}\n'
+    assert (out / "table.csv").read_text() == 'x\n1\n""\n'
+    common = ["metrics.json", "provenance.json", "table.csv"]
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["fig_1.png", "fig_2.png", "structure_a.json", *common]
+    )
+    (out / "notes.txt").write_text("mine")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    for value in (np.nan, np.inf, "1", True, None):
+        with pytest.raises(ValueError, match=r"metrics: x = .*finite number"):
+            write("out", {"x": value})
+    with pytest.raises(ValueError, match="Out of range"):
+        write("out", {"x": 2}, provenance={"settings": {"x": np.nan}})
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    write("out", {"x": 1}, ("3",))
+    assert sorted(path.name for path in out.iterdir()) == sorted(["fig_3.png", "notes.txt", *common])
+    (tmp_path / "file").touch()
+    for folder in ("file", "file/below"):
+        with pytest.raises(OutputError, match="file"):
+            write(folder, {"x": 1})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "out"]
+
+
+def test_progress_writes_the_fraction_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, now_s = tmp_path / "progress", [100.0]
+    monkeypatch.setenv("STEELNB_PROGRESS_FILE", str(file))
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    progress = Progress(4)
+    shown = []
+    for _ in progress.each(range(4)):
+        for fraction in (0.25, 0.5):
+            progress(fraction)
+            shown.append(file.read_text())
+            now_s[0] += 0.15
+    assert shown == ["0.0625", "0.0625", "0.2500", "0.2500", "0.5000", "0.5000", "0.7500", "0.7500"]
+    assert file.read_text() == "1.0000"
+    shutil.rmtree(tmp_path)
+    progress.update(1.0)  # the folder vanishes when a run is interrupted
+
+
+def test_progress_is_a_bar_where_nobody_asks_for_a_file(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEELNB_PROGRESS_FILE", raising=False)
+    progress = Progress(2, "flights")
+    progress.step()
+    progress.step()
+    assert "flights: 100%" in capsys.readouterr().err

@@ -1,0 +1,122 @@
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb.report import segmentation
+from steelnb.settings import FlightSettings, TofSettings
+from steelnb.simulation import build_tower
+from steelnb.simulation.paths import waypoints
+from steelnb.simulation.views import Viewer, pose_on_path
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return segmentation.Scenes()
+
+
+def test_a_frame_is_made_again_by_its_seed(scenes):
+    first, again, other = scenes.frames(3, 2), scenes.frames(3, 2), scenes.frames(4, 1)
+    for one, two in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.points, two.points)
+    assert len(other[0].points) != len(first[0].points)
+    assert first[0].members.observed().sum() >= 10
+
+
+def test_noise_clutter_and_density_are_as_asked_and_change_nothing_else(scenes):
+    exact, noisy = (scenes.frames(3, 1, noise_m=noise, clutter=0.0)[0] for noise in (0.0001, 0.03))
+    np.testing.assert_allclose(len(noisy.points), len(exact.points), rtol=0.02)  # a few leave the range
+    np.testing.assert_allclose(noisy.members.axes, exact.members.axes, atol=0.1)
+    cluttered = scenes.frames(3, 1, clutter=0.25)[0]
+    plain = scenes.frames(3, 1, clutter=0.0)[0]
+    np.testing.assert_array_equal(cluttered.points[: len(plain.points)], plain.points)
+    assert 1 - len(plain.points) / len(cluttered.points) == pytest.approx(0.25, abs=0.001)
+    thin = scenes.frames(3, 1, clutter=0.0, kept=0.25)[0]
+    assert len(thin.points) / len(plain.points) == pytest.approx(0.25, abs=0.02)
+
+
+def test_range_noise_has_its_standard_deviation(scenes):
+    viewer = Viewer(scenes.tower, TofSettings.preset("starling2").replace(sigma_floor_m=0.02, sigma_relative=0.0))
+    T = pose_on_path(scenes.tower, FlightSettings.preset("vertical"), 0.3)
+    view = viewer.view(T, np.random.default_rng(0))
+    off = np.linalg.norm(view.points - T[:3, 3], axis=1) - np.linalg.norm(view.surface - T[:3, 3], axis=1)
+    assert off.std() == pytest.approx(0.02, rel=0.05)
+    assert abs(off.mean()) < 0.001
+    assert view.points[:, 2].min() >= 0.3
+    np.testing.assert_allclose(view.across, [1, 0, 0], atol=1e-9)
+    # Each surface point lies on the section of the member it is said to belong to.
+    axes = scenes.tower.axes[view.member]
+    along = axes[:, 1] - axes[:, 0]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    apart = view.surface - axes[:, 0]
+    across = np.linalg.norm(apart - (apart * along).sum(axis=1)[:, None] * along, axis=1)
+    corner = np.array([math.hypot(*member.section_m) for member in scenes.tower.members])[view.member]
+    assert (across <= corner + 1e-4).all()
+
+
+def test_poses_follow_the_path():
+    tower, flight = build_tower(), FlightSettings.preset("orbit")
+    corner = waypoints(flight, tower.settings)
+    np.testing.assert_allclose(pose_on_path(tower, flight, 0.0)[:3, 3], corner[0])
+    np.testing.assert_allclose(pose_on_path(tower, flight, 1.0)[:3, 3], corner[-1])
+    T = pose_on_path(tower, flight, 0.4, np.array([0.0, 0.1, 0.0]))
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    assert T[2, 0] == pytest.approx(-math.sin(0.1))  # pitched down
+
+
+def test_trials_become_rows(scenes):
+    frames = {seed: scenes.frames(seed, 2) for seed in (5, 6)}
+    trials = [
+        segmentation.attempt(name, scene) for name in ("hough", "dbscan") for some in frames.values() for scene in some
+    ]
+    table = segmentation.trial_table(trials)
+    assert len(table) == 4
+    assert (table["frames"] == 2).all()
+    hough = table[table["method"] == "hough"]
+    assert (hough["recall"] > 0.8).all()
+    assert (hough["precision"] > 0.9).all()
+    assert (hough["offset_m"] < 0.012).all()
+    expected = np.mean([t.score.recall for t in trials[:2]])
+    assert hough["recall"].iloc[0] == pytest.approx(expected)
+    assert "median_ms" not in table
+    timing = segmentation.trial_timing(trials)
+    assert set(timing["method"]) == {"hough", "dbscan"}
+    metrics = segmentation.segmentation_metrics(table)
+    assert metrics["frame.hough.recall"] == pytest.approx(hough["recall"].mean())
+
+
+def test_a_frame_without_a_segment_has_precision_0(scenes):
+    from steelnb.settings import SegmentationSettings
+
+    nothing = segmentation.attempt("hough", scenes.frames(5, 1)[0], settings=SegmentationSettings(length_min_m=50.0))
+    row = segmentation.trial_table([nothing]).iloc[0]
+    assert row["precision"] == row["recall"] == row["segments"] == 0
+    assert math.isnan(row["angle_deg"])
+
+
+def test_the_map_holds_every_dx_and_both_rules(scenes):
+    frame = scenes.frames(5, 1)[0]
+    table = segmentation.tuning_map({0.02: [frame]}, [0.05, 0.1], [15])
+    assert table["rule"].tolist() == [
+        segmentation.FIXED,
+        segmentation.FIXED,
+        segmentation.CHOSEN,
+        segmentation.REFERENCE,
+    ]
+    reference = table[table["rule"] == segmentation.REFERENCE].iloc[0]
+    assert reference["dx_m"] == pytest.approx(np.linalg.norm(np.ptp(frame.points, axis=0)) / 64)
+
+
+def test_the_cost_of_a_rule_is_taken_from_the_best_fixed_dx():
+    rows = [
+        (segmentation.FIXED, 0.05, 0.9, 0.9),
+        (segmentation.FIXED, 0.07, 0.85, 0.99),
+        (segmentation.CHOSEN, 0.06, 0.84, 0.98),
+        (segmentation.REFERENCE, 0.2, 0.3, 1.0),
+    ]
+    tuning = pd.DataFrame(rows, columns=["rule", "dx_m", "recall", "precision"]).assign(noise_m=0.02, min_votes=15)
+    cost = segmentation.cost_of_rules(tuning).set_index("rule")
+    assert (cost["best_dx_m"] == 0.07).all()
+    assert cost["recall_lost"].to_dict() == pytest.approx({segmentation.CHOSEN: 0.01, segmentation.REFERENCE: 0.55})
+    assert cost["precision_lost"][segmentation.REFERENCE] == pytest.approx(-0.01)

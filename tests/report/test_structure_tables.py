@@ -1,0 +1,167 @@
+import json
+
+import numpy as np
+import pytest
+
+from steelnb.errors import SettingsError
+from steelnb.io.structures import read_structure
+from steelnb.report import results
+from steelnb.report import structure_figures as figures
+from steelnb.report import structure_tables as tables
+from steelnb.report.batch import flat
+from steelnb.report.structure_flights import fly_tower, rebuild
+from steelnb.settings import TowerSettings
+from steelnb.types import Segments
+from workflow.merge import merge
+
+COLUMNS = [
+    "trajectory", "noise", "tower", "seed", "poses", "method", "recall", "precision", "duplicates", "angle_median_deg",
+    "offset_median_m", "offset_p90_m", "end_median_m", "joint_recall", "joint_error_median_m", "edge_recall",
+    "edge_precision",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def source():
+    overrides = {"tof.columns": 90, "tof.rows": 120}
+    return fly_tower("vertical", "starling2", "random-walk", "least_squares", 11, 12.0, overrides=overrides)
+
+
+@pytest.fixture(scope="module")
+def runs(source):
+    return rebuild(source)
+
+
+def test_a_row_for_each_poses_and_method_with_the_names_of_the_goals(runs):
+    table = tables.structure_table(runs)
+    assert len(table) == 6
+    assert not set(COLUMNS) - set(table)
+    assert set(tables.STRUCTURE_GOALS) <= set(table)
+    assert not table.duplicated(["poses", "method"]).any()
+    rows = table.set_index(["poses", "method"])
+    exact = rows.loc["true", "final"]
+    assert exact["recall"] > 0.7
+    assert exact["precision"] > 0.85
+    assert exact["offset_median_m"] < 0.02
+    assert rows["ate_rmse_m"]["true"].max() == 0
+    assert (rows["ate_rmse_m"]["raw"] > rows["ate_rmse_m"]["corrected"]).all()
+    metrics = tables.structure_metrics(runs)
+    assert metrics["true.final.recall"] == exact["recall"]
+    assert np.isfinite(list(metrics.values())).all()
+    assert "seconds" not in table
+    assert tables.structure_timing(runs)["seconds"].tolist() == [run.seconds for run in runs]
+
+
+def test_recall_is_counted_over_all_members_with_points(runs):
+    by_points = tables.recall_by_points(runs)
+    rows = by_points[(by_points["poses"] == "true") & (by_points["method"] == "final")]
+    hits = runs[0].source.truth.visibility.returns
+    assert rows["members"].sum() == (hits >= 10).sum()
+    final = next(run for run in runs if run.poses == "true" and run.method == "final")
+    assert (rows["members"] * rows["recall"]).sum() == pytest.approx(final.score.found[hits >= 10].sum())
+    assert rows["recall"].iloc[-1] >= rows["recall"].iloc[0]
+
+
+def test_a_bar_moved_to_the_sensor_is_nearer_by_as_much(source):
+    begin, end = source.reference.axes[:, 0], source.reference.axes[:, 1]
+    count = len(begin)
+    member = np.arange(count)
+
+    def nearer(shift):
+        bars = Segments(begin + shift, end + shift, np.full(count, 100), np.full(count, 0.01))
+        return tables.toward_sensor_m(source, bars, member)
+
+    still = nearer(np.zeros(3))[source.reference.observed]
+    assert np.isnan(still).mean() < 0.5  # of some members the middle was out of range
+    np.testing.assert_allclose(still[np.isfinite(still)], 0, atol=1e-9)
+    # A drone on the side of negative x sees the rings that run along y nearer when they move to it.
+    drone = source.poses["true"][:, :3, 3].mean(axis=0)
+    away = np.array([*(drone - source.truth.tower.vertices.mean(axis=0))[:2], 0])
+    moved = nearer(0.01 * away / np.linalg.norm(away))[source.reference.observed]
+    # No bar by more than the shift, those across the view by all of it.
+    assert np.nanmax(moved) <= 0.01 + 1e-9
+    assert np.nanpercentile(moved, 90) > 0.009
+    assert np.isnan(
+        tables.toward_sensor_m(source, Segments(begin, end, member, member * 1.0), np.full(count, -1))
+    ).all()
+
+
+def test_the_fitted_section_takes_the_near_side_out(runs):
+    final = next(run for run in runs if run.poses == "true" and run.method == "final")
+    summary = tables.near_side_summary(tables.near_side(final)).set_index(["axis", "kind"])
+    middle, fitted = (summary["median_m"][axis, "all"] for axis in ("middle of points", "section fitted"))
+    assert middle > 0.004
+    assert abs(fitted) < 0.6 * middle
+    assert flat(summary.reset_index(), ["axis", "kind"])["section fitted.all.median_m"] == fitted
+
+
+def test_goals_are_judged_on_their_side():
+    import pandas as pd
+
+    table = pd.DataFrame([{name: 0.0 for name in tables.STRUCTURE_GOALS}])
+    goals = tables.structure_goals(table, "orbit").set_index("goal")
+    assert goals["limit"]["recall"] == 0.92
+    assert not goals["reached"][goals["side"] == "at least"].any()
+    assert goals["reached"][goals["side"] == "at most"].all()
+    assert tables.structure_goals(table, "vertical").set_index("goal")["limit"]["recall"] == 0.88
+
+
+def test_the_figures_show_bars_joints_and_numbers_of_each_run(runs):
+    final = [run for run in runs if run.method == "final"]
+    for panel, run in zip(figures.figure_structures(final).axes, final, strict=True):
+        right = int((run.score.member >= 0).sum())
+        shown = [len(lines.get_segments()) for lines in panel.collections]  # true members, wrong bars, right bars
+        assert shown == [len(run.source.truth.tower.members), len(run.structure) - right, right]
+        assert len(panel.lines[-1].get_xdata()) == len(run.structure.joint)
+        assert f"{right} bars on a member" in panel.get_title()
+    panel = figures.figure_errors(final[-1:]).axes[0]
+    truth, score = final[-1].source.reference, final[-1].score
+    assert len(panel.collections[1].get_segments()) == (truth.observed & ~score.found).sum()
+    assert f"median {100 * score.metrics['offset_median_m']:.1f} cm" in panel.get_title()
+
+
+def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
+    by_points = tables.recall_by_points(runs)
+    panel = figures.figure_recall(by_points).axes[0]
+    curves = {line.get_label(): line.get_ydata() for line in panel.lines}
+    true = by_points[(by_points["poses"] == "true") & (by_points["method"] == "final")]
+    np.testing.assert_allclose(curves["true poses, final"], 100 * true["recall"])
+    bias = tables.near_side(next(run for run in runs if run.poses == "true" and run.method == "final"))
+    panel = figures.figure_near_side(bias).axes[0]
+    assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "o") == len(bias.dropna())
+    medians = 100 * bias.groupby(["kind", "axis"])["toward_sensor_m"].median().dropna()
+    assert sorted(text.get_text() for text in panel.texts) == sorted(f"{value:+.1f}" for value in medians)
+    table = tables.structure_table(runs)
+    table = table[table["poses"] == "corrected"]
+    goals = tables.structure_goals(table, "vertical")
+    drawn = figures.figure_goals(table, goals).axes
+    assert [panel.get_title().split(":")[0] for panel in drawn[:2]] == ["recall", "precision"]
+    assert len(drawn) == len(goals) == 12
+    assert drawn[0].lines[0].get_ydata() == pytest.approx(100 * table["recall"].iloc[:1])
+
+
+def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
+    table = tables.structure_table(runs)
+    final = runs[-2].structure
+    for name in ("a", "b"):
+        results.write_results(
+            tmp_path / name, table=table, metrics={}, figures={}, files=tables.structure_files({"true": final}),
+            provenance=tables.structure_provenance(runs),
+        )  # fmt: skip
+    merge({name: tmp_path / name for name in "ab"}, tmp_path / "all", {})
+    names = {path.name for path in (tmp_path / "all").glob("structure_*")}
+    assert names == {f"structure_true_{part}.{ending}" for part in "ab" for ending in ("json", "glb")}
+    assert {path.name for path in results.result_files(tmp_path / "all")} >= names
+    np.testing.assert_array_equal(read_structure(tmp_path / "all" / "structure_true_a.json").joint, final.joint)
+    assert json.loads((tmp_path / "all" / "provenance.json").read_text())["parts"]["a"]["tower"] == "report"
+
+
+def test_other_towers_differ_from_the_one_of_the_report_and_unknown_names_are_refused(source):
+    towers = [TowerSettings.preset(name) for name in ("report", "heavy", "light")]
+    sections = [{tower.leg_section_m, tower.bracing_section_m} for tower in towers]
+    assert len(set.union(*sections)) == 6
+    for settings in ({"tower": "eiffel"}, {"poses": ["best"]}):
+        with pytest.raises(SettingsError, match="expected one of"):
+            fly_tower("vertical", "starling2", "none", "best", 1, 5.0, **settings)
+    with pytest.raises(SettingsError, match="'final', 'incremental'"):
+        rebuild(source, ["first"])

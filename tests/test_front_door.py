@@ -1,0 +1,57 @@
+"""`import steelnb`: the public names, their docstrings, and how little it imports."""
+
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import steelnb
+
+HEAVY = ("numba", "open3d", "pybullet", "pandas", "matplotlib", "evo", "dask", "rosbags", "scipy")
+
+
+def test_every_public_name_can_be_had_and_says_what_it_is():
+    for name in steelnb.__all__:
+        value = getattr(steelnb, name)
+        if name != "__version__":
+            text = inspect.getdoc(value) or ""
+            assert len(text) > 20, name
+            assert not text.startswith(f"{name}("), name  # dataclasses without a docstring describe their signature
+    assert set(dir(steelnb)) == set(steelnb.__all__)
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(AttributeError, match="'detect_planes'"):
+        steelnb.detect_planes  # noqa: B018
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_the_import_alone_is_light():
+    assert run(f"import sys, steelnb; print(sorted({set(HEAVY)!r} & set(sys.modules)))") == "[]"
+
+
+@pytest.mark.parametrize(
+    ("missing", "name", "extra"),
+    [("pybullet", "run", "sim"), ("rosbags", "read_flight", "io")],
+)
+def test_a_missing_library_names_its_extra(missing, name, extra, tmp_path):
+    (tmp_path / "x.bag").touch()
+    code = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == {missing!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+import steelnb
+try:
+    settings = steelnb.ExperimentSettings.preset(duration_s=1.0)
+    steelnb.run(settings) if {name!r} == "run" else steelnb.read_flight({str(tmp_path / "x.bag")!r})
+except steelnb.MissingExtraError as fault:
+    print(fault)
+"""
+    assert f"steelnb[{extra}]" in run(code)

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from steelnb import settings as all_settings
+from steelnb.errors import SettingsError
+from steelnb.settings import (
+    METHODS,
+    SEGMENT_METHODS,
+    ExperimentSettings,
+    FlightSettings,
+    NoiseSettings,
+    OdometrySettings,
+    Settings,
+    TofSettings,
+    TowerSettings,
+)
+from steelnb.settings.presets import PRESETS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'vertical', 'orbit'"),
+        ({"sensor": "lidar"}, "sensor = 'lidar'"),
+        ({"method": "mean"}, "method = 'mean'"),
+        ({"noise": "white"}, "unknown noise 'white'"),
+        ({"noise": "random-walk:-0.002"}, "random_walk_m = -0.002"),
+        ({"noise": "random-walk:fast"}, "'fast' is not a number"),
+        ({"noise": "random-walk:nan"}, "random_walk_m"),
+        ({"noise": "random-walk+random-walk"}, "twice"),
+        ({"noise": 0.002}, "noise = 0.002"),
+        ({"seed": -1}, "seed = -1"),
+        ({"seed": 1.5}, "seed = 1.5"),
+        ({"seed": "1"}, "seed = '1'"),
+        ({"duration_s": 0.0}, "duration_s = 0.0"),
+        ({"duration_s": "200"}, "duration_s = '200'"),
+        ({"overrides": {"tof.rate_hz": 0}}, "rate_hz = 0"),
+        ({"overrides": {"tof.rate": 5}}, "tof.rate"),
+        ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
+        ({"overrides": {"tof.columns": True}}, "columns = True"),
+        ({"overrides": {"tower.arm_reach_m": [3.0]}}, "same length"),
+    ],
+)
+def test_a_bad_setting_is_named_in_one_line(arguments, says):
+    with pytest.raises(SettingsError, match=says) as caught:
+        ExperimentSettings.preset(**arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_are_frozen_and_know_no_other_key():
+    with pytest.raises(ValidationError):
+        TofSettings().rate_hz = 10.0
+    with pytest.raises(SettingsError, match="rate = 5"):
+        TofSettings(rate=5)
+    with pytest.raises(SettingsError, match="columns"):
+        TofSettings().replace(columns=0)
+
+
+def test_overrides_change_one_setting_and_keep_the_rest():
+    plain = ExperimentSettings.preset("orbit", sensor="report")
+    changed = ExperimentSettings.preset("orbit", sensor="report", overrides={"tof.rate_hz": 10})
+    assert changed.tof.rate_hz == 10
+    assert changed.override({"tof.rate_hz": 5.0}) == plain
+
+
+def test_the_report_preset_holds_the_published_settings():
+    report = ExperimentSettings.preset(sensor="report", noise="random-walk", method="average")
+    assert (report.tof.columns, report.tof.rows, report.tof.fov_horizontal_rad) == (64, 64, 2.04)
+    assert (report.tof.range_max_m, report.tof.sigma_floor_m) == (4.0, 0.04)
+    method = report.odometry
+    crop = method.preprocess
+    assert (crop.crop_m, crop.floor_m, crop.voxel_leaf_m) == (1.5, 0.3, 0.033)
+    assert (method.hough.min_votes, method.hough.max_lines, method.hough.granularity) == (12, 10, 6)
+    assert method.hough.dx_m == pytest.approx(0.0572, abs=1e-4)
+    assert method.fusion.distance_max_m == pytest.approx(0.2286, abs=1e-4)
+    assert (report.noise.random_walk_m, method.segments.gain) == (0.002, 0.5)
+
+
+def test_noise_is_read_as_sums_with_levels():
+    noise = NoiseSettings.parse("random-walk:0.004+yaw-random-walk")
+    assert (noise.random_walk_m, noise.yaw_random_walk_rad, noise.constant_drift_m) == (0.004, 0.0005, 0.0)
+    assert NoiseSettings.parse("none") == NoiseSettings()
+    per_axis = NoiseSettings.parse("constant-drift-per-axis:0.001").constant_drift_m
+    assert per_axis == pytest.approx(0.001 * 3**0.5)
+
+
+def test_a_tower_that_cannot_stand_is_refused():
+    with pytest.raises(SettingsError, match="waist_height_m"):
+        TowerSettings(waist_height_m=20.0)
+    with pytest.raises(SettingsError, match="apart"):
+        TowerSettings(arm_height_m=(10.0, 10.3), arm_reach_m=(3.0, 3.0))
+    with pytest.raises(SettingsError, match="between"):
+        TowerSettings(arm_height_m=(15.8,), arm_reach_m=(3.0,))
+
+
+def test_presets_of_flights_differ():
+    assert FlightSettings.preset("orbit").height_max_m == 7.0
+    assert FlightSettings.preset("vertical").height_max_m == 15.0
+
+
+def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
+    own = tmp_path / "mine.toml"
+    text = (PRESETS / "sensors" / "starling2.toml").read_text()
+    own.write_text(text.replace("range_max_m = 6.0", "range_max_m = 5.0").replace("crop_m = 6.0", "crop_m = 5.0"))
+    settings = ExperimentSettings.preset(sensor=str(own), method="combined")
+    assert (settings.tof.range_max_m, settings.odometry.preprocess.crop_m) == (5.0, 5.0)
+    assert settings.odometry.segments == ExperimentSettings.preset(method="combined").odometry.segments
+    own.write_text("[hough]\ndxm = 1.0\n")
+    with pytest.raises(SettingsError, match="dxm"):
+        ExperimentSettings.preset(sensor=str(own), method="combined")
+
+
+def test_the_mount_of_the_sensor_is_a_setting():
+    turned = TofSettings(mount_m=(0.1, 0.2, 0.3), mount_rpy_deg=(0.0, 0.0, 90.0)).T_drone_sensor
+    np.testing.assert_allclose(turned @ [1, 0, 0, 1], [0.1, 1.2, 0.3, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
+    settings = OdometrySettings.preset(method)
+    assert (settings.clouds is None) == (method in SEGMENT_METHODS)
+    assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, "combined"))
+    missing = "segments.gain" if settings.segments is None else "clouds.dofs"
+    with pytest.raises(SettingsError, match=missing):
+        settings.override({missing: 1})
+
+
+def test_there_are_at_most_ninety_settings():
+    kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
+    leaves = [
+        name
+        for kind in set(kinds)
+        for name, field in kind.model_fields.items()
+        if "Settings" not in str(field.annotation)
+    ]
+    assert len(leaves) <= 90
