@@ -25,13 +25,13 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np
 from numba import njit
 
-from steelnb import experiment, rng
-from steelnb.config import ExperimentSettings
-from steelnb.datatypes import Array, Lines, Trajectory
+from steelnb import rng
 from steelnb.hough import detect_lines, directions, lines
 from steelnb.hough.votes import far_apart
-from steelnb.results import machine
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings
 from steelnb.simulation import build_tower, fly, scan_flight
+from steelnb.types import Array, Lines, Trajectory
 
 SIZES, WIDTHS, MIN_VOTES, RUNS, DENSER = (2_000, 5_000, 10_000, 20_000, 50_000), (0.1, 0.05), 20, 3, 4
 AT_S = (20.0, 60.0, 100.0, 140.0, 180.0)
@@ -70,11 +70,9 @@ def frames(at_s: tuple[float, ...]) -> list[tuple[Array, Array]]:
     tower = build_tower(s.tower)
     flight, _ = fly(tower, s.flight, s.seed)
     poses = flight.at(np.array([*at_s, at_s[-1]])).T_world_drone  # a flight has one pose after its last scan
-    scans, _ = scan_flight(
-        tower, Trajectory(np.arange(len(poses)) * 1.0, poses), experiment.T_DRONE_SENSOR, tof, s.seed
-    )
+    scans, _ = scan_flight(tower, Trajectory(np.arange(len(poses)) * 1.0, poses), tof.T_drone_sensor, tof, s.seed)
     found = []
-    for scan, T in zip(scans, poses @ experiment.T_DRONE_SENSOR, strict=False):
+    for scan, T in zip(scans, poses @ tof.T_drone_sensor, strict=False):
         points = np.asarray(scan.points, dtype=np.float64).reshape(-1, 3)
         points = points[np.isfinite(points).all(axis=1)]
         found.append((points[points @ T[2, :3] + T[2, 3] > 0.3], T))

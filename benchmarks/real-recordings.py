@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -27,22 +26,20 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[name] = "1"
 
 import numpy as np
+from rosbags.highlevel import AnyReader
 from scipy.spatial import cKDTree
 
-from steelnb import rng
-from steelnb.datatypes import Array, Trajectory
+from steelnb import odometry, rng
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import within
-from steelnb.odometry import make_odometry
-from steelnb.recordings import read_cloud
-from steelnb.recordings.choice import Choice
-from steelnb.recordings.formats import open_recording, save_recording
-from steelnb.recordings.trajectories import write_tum
-from steelnb.replay.course import course_of
-from steelnb.replay.judge import score
-from steelnb.replay.options import Options
-from steelnb.results import machine
-from steelnb.segment import segment_file
+from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_tum
+from steelnb.metrics import score_trajectory
+from steelnb.report.cloud import segment_file
+from steelnb.report.recording import recording_settings
+from steelnb.report.recording_truth import truth_at_scans, with_drift
+from steelnb.report.results import machine
+from steelnb.settings import NoiseSettings
+from steelnb.types import Array, Trajectory
 
 NOTES = """We found no public recording of a drone before a steel tower with its true poses, so these are of other
 sensors and scenes. They show that files from elsewhere are read, and what the presets, made for a Time-of-Flight camera
@@ -60,6 +57,19 @@ them what `steelnb` reads: BALM's poses are in `alidarPose.csv`, as 4 × 4 matri
 DRIFT = "random-walk:0.002"
 NO_FLOOR_M = -1e3
 """None of these has its ground at height 0."""
+
+
+class Options(NamedTuple):
+    """The arguments of `recording_settings`, the noise to add, and the longest gap between poses."""
+
+    method: str = "best"
+    noise: str | None = None
+    floor_m: float | None = None
+    range_max_m: float | None = None
+    gap_max_s: float = 0.5
+    overrides: dict = {}  # noqa: RUF012 (never changed)
+
+
 NEAR = Options(noise=DRIFT, floor_m=NO_FLOOR_M)
 FAR = Options(noise=DRIFT, floor_m=NO_FLOOR_M, range_max_m=60.0, gap_max_s=1.0)
 UNKNOWN = Options(method="gicp", floor_m=NO_FLOOR_M, range_max_m=60.0)
@@ -71,9 +81,9 @@ What a user would type is behind `steelnb`; the numbers are from the same object
 mean square error of the positions, of the poses with their drift (seed 1) → corrected; where a recording has no truth,
 how far its points lie from the scan before, with poses that stand still → corrected. *Control*: the same of points
 moved by up to {JITTER_TUBES:g} tubes along each axis, which is what bars anywhere would
-explain; lengths and tubes are in the units of the file. Milliseconds are medians of processor time on one core: *read*
-from file to points, then the odometry, or for a single cloud the whole of `segment` without its structure. *Peak* is
-that of the process, with all libraries."""
+explain; lengths and tubes are in the units of the file. Milliseconds are medians on one core: *read*
+from file to points (processor time), then the odometry (wall time), or for a single cloud the whole of `segment`
+without its structure. *Peak* is that of the process, with all libraries."""
 SETTINGS = """
 ## What a user has to set
 
@@ -135,33 +145,31 @@ class Case(NamedTuple):
     run: Callable[[Path, Path], dict]
 
 
-def corrected(path: Path, options: Options, choice: Choice = Choice()) -> dict:  # noqa: B008 (frozen)
+def corrected(path: Path, options: Options, **named: str | Path) -> dict:
     """A recording through an odometry, as `steelnb run` would; without a truth, how well the scans lie on each other.
 
     That is the median distance of a scan's points to the nearest of the scan before.
     """
-    recording = open_recording(path, choice)
-    settings = options.settings()
-    course = course_of(recording, options.drift, options.seed, options.gap_max_s)
-    prior, mount = course.flight.prior, course.flight.T_drone_sensor
-    warm, odometry = make_odometry(settings, mount), make_odometry(settings, mount)
-    for scan, T_prior in zip(course.flight.scans[:3], prior.T_world_drone, strict=False):
-        warm.update(scan, T_prior)
-    reading, updating, steps, clouds = [], [], [], []
-    walk = iter(course.flight.scans)
-    for T_prior in prior.T_world_drone:
-        began = time.process_time()
-        scan = next(walk)
-        read = time.process_time()
-        steps.append(odometry.update(scan, T_prior))
-        updating.append(time.process_time() - read)
-        reading.append(read - began)
-        if course.truth is None:
+    settings, _ = recording_settings(
+        options.method, floor_m=options.floor_m, range_max_m=options.range_max_m, overrides=options.overrides
+    )
+    flight, truth = read_flight(path, gap_max_s=options.gap_max_s, **named), read_truth(path, **named)
+    if options.noise is not None:
+        flight, truth = with_drift(flight, truth, NoiseSettings.parse(options.noise), 1, options.gap_max_s)
+    truth, _ = truth_at_scans(flight, truth, options.gap_max_s)
+    prior, mount = flight.prior, flight.T_drone_sensor
+    reading, clouds, began = [], [], time.process_time()
+    for scan in flight.scans:
+        reading.append(time.process_time() - began)
+        if truth is None:
             points = scan.points.reshape(-1, 3)
             clouds.append(points[np.isfinite(points).all(axis=1)])
-    estimate = Trajectory(prior.stamp_s, np.array([step.T_world_drone for step in steps]))
-    if course.truth is not None:
-        before, after = (score(one, course.truth)["ate_rmse_m"] for one in (prior, estimate))
+        began = time.process_time()
+    odometry.run(flight.first(3), odometry.make_odometry(settings.odometry, mount))
+    found = odometry.run(flight, odometry.make_odometry(settings.odometry, mount))
+    estimate = found.corrected
+    if truth is not None:
+        before, after = (score_trajectory(one.at(truth.stamp_s), truth)["ate_rmse_m"] for one in (prior, estimate))
         outcome = f"ATE {before:.3f} → {after:.3f} m"
     else:
         before, after = (apart(clouds, one.T_world_drone @ mount) for one in (prior, estimate))
@@ -169,11 +177,11 @@ def corrected(path: Path, options: Options, choice: Choice = Choice()) -> dict: 
         outcome = (
             f"no truth; a scan lies {before:.2f} → {after:.2f} m from the one before, {moved:.2f} m of motion each"
         )
-    lost = sum(step.reason not in ("", "first scan") for step in steps)
+    lost = sum(reason not in ("", "first scan") for reason in found.reason)
     lost_text = f"; {lost} not registered" if lost else ""
     return {
         "frames": len(prior), "outcome": outcome + lost_text, "read_ms": 1e3 * float(np.median(reading)),
-        "ms": 1e3 * float(np.median(updating[1:])),
+        "ms": 1e3 * float(np.median(found.update_s[1:])),
     }  # fmt: skip
 
 
@@ -245,7 +253,7 @@ def car_pair(data: Path, work: Path) -> dict:
     stamp_s = np.arange(len(rows)) / 10
     folder = folder_of(work, [read_cloud(data / row[0]).points for row in rows], stamp_s)
     write_tum(work / "true.tum", Trajectory(stamp_s, true))
-    return corrected(folder, UNKNOWN, Choice(truth=str(work / "true.tum")))
+    return corrected(folder, UNKNOWN, truth=str(work / "true.tum"))
 
 
 def vtk_points(file: Path) -> Array:
@@ -265,17 +273,17 @@ def car_three(data: Path, work: Path) -> dict:
 
 def bag_in_all_forms(bag: Path, work: Path) -> dict:
     """A bag, its poses replaced by ones that stand still, written in all forms of bags and compared to the bit."""
-    recording = open_recording(bag)
-    write_tum(work / "still.tum", standing(recording.scans.stamp_s))
+    with AnyReader([bag]) as reader:
+        received_s = [ns / 1e9 for _, ns, _ in reader.messages()]
+    write_tum(work / "still.tum", standing(np.array([min(received_s) - 10, max(received_s) + 10])))
     (work / "settings.toml").write_text("[extrinsics]\nrotation_rpy_deg = [0.0, 0.0, -90.0]\n")  # its y is forward
-    still = open_recording(bag, Choice(poses=str(work / "still.tum"), settings=work / "settings.toml"))
+    still = read_flight(bag, poses=str(work / "still.tum"), settings=work / "settings.toml", gap_max_s=1e6)
     same = []
     for name in ("copy.mcap", "copy.db3", "copy.bag"):
-        save_recording(work / name, still)
-        copy = open_recording(work / name)
-        pairs = zip(still.scans.walk(), copy.scans.walk(), strict=True)
+        write_flight(work / name, still)
+        pairs = zip(still.scans, read_flight(work / name).scans, strict=True)
         same.append(all(np.array_equal(a.points, b.points, equal_nan=True) for a, b in pairs))
-    row = corrected(work / "copy.mcap", replace(UNKNOWN, overrides=FAST))
+    row = corrected(work / "copy.mcap", UNKNOWN._replace(overrides=FAST))
     as_told = "the same to the bit" if all(same) else "NOT the same"
     return row | {"outcome": f"{row['outcome']}; as MCAP, SQLite and bag again {as_told}"}
 
@@ -293,21 +301,21 @@ def message(file: Path, work: Path) -> dict:
         topic = writer.add_connection("/points", "sensor_msgs/msg/PointCloud2", typestore=store)
         writer.write(topic, stamp_ns, raw)
     write_tum(work / "still.tum", standing(np.array([stamp_ns / 1e9])))
-    recording = open_recording(work / "bag", Choice(poses=str(work / "still.tum")))
+    flight = read_flight(work / "bag", poses=str(work / "still.tum"))
     began = time.process_time()
-    points = next(recording.scans.walk()).points
+    points = flight.scans[0].points
     ms = 1e3 * (time.process_time() - began)
     finite = np.isfinite(points).all(axis=-1)
     return {
         "frames": 1, "read_ms": ms, "outcome": f"{finite.size} points read, {finite.sum()} finite, "
-        f"{np.linalg.norm(points[finite], axis=1).max():.0f} m away at most; {recording.skipped.total()} skipped",
+        f"{np.linalg.norm(points[finite], axis=1).max():.0f} m away at most; {sum(flight.skipped.values())} skipped",
     }  # fmt: skip
 
 
 def refused(path: Path, work: Path) -> dict:
     """What cannot be a flight has to be refused in one line."""
     try:
-        course_of(open_recording(path))
+        read_flight(path)
     except SteelnbError as fault:
         return {"frames": 0, "outcome": f"refused: {str(fault).replace(str(path), path.name)}"}
     return {"frames": 0, "outcome": "NOT refused"}
@@ -357,25 +365,25 @@ CASES = {
     "kitchen": Case("kitchen", f"run data --noise {DRIFT} --floor -1000",
                  lambda at, work: corrected(at / KITCHEN, NEAR)),
     "kitchen-no-drift": Case("kitchen", "run data --noise none --floor -1000: its own error, without drift",
-                          lambda at, work: corrected(at / KITCHEN, replace(NEAR, noise="none"))),
+                          lambda at, work: corrected(at / KITCHEN, NEAR._replace(noise="none"))),
     "kitchen-more-drift": Case("kitchen", "run data --noise random-walk:0.005 --floor -1000",
-                            lambda at, work: corrected(at / KITCHEN, replace(NEAR, noise="random-walk:0.005"))),
+                            lambda at, work: corrected(at / KITCHEN, NEAR._replace(noise="random-walk:0.005"))),
     "kitchen-gicp": Case("kitchen", f"run data --noise {DRIFT} --floor -1000 --odometry gicp",
-                      lambda at, work: corrected(at / KITCHEN, replace(NEAR, method="gicp"))),
+                      lambda at, work: corrected(at / KITCHEN, NEAR._replace(method="gicp"))),
     "walk-as-drone": Case("walk", f"run scans --noise {DRIFT} --floor -1000 --gap 1",
-                          lambda at, work: corrected(walk_outdoors(at / WALK, work), replace(NEAR, gap_max_s=1.0))),
+                          lambda at, work: corrected(walk_outdoors(at / WALK, work), NEAR._replace(gap_max_s=1.0))),
     "walk": Case("walk", f"run scans --noise {DRIFT} --floor -1000 --gap 1 --range-max 60",
                  lambda at, work: corrected(walk_outdoors(at / WALK, work), FAR)),
     "walk-no-drift": Case("walk", "… --noise none: its own error, without drift",
-                          lambda at, work: corrected(walk_outdoors(at / WALK, work), replace(FAR, noise="none"))),
+                          lambda at, work: corrected(walk_outdoors(at / WALK, work), FAR._replace(noise="none"))),
     "walk-coarse": Case("walk", "… --set preprocess.voxel_leaf_m=0.2 --set odometry.map_voxel_m=0.4",
-                        lambda at, work: corrected(walk_outdoors(at / WALK, work), replace(FAR, overrides=COARSE))),
+                        lambda at, work: corrected(walk_outdoors(at / WALK, work), FAR._replace(overrides=COARSE))),
     "car-pair": Case("car", "run scans --odometry gicp --floor -1000 --range-max 60 --truth true.tum",
                      lambda at, work: car_pair(at / CAR, work)),
     "car-three": Case("car", "run scans --odometry gicp --floor -1000 --range-max 60",
                       lambda at, work: car_three(at / CAR, work)),
-    "bag": Case("bag", "convert test.bag copy.mcap --poses still.tum --settings turned.toml; "
-                "run copy.mcap --odometry gicp --floor -1000 --range-max 60 --set odometry.max_correspondence_m=2 "
+    "bag": Case("bag", "run test.bag --poses still.tum --settings turned.toml "
+        "--odometry gicp --floor -1000 --range-max 60 --set odometry.max_correspondence_m=2 "
                 "--set odometry.jump_max_m=20",
                 lambda at, work: bag_in_all_forms(at / "test/test.bag", work)),
     "bag-own-poses": Case("bag", "run test.bag", lambda at, work: refused(at / "test/test.bag", work)),

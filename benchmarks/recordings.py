@@ -22,15 +22,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb import experiment
-from steelnb.config import ExperimentSettings
-from steelnb.datatypes import Array, Flight, Imu, Scan, Trajectory
-from steelnb.odometry import make_odometry
-from steelnb.recordings.bag_files import typestore
-from steelnb.recordings.formats import open_recording, save_recording
-from steelnb.recordings.recording import Recording
-from steelnb.recordings.topics import CLOUD
-from steelnb.results import machine
+from steelnb import experiment, odometry
+from steelnb.io import read_flight, write_flight
+from steelnb.io.bag_files import typestore
+from steelnb.io.bags import CLOUD
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings
+from steelnb.types import Array, Flight, Imu, Scan, Trajectory
 
 FORMS = {"ROS 1 bag": "a.bag", "MCAP": "a.mcap", "sqlite": "a.db3"}
 SPEED_SCANS, LONG_SCANS, RATE_HZ, REPEATS = 400, 3000, 5.0, 5
@@ -61,27 +59,26 @@ class Repeated:
         self.index = _there_and_back(len(flight.scans), count)
         self.scans = list(flight.scans)
 
-    def walk(self, wanted: NDArray[np.bool_] | None = None) -> Iterator[Scan]:
-        for stamp, k in zip(self.stamp_s, self.index, strict=True):
-            yield Scan(float(stamp), self.scans[k].points)
+    def __iter__(self) -> Iterator[Scan]:
+        return (Scan(float(s), self.scans[k].points) for s, k in zip(self.stamp_s, self.index, strict=True))
 
 
-def repeated(count: int) -> tuple[Recording, float]:
-    """A recording of so many scans, and the megabytes of their clouds."""
+def repeated(count: int) -> tuple[Flight, float]:
+    """A flight of so many scans, and the megabytes of their clouds."""
     flight, _ = experiment.simulate(SETTINGS)
     scans = Repeated(flight, count)
     poses = Trajectory(scans.stamp_s, flight.prior.T_world_drone[scans.index])
     time_s = np.arange(0, scans.stamp_s[-1], 0.008)
     imu = Imu(time_s, np.tile((0, 0, 9.81), (len(time_s), 1)), np.zeros((len(time_s), 3)))
     size = scans.scans[0].points.size // 3 * POINT_BYTES * count
-    return Recording(Path("repeated"), scans, poses, flight.T_drone_sensor, imu), size / 1e6
+    return Flight(scans, poses, flight.T_drone_sensor, imu, "repeated"), size / 1e6  # type: ignore[arg-type]
 
 
 def throughput(scratch: Path) -> None:
     """Print MB/s of writing and reading, ours and the peers', in turns, the best of some."""
-    recording, megabytes = repeated(SPEED_SCANS)
-    alone = replace(recording, imu=None)
-    rows, columns = recording.scans.scans[0].points.shape[:2]  # type: ignore[attr-defined]
+    flight, megabytes = repeated(SPEED_SCANS)
+    alone = replace(flight, imu=None)
+    rows, columns = next(iter(flight.scans)).points.shape[:2]
     print(
         f"{SPEED_SCANS} clouds of {columns} × {rows} points, {megabytes:.0f} MB, from and to the page cache.\n"
         f"MB a second of processor time, best of {REPEATS} in turns. Reading ends with float64 points and NaN rows.\n"
@@ -95,11 +92,11 @@ def throughput(scratch: Path) -> None:
         for _ in range(REPEATS):
             for written in (path, other):
                 written.unlink(missing_ok=True)
-            seconds["write"].append(_timed(lambda path=path: save_recording(path, alone)))
+            seconds["write"].append(_timed(lambda path=path: write_flight(path, alone)))
             seconds["write peer"].append(_timed(lambda other=other: _peer_writes(other, alone)))
-            seconds["open"].append(_timed(lambda path=path: open_recording(path)))
-            opened = open_recording(path)
-            seconds["read"].append(_timed(lambda opened=opened: _drain(opened.scans.walk())))
+            seconds["open"].append(_timed(lambda path=path: read_flight(path)))
+            opened = read_flight(path)
+            seconds["read"].append(_timed(lambda opened=opened: _drain(iter(opened.scans))))
             seconds["read peer"].append(_timed(lambda path=path: _drain(_peer_reads(path))))
         rate = {key: megabytes / min(values) for key, values in seconds.items()}
         print(
@@ -138,26 +135,27 @@ def memory(scratch: Path) -> None:
 
 
 def _write(path: Path) -> dict[str, float]:
-    recording, _ = repeated(LONG_SCANS)
+    flight, _ = repeated(LONG_SCANS)
     peaks: dict[str, float] = {}
 
     def note(share: float) -> None:
         if share >= 0.1:
             peaks.setdefault("tenth", _peak())
 
-    save_recording(path, recording, on_progress=note)
+    write_flight(path, flight, on_progress=note)
     return peaks | {"end": _peak()}
 
 
 def _run(path: Path) -> dict[str, float]:
-    flight = open_recording(path).flight()
-    odometry = make_odometry(SETTINGS, flight.T_drone_sensor)
+    flight = read_flight(path)
     peaks = {"opened": _peak()}
     began = time.process_time()
-    for k, (scan, T) in enumerate(zip(flight.scans, flight.prior.T_world_drone, strict=True)):
-        odometry.update(scan, T)
+
+    def note(k: int, *_: object) -> None:
         if k + 1 == LONG_SCANS // 10:
             peaks["tenth"] = _peak()
+
+    odometry.run(flight, odometry.make_odometry(SETTINGS.odometry, flight.T_drone_sensor), note)
     return peaks | {"end": _peak(), "rate": LONG_SCANS / (time.process_time() - began)}
 
 
@@ -188,7 +186,7 @@ def _peer_reads(path: Path) -> Iterator[Array]:
             yield points
 
 
-def _peer_writes(path: Path, recording: Recording) -> None:
+def _peer_writes(path: Path, flight: Flight) -> None:
     """rosbags' writer, messages built field by field from a structured array, clouds alone."""
     from rosbags import rosbag1, rosbag2
 
@@ -201,7 +199,7 @@ def _peer_writes(path: Path, recording: Recording) -> None:
     writer = rosbag1.Writer(path) if ros == 1 else rosbag2.Writer(folder, version=8, storage_plugin=plugin)
     with writer:
         connection = writer.add_connection("/points", CLOUD, typestore=store)
-        for scan in recording.scans.walk():
+        for scan in flight.scans:
             stamp_ns = round(scan.stamp_s * 1e9)
             stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
             header = types["std_msgs/msg/Header"](*((0,) if ros == 1 else ()), stamp, "tof")

@@ -26,13 +26,12 @@ import open3d as o3d
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, rng
-from steelnb.config import ExperimentSettings, PreprocessSettings
-from steelnb.mapping import VoxelMap
-from steelnb.preprocess import preprocess_scan, voxel_grid
-from steelnb.preprocess.covariances import neighbour_covariances, regularised
-from steelnb.preprocess.kdtree import build_kdtree
+from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
+from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Target, align, free_directions, make_target, voxel_target
-from steelnb.results import machine
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings, PreprocessSettings
 
 small_gicp = importlib.import_module("small_gicp") if importlib.util.find_spec("small_gicp") else None
 NEIGHBOURS, ITERATIONS, TURN_RAD, MOVE_M = 20, 50, np.radians(0.1), 1e-3

@@ -11,15 +11,15 @@ import time
 import numpy as np
 
 from steelnb import experiment
-from steelnb.config import SENSORS, TRAJECTORIES, ExperimentSettings, MethodName, SensorName, TrajectoryName
-from steelnb.datatypes import Flight
 from steelnb.noise import drifting
 from steelnb.odometry import CloudOdometry, make_odometry
-from steelnb.preprocess import preprocess_scan
-from steelnb.results import machine
+from steelnb.points import preprocess_scan
+from steelnb.report.results import machine
+from steelnb.settings import SENSORS, TRAJECTORIES, ExperimentSettings, TrajectoryName
 from steelnb.simulation import build_tower, fly, scan_flight
+from steelnb.types import Flight
 
-METHODS: tuple[MethodName, ...] = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best", "combined")
+METHODS: tuple[str, ...] = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best", "combined")
 FLIGHTS = "| flight, sensor | flight, × real time | scans, million rays/s | points a frame |"
 FRAMES = "| flight, sensor | odometry | median (ms) | p95 (ms) | stages, median (ms) | last tenth / first | map (MB) |"
 
@@ -45,24 +45,24 @@ def main() -> None:
     print(f"\nPeak memory of the process: {peak:.2f} GiB. {GOALS}")
 
 
-def measure(trajectory: TrajectoryName, sensor: SensorName) -> list[str]:
+def measure(trajectory: TrajectoryName, sensor: str) -> list[str]:
     """Print a row on a flight and its scans; give the rows of its odometries."""
     s = ExperimentSettings.preset(trajectory, "random-walk", sensor=sensor)
     tower = build_tower(s.tower)
     began = time.perf_counter()
     truth, imu = fly(tower, s.flight, s.seed)
     flown = time.perf_counter()
-    scans, _ = scan_flight(tower, truth, experiment.T_DRONE_SENSOR, s.tof, s.seed)
+    scans, _ = scan_flight(tower, truth, s.tof.T_drone_sensor, s.tof, s.seed)
     scanned = time.perf_counter()
-    flight = Flight(scans, drifting(truth, s.noise, s.seed).at(scans.stamp_s), imu, experiment.T_DRONE_SENSOR)
+    flight = Flight(scans, drifting(truth, s.noise, s.seed).at(scans.stamp_s), s.tof.T_drone_sensor, imu)
     rows = []
     for method in METHODS:
         case = ExperimentSettings.preset(trajectory, "random-walk", sensor=sensor, method=method)
-        odometry = make_odometry(case, flight.T_drone_sensor)
+        odometry = make_odometry(case.odometry, flight.T_drone_sensor)
         steps = [odometry.update(*frame) for frame in zip(scans, flight.prior.T_world_drone, strict=True)]
         frame = 1e3 * np.array([sum(step.seconds.values()) for step in steps])
         points = np.array([
-            len(preprocess_scan(scan, T, flight.T_drone_sensor, case.preprocess))
+            len(preprocess_scan(scan, T, flight.T_drone_sensor, case.odometry.preprocess))
             for scan, T in zip(scans[::5], flight.prior.T_world_drone[::5], strict=True)
         ])  # fmt: skip
         tenth = len(points) // 10

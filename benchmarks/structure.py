@@ -1,4 +1,4 @@
-"""The final reconstruction: time and memory against the area of a cloud, of whole flights, of surveyed towers.
+"""The final reconstruction: time and memory over the area of a cloud, on whole flights, on surveyed towers.
 
     .venv/bin/python benchmarks/structure.py --surveyed FOLDER > benchmarks/structure.md
 
@@ -25,13 +25,13 @@ import networkx as nx
 import numpy as np
 
 from steelnb import experiment, rng
-from steelnb.config import ExperimentSettings
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import within
-from steelnb.recordings import read_cloud
-from steelnb.results import machine
-from steelnb.segment import structure_settings, tube_radius
+from steelnb.hough.tube import tube_radius
+from steelnb.io.clouds import read_cloud
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation import build_tower
 
 TOWERS = (1, 2, 4, 8, 16)
@@ -55,7 +55,7 @@ SURVEYED = """
 ## Surveyed towers
 
 {source}
-As `steelnb segment` would: *tube* is what it chooses from the points (`segment.tube_radius`), all other lengths in
+As `steelnb segment` would: *tube* is what it chooses from the points (`hough.tube.tube_radius`), all other lengths in
 proportion. *Largest*: bars in the largest part that joints hold together. *Within*: share of the points within the
 tube of a bar; *control*: the same share of points that are moved by up to 1 m along each axis, which is what bars
 anywhere in so small a space would explain. *Bars in control*: what the reconstruction finds in the moved points.
@@ -112,7 +112,7 @@ def surveyed(file: str) -> dict:
     moved = points + rng.stream(1, "control").uniform(-JITTER_M, JITTER_M, points.shape)
     began = time.process_time()
     tube = tube_radius(points)
-    settings = structure_settings(tube)
+    settings = StructureSettings.for_cloud(tube)
     found = reconstruct_cloud(points, settings)
     row = _measured(found, began)
     inside, control = (float(within(some, found.segments, tube).mean()) for some in (points, moved))

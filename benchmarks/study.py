@@ -6,6 +6,7 @@
 should do nothing else; on another only the ratios hold.
 """
 
+import itertools
 import statistics
 import sys
 import tempfile
@@ -18,11 +19,11 @@ from typing import Any
 
 import psutil
 
-from steelnb.results import machine
-from steelnb.study.cluster import Study, connected
-from steelnb.study.plan import Block, Run, by_flight, make_runs
+from steelnb.report.results import machine
+from steelnb.study.cluster import compute, connected
+from steelnb.study.plan import Block, Run, by_flight, make_run
 from steelnb.study.row import fly, run_on
-from steelnb.study.store import Store
+from steelnb.study.table import ROWS, append_row, locked, write_tables
 
 METHODS = ["average", "icp", "gicp", "best"]
 FLIGHTS = 100_000
@@ -85,8 +86,8 @@ A flight of 200 s with the sensor report and {len(few) // flights} runs on it ({
 costs {per_flight:.0f} core seconds here, one with the sensor starling2 and `best` alone {per_large:.0f}: {FLIGHTS:,} of
 them are {hours["report"]:,.0f} and {hours["starling2"]:,.0f} core hours, that is
 {hours["report"] / CLUSTER_CORES:.0f} and {hours["starling2"] / CLUSTER_CORES:.0f} hours on a cluster of
-{CLUSTER_CORES} such cores. Flights share nothing, and the process that started the study hands them out one by one and
-writes about {row_bytes():.0f} kB a run, so more cores help until that process is busy all the time: it handles a run in
+{CLUSTER_CORES} such cores. Flights share nothing, and the process that started the study writes
+about {row_bytes():.0f} kB a run, so more cores help until that process is busy all the time: it handles a run in
 about {1e3 * own_s:.0f} ms, enough for {per_flight / (len(few) / flights) / own_s:,.0f} workers with
 such runs.""")
 
@@ -108,23 +109,24 @@ def make(
         methods=methods,
         duration_s=duration_s,  # type: ignore[arg-type]
     )
-    return make_runs({"benchmark": block}, None)
+    return [make_run(*each) for each in block.settings()]
 
 
 @contextmanager
-def cluster(workers: int) -> Iterator[Callable[[Sequence[Run]], Path]]:
-    """A function that runs some runs on a local cluster, each call in a store of its own; the workers are warm."""
-    with tempfile.TemporaryDirectory() as folder, connected(workers, None, workers) as client:
+def cluster(workers: int) -> Iterator[Callable[[Sequence[Run]], None]]:
+    """A function that runs some runs on a local cluster, each call with tables of its own; the workers are warm."""
+    with tempfile.TemporaryDirectory() as scratch, connected(workers, None, workers) as client:
         client.wait_for_workers(workers)
-        count = 0
+        count = itertools.count()
 
-        def run(runs: Sequence[Run]) -> Path:
-            nonlocal count
-            count += 1
-            place = Path(folder, str(count))
-            failed = Study(client, runs, Store(place)).run()
-            assert not failed, failed[0]["error"]
-            return place
+        def run(runs: Sequence[Run]) -> None:
+            folder, rows = Path(scratch, str(next(count))), {}
+            with locked(folder):
+                for each, found in compute(client, runs):
+                    assert found["status"] == "ok", found["error"]
+                    rows[each.key] = {**each.case, "key": each.key, **found}
+                    append_row(folder, rows[each.key])
+                write_tables(folder, runs, rows)
 
         for _ in range(2):  # a short flight for every worker, twice as they may share them unevenly
             run(make(["report"], METHODS, f"9001-{9000 + 2 * workers}", 3.0))
@@ -172,12 +174,11 @@ def memory() -> Iterator[list[float]]:
 
 
 def row_bytes() -> float:
-    """Kilobytes of a part with one run of 200 s."""
+    """Kilobytes that are written of one run of 200 s."""
     run = make(["report"], ["icp"], "1-1", 200.0, ["vertical"])[0]
-    row = {**run.case, "key": run.key, **run_on(fly(run.settings), run.settings)}
-    with tempfile.TemporaryDirectory() as folder:
-        Store(Path(folder)).add([row])
-        return sum(path.stat().st_size for path in Path(folder, "parts").iterdir()) / 1e3
+    with tempfile.TemporaryDirectory() as folder, locked(Path(folder)):
+        append_row(Path(folder), {**run.case, "key": run.key, **run_on(fly(run.settings), run.settings)})
+        return Path(folder, ROWS).stat().st_size / 1e3
 
 
 if __name__ == "__main__":
