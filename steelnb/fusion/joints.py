@@ -12,9 +12,8 @@ from steelnb.fusion.scales import Scales
 from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
-"""Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where."""
-LEAD_MAX_M = 0.8
-"""Longest extension of a bar. Chosen with `fusion.scales.Scales`, as the bounds above."""
+"""Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where.
+Chosen with `fusion.scales.Scales`."""
 
 
 def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
@@ -34,14 +33,15 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
 
     Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. Points
     within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over the
-    sine of the angle between them, but only to the first bar that it meets. Bars that continue each other at a small
+    sine of the angle between them, at most by ``lead_max_m``, but only to the first bar that it meets. Bars that continue each other at a small
     angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one bar that are less than ``same_m`` apart
     are one joint: the point nearest to all axes that it ties. Ends near a bar's first and last joint move there.
     """
-    same_m, bend_m = scales.same_m, scales.bend_m
+    same_m = scales.same_m
     pair, at, point, lead = _meetings(
-        bars.start, bars.direction, bars.length, width_m, scales.slack_m, scales.reach_m, bend_m, BEND_MIN, BEND_MAX
-    )
+        bars.start, bars.direction, bars.length, width_m, scales.slack_m, scales.reach_m, scales.lead_max_m,
+        scales.bend_m, BEND_MIN, BEND_MAX,
+    )  # fmt: skip
     keep = _first_ones(pair, at, bars.length, same_m)
     pair, at, point, lead = pair[keep], at[keep], point[keep], lead[keep]
     group = _groups(pair, at, point, same_m)
@@ -58,10 +58,16 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
     return joint, tie, _led(bars, joint, tie, np.array(leads), same_m)
 
 
-def trim_bends(bars: Segments, bend_m: float) -> Segments:
-    """Bars cut at bends, where two continue each other at a small angle and each had grown into the other."""
-    width = np.full(len(bars), 0.1)
-    pair, at, _, lead = _meetings(bars.start, bars.direction, bars.length, width, 0.0, 0.0, bend_m, BEND_MIN, BEND_MAX)
+def trim_bends(bars: Segments, scales: Scales) -> Segments:
+    """Bars cut at bends, where two continue each other at a small angle and each had grown into the other.
+
+    Their axes come closer than ``bend_gap_m``, up to ``bend_m`` from their ends.
+    """
+    bend_m, none = scales.bend_m, np.zeros(len(bars))
+    pair, at, _, lead = _meetings(
+        bars.start, bars.direction, bars.length, none, scales.bend_gap_m, 0.0, scales.lead_max_m,
+        bend_m, BEND_MIN, BEND_MAX,
+    )  # fmt: skip
     start, end, length = bars.start.copy(), bars.end.copy(), bars.length
     for k in np.flatnonzero(lead >= bend_m):
         for bar, place in zip(pair[k], at[k], strict=True):
@@ -85,7 +91,7 @@ def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array, same_m: float
 
 
 @njit(cache=True)
-def _meetings(start, direction, length, width, slack, reach, bend, bend_min, bend_max):  # type: ignore[no-untyped-def]
+def _meetings(start, direction, length, width, slack, reach, lead_max, bend, bend_min, bend_max):  # type: ignore[no-untyped-def]
     """Pairs of bars that meet ``(P, 2)``, the places on both in metres from their starts ``(P, 2)``, the points between
     ``(P, 3)``, and the largest extension or cut of either for it ``(P,)``."""
     pairs, places, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
@@ -96,7 +102,7 @@ def _meetings(start, direction, length, width, slack, reach, bend, bend_min, ben
             for k in range(3):  # as numbers: all pairs come here, and few pass
                 middle = start[j, k] + 0.5 * length[j] * direction[j, k]
                 square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(bend, LEAD_MAX_M) + slack + widest:
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(bend, lead_max) + slack + widest:
                 continue
             cosine = (direction[i] * direction[j]).sum()
             if abs(cosine) > bend_min:
@@ -113,7 +119,7 @@ def _meetings(start, direction, length, width, slack, reach, bend, bend_min, ben
                 if side > 0.0 or off_i > min(bend, 0.4 * length[i]) or off_j > min(bend, 0.4 * length[j]):
                     continue
             else:
-                lead = min(reach / math.sqrt(square), LEAD_MAX_M)
+                lead = min(reach / math.sqrt(square), lead_max)
                 s = min(max(s, -lead), length[i] + lead)
                 t = min(max(f + cosine * s, -lead), length[j] + lead)
                 s = min(max(cosine * t - c, -lead), length[i] + lead)

@@ -77,7 +77,7 @@ def reconstruct(
     if not len(bars):
         return Structure.empty(reason)
     _, bars = flight.refine(bars)
-    fitted = flight.fit(trim_bends(bars, scales.bend_m), every=1, pixels=2)
+    fitted = flight.fit(trim_bends(bars, scales), every=1, pixels=2)
     fitted = fitted.take(fitted.tilt <= settings.tilt_max_rad)  # not NaN: too few points to tell a section
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
@@ -228,7 +228,7 @@ class _MappedScans:
     def refine(self, bars: Segments) -> tuple[_Fitted, Segments]:
         """Fit bars cut at bends to one in five scans; and those bars tied at joints, their pieces and copies merged."""
         s, scales = self.settings, Scales.at(self.settings.tube_m)
-        fitted = self.fit(trim_bends(bars, scales.bend_m), every=5)
+        fitted = self.fit(trim_bends(bars, scales), every=5)
         tied = _tied(fitted, scales).segments
         return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
 

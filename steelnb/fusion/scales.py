@@ -16,7 +16,7 @@ class Scales:
     ``ridge_radius_m``, and contracts to the mean within ``contract_m``. ``length_min_m``: shortest bar. Struts, short
     bars between two others, have a tube, a least length and a contraction of their own, and lie further than
     ``strut_hide_m`` from all bars. ``gap_max_m``: largest gap between pieces of one bar. ``slack_m``, ``reach_m``,
-    ``same_m``, ``bend_m``: see `fusion.joints.find_joints`.
+    ``lead_max_m``, ``same_m``, ``bend_m``, ``bend_gap_m``: see `fusion.joints`.
     """
 
     voxel_m: float = 0.04
@@ -30,8 +30,10 @@ class Scales:
     gap_max_m: float = 0.3
     slack_m: float = 0.02
     reach_m: float = 0.2
+    lead_max_m: float = 0.8
     same_m: float = 0.15
     bend_m: float = 1.2
+    bend_gap_m: float = 0.1
 
     @classmethod
     def at(cls, tube_m: float) -> "Scales":

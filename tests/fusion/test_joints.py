@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import Structure
-from steelnb.fusion.joints import LEAD_MAX_M, find_joints, nearest_point, trim_bends
+from steelnb.fusion.joints import find_joints, nearest_point, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.scales import Scales
 from steelnb.types import Segments
@@ -68,7 +68,7 @@ def test_bars_are_extended_to_the_first_that_they_meet():
 def test_bars_that_continue_each_other_end_at_the_bend():
     # Two bars at 6° to each other, each of which has grown 30 cm past the bend at the origin, or stops short of it.
     up = np.array([np.sin(np.radians(6)), 0, np.cos(np.radians(6))])
-    bars = trim_bends(bars_of([[0, 0, -3], [0, 0, 0.3]], [0.2 * up, 3 * up]), 1.2)
+    bars = trim_bends(bars_of([[0, 0, -3], [0, 0, 0.3]], [0.2 * up, 3 * up]), SCALES)
     assert bars.end[0] == pytest.approx([0, 0, 0], abs=1e-9)
     assert bars.start[1] == pytest.approx([0, 0, 0], abs=1e-9)
 
@@ -93,7 +93,7 @@ def test_joints_lie_on_their_bars_in_any_frame(seed, n):
     apart = np.array([distance_to_lines(joint[j : j + 1], axes[b : b + 1])[0, 0] for j, b in tie])
     assert (apart <= np.where(ties == 2, 0.5 * (SCALES.slack_m + 0.06) + 1e-9, SCALES.same_m * ties)).all()
     along = ((joint[tie[:, 0]] - bars.start[tie[:, 1]]) * bars.direction[tie[:, 1]]).sum(axis=1)
-    reach = LEAD_MAX_M + 2 * SCALES.same_m
+    reach = SCALES.lead_max_m + 2 * SCALES.same_m
     assert ((along >= -reach) & (along <= bars.length[tie[:, 1]] + reach)).all()
     # Bars are extended or cut along their axes, and only by so much.
     np.testing.assert_allclose(np.diag(distance_to_lines(led.start, axes)), 0, atol=1e-9)
