@@ -91,15 +91,13 @@ class CloudOdometry:
         if not len(chosen):
             return None, None
         tree = build_kdtree(self.map.means(chosen))
-        none = np.zeros((0, 6))
         if s.error != "gicp":
-            return Target(tree, np.zeros((0, 3)), none), None
+            return Target(tree), None
         if s.shape == "neighbours":
-            around = regularised(neighbour_covariances(tree.point, NEIGHBOURS, tree))
-            return Target(tree, np.zeros((0, 3)), around), regularised(neighbour_covariances(points, NEIGHBOURS))
+            return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
         around = self.map.shapes(chosen)[tree.order].copy()
         around[:, [0, 3, 5]] += (0.5 * SIGMA_FLOOR_M) ** 2
-        return Target(tree, np.zeros((0, 3)), around), self._ray_covariances(points)
+        return Target(tree, covariance=around), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
         """Range noise along each ray, and the floor across it, upper triangles ``(N, 6)`` in the drone frame."""

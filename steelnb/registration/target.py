@@ -7,7 +7,7 @@ import numpy as np
 
 from steelnb.errors import EmptyCloudError
 from steelnb.points import VoxelGrid, VoxelMap
-from steelnb.points.covariances import neighbour_covariances, normals, regularised
+from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals
 from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree
 from steelnb.registration.correspond import correspond_points, correspond_voxels
@@ -33,12 +33,20 @@ class Pairs:
 class Target:
     """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 
-    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero.
+    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero. Covariances that
+    are ``planes`` are computed as pairs need them.
     """
 
     tree: KdTree
-    normal: Array
-    covariance: Array
+    normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    planes: PlaneCovariances | None = None
+
+    @classmethod
+    def with_planes(cls, tree: KdTree, neighbours: int) -> "Target":
+        """Covariances of GICP, from the nearest ``neighbours`` points around each."""
+        planes = PlaneCovariances.of(tree, neighbours)
+        return cls(tree, covariance=planes.value, planes=planes)
 
     @property
     def point(self) -> Array:
@@ -49,7 +57,13 @@ class Target:
         """Nearest point of each source point ``(N, 3)``: exact, and searched again only where it may have changed."""
         n = len(source)
         match, state = np.full(n, -1), (np.full((n, KEPT), -1), np.full(n, -1.0), np.zeros((n, 3)))
-        return Pairs(match, lambda T: correspond_points(self.tree, source, T, limit_m, match, *state))
+
+        def update(T: Array) -> None:
+            correspond_points(self.tree, source, T, limit_m, match, *state)
+            if self.planes:
+                self.planes.fill(match)
+
+        return Pairs(match, update)
 
 
 @dataclass(frozen=True)
@@ -83,14 +97,11 @@ def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
     Raises `EmptyCloudError`, `SettingsError`.
     """
     tree = build_kdtree(finite(points, "target"))
-    normal, covariance = np.zeros((0, 3)), np.zeros((0, 6))
-    if error != "point":
-        covariance = neighbour_covariances(tree.point, neighbours, tree)
-    if error == "plane":
-        normal, covariance = normals(covariance), np.zeros((0, 6))
     if error == "gicp":
-        covariance = regularised(covariance)
-    return Target(tree, normal, covariance)
+        return Target.with_planes(tree, neighbours)
+    return (
+        Target(tree, normals(neighbour_covariances(tree.point, neighbours, tree))) if error == "plane" else Target(tree)
+    )
 
 
 def voxel_target(voxels: VoxelMap) -> VoxelTarget:

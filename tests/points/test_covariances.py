@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.points.covariances import neighbour_covariances, normals, regularised
+from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals, regularised
 from steelnb.points.kdtree import build_kdtree
 from tests import naive
 
@@ -64,3 +64,16 @@ def test_normals_and_regularised_covariances_have_the_axes_of_the_spread():
     for thickness in (1e-3, 0.5):
         expected = (vector * [thickness, 1, 1]) @ vector.transpose(0, 2, 1)
         np.testing.assert_allclose(naive.full(regularised(spread, thickness)), expected, atol=1e-8)
+
+
+def test_covariances_computed_when_asked_for_are_those_of_all_points():
+    tree = build_kdtree(CLOUDS["uniform"])
+    rng, all_of_them = np.random.default_rng(3), regularised(neighbour_covariances(tree.point, 12, tree))
+    planes = PlaneCovariances.of(tree, 12)
+    for _ in range(6):
+        asked = np.append(rng.integers(0, len(tree.point), 4), -1)
+        planes.fill(asked)
+        np.testing.assert_array_equal(planes.value[asked[:-1]], all_of_them[asked[:-1]])
+    there = np.isfinite(planes.value).all(axis=1)
+    assert 4 <= np.count_nonzero(there) < len(there)
+    np.testing.assert_array_equal(planes.value[there], all_of_them[there])
