@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from steelnb import odometry
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
-from steelnb.odometry import make_odometry
+from steelnb.odometry import make_odometry, run_kept
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth, build_tower, fly_and_scan
 from steelnb.types import Estimate, Flight
@@ -48,7 +47,9 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
-    found = odometry.run(flight, make_odometry(settings.odometry, flight.T_drone_sensor), on_step)
+    found = run_kept(flight, make_odometry(settings.odometry, flight.T_drone_sensor), on_step)
+    if on_progress:
+        on_progress(1.0)  # an estimate that was kept makes no steps
     return Result(**vars(found), settings=settings, truth=truth, metrics=measure(settings, found, truth))
 
 

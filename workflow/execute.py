@@ -20,9 +20,9 @@ from typing import Any
 import psutil
 
 import steelnb.errors
+from steelnb.cache import CACHE_VARIABLE
 from steelnb.errors import NotebookError, OutputError, SettingsError
 from steelnb.report.results import PROGRESS_VARIABLE
-from steelnb.simulation.cache import CACHE_VARIABLE
 from workflow.experiments import Part
 
 RUN_VARIABLE = "STEELNB_RUN"

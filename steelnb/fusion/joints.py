@@ -32,10 +32,11 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
     """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends moved to the joints; metres.
 
     Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. Points
-    within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over the
-    sine of the angle between them, at most by ``lead_max_m``, but only to the first bar that it meets. Bars that continue each other at a small
-    angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one bar that are less than ``same_m`` apart
-    are one joint: the point nearest to all axes that it ties. Ends near a bar's first and last joint move there.
+    within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over
+    the sine of the angle between them, at most by ``lead_max_m``, but only to the first bar that it meets. Bars
+    that continue each other at a small angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one
+    bar that are less than ``same_m`` apart are one joint: the point nearest to all axes that it ties. Ends near a
+    bar's first and last joint move there.
     """
     same_m = scales.same_m
     pair, at, point, lead = _meetings(

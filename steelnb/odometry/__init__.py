@@ -1,6 +1,7 @@
 """Scans and a drifting trajectory → the corrected trajectory and a map."""
 
 from steelnb.odometry.base import Odometry
+from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.run import run
@@ -9,11 +10,11 @@ from steelnb.settings import OdometrySettings
 from steelnb.types import Array
 
 
-def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> Odometry:
+def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdometry | SegmentOdometry:
     """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor."""
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
     return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor)
 
 
-__all__ = ["CloudOdometry", "CombinedOdometry", "Odometry", "SegmentOdometry", "make_odometry", "run"]
+__all__ = ["CloudOdometry", "CombinedOdometry", "Odometry", "SegmentOdometry", "make_odometry", "run", "run_kept"]

@@ -1,13 +1,14 @@
-"""A flight from the disk is the flight that was flown, to the bit."""
+"""What comes from the disk is what was computed, to the bit."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from steelnb import experiment
+from steelnb import cache, experiment
+from steelnb.odometry import cache as estimates
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import cache
+from steelnb.simulation import cache as flights
 
 SETTINGS = ExperimentSettings.preset("orbit", sensor="report", duration_s=4.0)
 
@@ -31,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_kept_flight_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = arrays(SETTINGS)
-    monkeypatch.setattr(cache, "fly", None)
+    monkeypatch.setattr(flights, "fly", None)
     again = arrays(SETTINGS)
     monkeypatch.undo()
     monkeypatch.delenv("STEELNB_CACHE", raising=False)
@@ -86,3 +87,38 @@ def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path: Path, monkey
     (tmp_path / "file").touch()
     monkeypatch.setenv("STEELNB_CACHE", str(tmp_path / "file"))
     assert len(arrays(SETTINGS)) > 8
+
+
+@pytest.mark.parametrize("method", ["least_squares_yaw", "icp", "combined"])
+def test_a_kept_estimate_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    settings = ExperimentSettings.preset("orbit", "random-walk", sensor="report", duration_s=4.0, method=method)
+    seen: list[float] = []
+    first = experiment.run(settings, seen.append)
+    monkeypatch.setattr(estimates, "run", None)
+    again = experiment.run(settings, seen.append)
+    assert len(seen) > 2
+    assert seen[-1] == 1.0
+    assert again.metrics == first.metrics
+    assert again.reason == first.reason
+    assert list(again.seconds) == list(first.seconds)
+    for one, two in (
+        (first.corrected.T_world_drone, again.corrected.T_world_drone), (first.points, again.points),
+        (first.segments.start, again.segments.start), (first.segments.count, again.segments.count),
+        (first.matches, again.matches), (first.update_s, again.update_s),
+        *zip(first.seconds.values(), again.seconds.values(), strict=True),
+    ):  # fmt: skip
+        assert one.dtype == two.dtype
+        np.testing.assert_array_equal(one, two)
+
+
+def test_an_estimate_belongs_to_the_prior_the_scans_and_the_settings(folder: Path) -> None:
+    base = ExperimentSettings.preset("orbit", "random-walk", sensor="report", duration_s=3.0, method="icp")
+    for changed in (
+        {},
+        {"noise.random_walk_m": 0.5},
+        {"tof.blind_s": [[1.0, 2.0]]},
+        {"clouds.max_correspondence_m": 0.3},
+    ):
+        experiment.run(base.override(changed))
+        experiment.run(base.override(changed))
+    assert len(list((folder.parent / "estimates").iterdir())) == 4
