@@ -97,9 +97,10 @@ def watch(parent: int, mark: str, scratch: Path) -> None:
         os.dup2(os.open(scratch / "log", os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)  # kernels warn of their own ports
 
 
-def run_part(part: Part, parent: int, mark: str, scratch: Path, key: str, store: Path) -> None:
+def run_part(part: Part, parent: int, mark: str, scratch: Path, arrays: Path, key: str, store: Path) -> None:
     """Execute a part in ``scratch``, and move its results and its notebook as executed into ``store``.
 
+    Flights and estimates are shared with other parts through the folder ``arrays`` (`steelnb.cache`).
     Raises `SettingsError` where the notebook refused its input, else `NotebookError`, in one line with the part's name.
     """
     watch(parent, mark, scratch)
@@ -108,9 +109,7 @@ def run_part(part: Part, parent: int, mark: str, scratch: Path, key: str, store:
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "output").mkdir(parents=True)
     own = f"{mark}{part.label}:"
-    os.environ |= environment(folder, own) | {
-        CACHE_VARIABLE: str(part.root / ".cache")
-    }  # of this worker, which the kernel inherits
+    os.environ |= environment(folder, own) | {CACHE_VARIABLE: str(arrays)}  # of this worker, which the kernel inherits
     error, message = _execute(part, folder)
     kill_marked(own)  # a kernel that died leaves its children behind
     missing = [name for name in REQUIRED if not (folder / "output" / name).is_file()]

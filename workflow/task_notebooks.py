@@ -89,15 +89,16 @@ def part_folder(cache: Path, part: Part) -> Path:
     return cache / "parts" / part.experiment.id / (part.name or "all")
 
 
-def make_tasks(plans: Sequence[Plan], cache: Path, mark: str) -> list[Task]:
-    """A task for each part and one for each experiment."""
+def make_tasks(plans: Sequence[Plan], cache: Path, mark: str, force: bool = False) -> list[Task]:
+    """A task for each part and one for each experiment; with ``force``, none of them reads arrays of former runs."""
     tasks = []
     for plan in plans:
         stores = {}
         for part in plan.parts:
             store = stores[part.name or "all"] = Folder(f"part {part.label}", part_folder(cache, part))
             key = Value(name=f"key {part.label}", value=part.key(), hash=True)
-            run = partial(run_part, part, os.getpid(), mark, cache / "scratch")
+            arrays = cache / "scratch" / "arrays" if force else part.root / ".cache"
+            run = partial(run_part, part, os.getpid(), mark, cache / "scratch", arrays)
             tasks.append(Task(name=part.label, function=run, depends_on={"key": key}, produces={"store": store}))
         about = {"experiment": plan.experiment.id, "notebook": plan.experiment.notebook, "budget": plan.budget}
         name = os.path.relpath(plan.folder, cache)
@@ -118,7 +119,7 @@ def run(plans: Sequence[Plan], cache: Path, jobs: int = 2, force: bool = False) 
         scratch.mkdir()
         os.environ[RUN_VARIABLE] = mark
         try:
-            return _build(make_tasks(plans, cache, mark), Events(plans, scratch), cache, jobs, force)
+            return _build(make_tasks(plans, cache, mark, force), Events(plans, scratch), cache, jobs, force)
         finally:
             del os.environ[RUN_VARIABLE]
             kill_marked(mark)
@@ -149,16 +150,17 @@ class Events:
     """A plugin for pytask: merges first, a line on stderr at every event and every half minute, and a report."""
 
     def __init__(self, plans: Sequence[Plan], scratch: Path) -> None:
-        self.parts = {part.label for plan in plans for part in plan.parts}
+        self.parts = [part.label for plan in plans for part in plan.parts]
         self.scratch, self.report = scratch, Report()
         self.done = 0
         self.begin_s: dict[str, float] = {}
 
     @pytask.hookimpl(tryfirst=True)
     def pytask_execute_build(self, session: pytask.Session) -> None:
-        """Merges first."""
+        """Merges first, then parts in the order of the notebooks: later ones show runs of earlier ones again."""
+        order = {name: -float(k) for k, name in enumerate(self.parts, start=1)}
         session.scheduler.priorities = {  # type: ignore[union-attr]
-            task.signature: float(task.name not in self.parts) for task in session.tasks
+            task.signature: order.get(task.name, 1.0) for task in session.tasks
         }
 
     @pytask.hookimpl(tryfirst=True)
