@@ -1,0 +1,65 @@
+"""Estimates on simulated flights kept on disk, so that a run that several notebooks show is computed once."""
+
+import hashlib
+from dataclasses import fields
+
+import numpy as np
+
+from steelnb.cache import Arrays, kept
+from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.run import OnStep, run
+from steelnb.odometry.segments import SegmentOdometry
+from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
+
+COLUMNS = tuple(field.name for field in fields(Segments))
+
+
+def run_kept(flight: Flight, odometry: CloudOdometry | SegmentOdometry, on_step: OnStep | None = None) -> Estimate:
+    """`run`, `kept` between notebooks where the scans are simulated; ``on_step`` is not called for a kept estimate.
+
+    An estimate belongs to the content of the flight and the settings of the odometry. Its seconds are those of the time
+    when it was computed.
+    """
+    if not isinstance(flight.scans, RangeScans):
+        return run(flight, odometry, on_step)
+    scans, prior = flight.scans, flight.prior
+    given = (scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor)
+
+    def key() -> object:
+        content = [hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() for array in given]
+        return [type(odometry).__name__, odometry.settings.model_dump(mode="json"), *content]
+
+    return kept(
+        "estimates",
+        key,
+        [__name__],
+        lambda: run(flight, odometry, on_step),
+        _pack,
+        lambda arrays: _unpack(arrays, prior),
+    )
+
+
+def _pack(estimate: Estimate) -> Arrays:
+    return {
+        "T_world_drone": estimate.corrected.T_world_drone,
+        "points": estimate.points,
+        **{name: getattr(estimate.segments, name) for name in COLUMNS},
+        "matches": estimate.matches,
+        "reason": np.array(estimate.reason, dtype=str),
+        "stage": np.array(list(estimate.seconds), dtype=str),
+        "seconds": np.array(list(estimate.seconds.values())),
+        "update_s": estimate.update_s,
+    }
+
+
+def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
+    return Estimate(
+        prior=prior,
+        corrected=Trajectory(prior.stamp_s, arrays["T_world_drone"]),
+        points=arrays["points"],
+        segments=Segments(*(arrays[name] for name in COLUMNS)),
+        matches=arrays["matches"],
+        reason=tuple(arrays["reason"].tolist()),
+        seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
+        update_s=arrays["update_s"],
+    )
