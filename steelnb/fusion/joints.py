@@ -35,8 +35,8 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
     within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over
     the sine of the angle between them, at most by ``lead_max_m``, but only to the first bar that it meets. Bars
     that continue each other at a small angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one
-    bar that are less than ``same_m`` apart are one joint: the point nearest to all axes that it ties. Ends near a
-    bar's first and last joint move there.
+    bar that are less than ``same_m`` apart are one joint: the point nearest to all axes that it ties; bars that do
+    not reach it are not tied. Ends near a bar's first and last joint move there.
     """
     same_m = scales.same_m
     pair, at, point, lead = _meetings(
@@ -55,8 +55,14 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
         joint[j] = nearest_point(axes, point[inside].mean(axis=0))
         ties += [(j, int(bar)) for bar in tied]
         leads += [lead[inside][(pair[inside] == bar).any(axis=1)].max() for bar in tied]
-    tie = np.array(ties, dtype=np.int64).reshape(-1, 2)
-    return joint, tie, _led(bars, joint, tie, np.array(leads), same_m)
+    tie, lead = np.array(ties, dtype=np.int64).reshape(-1, 2), np.array(leads)
+    # Where bars that meet at an acute angle are extended far, their nearest point may lie farther still.
+    along = ((joint[tie[:, 0]] - bars.start[tie[:, 1]]) * bars.direction[tie[:, 1]]).sum(axis=1)
+    reached = (along >= -lead - same_m) & (along <= bars.length[tie[:, 1]] + lead + same_m)
+    reached &= np.bincount(tie[reached, 0], minlength=len(joint))[tie[:, 0]] >= 2
+    left, place = np.unique(tie[reached, 0], return_inverse=True)
+    tie, lead = np.column_stack([place, tie[reached, 1]]), lead[reached]
+    return joint[left], tie, _led(bars, joint[left], tie, lead, same_m)
 
 
 def trim_bends(bars: Segments, scales: Scales) -> Segments:

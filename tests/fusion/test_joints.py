@@ -65,6 +65,16 @@ def test_bars_are_extended_to_the_first_that_they_meet():
     assert len(find_joints(bars_of(strut, beyond), np.full(2, 0.01), Scales(slack_m=0.0))[0]) == 0
 
 
+def test_bars_whose_axes_cross_far_beyond_their_ends_are_not_tied():
+    """Two bars at 11° that end 1.2 m before their crossing, and hardly apart: no joint in mid-air."""
+    tip, up = np.zeros(3), np.radians([-5.5, 5.5])
+    bars = bars_of(*[[tip + 1.2 * u, tip + 3.2 * u] for u in np.column_stack([np.cos(up), 0 * up, np.sin(up)])])
+    assert bars.start[1, 2] - bars.start[0, 2] < 0.3
+    joint, tie, led = find_joints(bars, np.full(2, 0.1), SCALES)
+    assert len(joint) == len(tie) == 0
+    np.testing.assert_array_equal(led.start, bars.start)
+
+
 def test_bars_that_continue_each_other_end_at_the_bend():
     # Two bars at 6° to each other, each of which has grown 30 cm past the bend at the origin, or stops short of it.
     up = np.array([np.sin(np.radians(6)), 0, np.cos(np.radians(6))])
@@ -92,9 +102,9 @@ def test_joints_lie_on_their_bars_in_any_frame(seed, n):
     assert (ties >= 2).all()
     apart = np.array([distance_to_lines(joint[j : j + 1], axes[b : b + 1])[0, 0] for j, b in tie])
     assert (apart <= np.where(ties == 2, 0.5 * (SCALES.slack_m + 0.06) + 1e-9, SCALES.same_m * ties)).all()
-    along = ((joint[tie[:, 0]] - bars.start[tie[:, 1]]) * bars.direction[tie[:, 1]]).sum(axis=1)
+    along = ((joint[tie[:, 0]] - led.start[tie[:, 1]]) * led.direction[tie[:, 1]]).sum(axis=1)
+    assert ((along >= -1e-9) & (along <= led.length[tie[:, 1]] + 1e-9)).all()
     reach = SCALES.lead_max_m + 2 * SCALES.same_m
-    assert ((along >= -reach) & (along <= bars.length[tie[:, 1]] + reach)).all()
     # Bars are extended or cut along their axes, and only by so much.
     np.testing.assert_allclose(np.diag(distance_to_lines(led.start, axes)), 0, atol=1e-9)
     np.testing.assert_allclose(np.diag(distance_to_lines(led.end, axes)), 0, atol=1e-9)
