@@ -31,7 +31,7 @@ ANGLE_MAX_RAD = math.radians(10)
 LEAN_SIGMA_RAD = math.radians(2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A cloud ``points (N, 3)`` in the world frame, the members seen in it, and the conditions it was made under.
 
