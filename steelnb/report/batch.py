@@ -60,19 +60,10 @@ def make_cases(
 ) -> list[ExperimentSettings]:
     """Settings of every flight × noise × method; a method may come with its overrides. Raises `SettingsError`."""
     wanted: list[Any] = [(each, {}) if isinstance(each, str) else each for each in method]
+    given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
     return [
-        ExperimentSettings.preset(
-            flight,
-            each,
-            sensor=sensor,
-            seed=seed,
-            duration_s=duration_s,
-            overrides={**(overrides or {}), **changes},
-            method=name,
-        )
-        for flight in trajectory
-        for each in noise
-        for name, changes in wanted
+        ExperimentSettings.preset(flight, each, overrides={**(overrides or {}), **changes}, method=name, **given)
+        for flight, each, (name, changes) in itertools.product(trajectory, noise, wanted)
     ]
 
 

@@ -55,15 +55,13 @@ def find_basin(
         used.append(bool(step.used))
         if on_progress:
             on_progress((k + 1) / len(offset_m))
+    error, moved = np.linalg.norm(ends, axis=1), np.linalg.norm(np.array(ends) - offset_m, axis=1)
+    taken, close = np.array(used), error <= RIGHT_M
+    wrong, still = taken & ~close, moved <= RIGHT_M
     basin = pd.DataFrame(offset_m, columns=["x_m", "y_m", "z_m"])
-    basin["error_m"] = error = np.linalg.norm(ends, axis=1)
-    taken, moved = np.array(used), np.linalg.norm(np.array(ends) - offset_m, axis=1)
-    basin["right"] = taken & (error <= RIGHT_M)
-    basin["wrong"] = taken & (error > RIGHT_M)
-    basin["stayed"] = basin["wrong"] & (moved <= RIGHT_M)
-    basin["locked"] = basin["wrong"] & ~basin["stayed"]
-    basin["refused"] = ~taken
-    return basin
+    return basin.assign(
+        error_m=error, right=taken & close, wrong=wrong, stayed=wrong & still, locked=wrong & ~still, refused=~taken
+    )
 
 
 def offset_grid(reach_m: float, step_m: float) -> Array:

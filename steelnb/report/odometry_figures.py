@@ -64,7 +64,7 @@ def _with_numbers(result: Result) -> str:
 
 
 def _draw_errors(panel: Axes, results: Mapping[str, Result], **look: Any) -> None:
-    """The distance to the truth of some runs over the scans, by label, dashed with ``by segments``."""
+    """Draw the distance to the truth of some runs, by label, over the scans."""
     for label, result in results.items():
         error = position_error_m(result.corrected, result.truth.trajectory)
         panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label, **look)

@@ -211,11 +211,9 @@ def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min
 
     The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
     """
-    widths: list[tuple[str, float]] = [(FIXED, width) for width in dx]
+    rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
     rows = []
-    for noise_m, (rule, width), votes in itertools.product(
-        scenes, [*widths, (CHOSEN, math.nan), (REFERENCE, math.nan)], min_votes
-    ):
+    for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
         settings = SegmentationSettings(points_min=votes)
         own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
         trials = [

@@ -124,8 +124,10 @@ def figure_conditions(cases: pd.DataFrame) -> Figure:
                     y = y.where(curve["recall"] >= RECALL_MIN)
                 panel.plot(x, y, color=COLOURS[method], marker=marker, markersize=5, label=label)
             panel.axvline(scale * USUAL[condition], color=GREY, lw=0.8, ls=":", zorder=0)
-            panel.set(xlabel=words, ylabel=unit, ylim=(0, 1.03 if number in ("recall", "precision") else None))
+            panel.set(xlabel=words, ylabel=unit)
             panel.label_outer()
+    for row, number in enumerate(NUMBERS):
+        panels[row, 0].set_ylim(0, 1.03 if number in ("recall", "precision") else None)
     ticks = 100 * np.sort(cases["kept"].unique())
     panels[0, -1].set_xscale("log", base=2)
     panels[0, -1].set_xticks(ticks, [f"{value:.3g}" for value in ticks])

@@ -135,7 +135,7 @@ def _panels(tower: Tower, count: int) -> tuple[Figure, list[Axes]]:
 
 def _draw(panel: Axes, tower: Tower, bars: Array, **look: Any) -> None:
     """Add bars ``(M, 2, 3)`` to a panel, seen in perspective."""
-    draw_lines(panel, project_perspective(bars.reshape(-1, 3), tower.vertices).reshape(-1, 2, 2), **look)
+    draw_lines(panel, project_perspective(bars, tower.vertices), **look)
 
 
 def _draw_judged(panel: Axes, tower: Tower, bars: Array, right: NDArray[np.bool_]) -> None:

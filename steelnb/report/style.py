@@ -152,7 +152,7 @@ def frame_3d(axis, points: Array, azimuth_deg: float = -60, zoom: float = 1.25) 
 
 
 def project_perspective(points: Array, cloud: Array) -> Array:
-    """Points ``(N, 3)`` → ``(N, 2)`` in metres: a pinhole camera 10° above and 2.2 diagonals away from the middle of
+    """Points ``(…, 3)`` → ``(…, 2)`` in metres: a pinhole camera 10° above and 2.2 diagonals away from the middle of
     ``cloud``, where it is to scale.
 
     Not matplotlib's 3D axes, which draw into a square and hide bars behind points.
@@ -163,4 +163,4 @@ def project_perspective(points: Array, cloud: Array) -> Array:
     away = points - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
     distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
     flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
-    return np.asarray(flat * (distance / (distance - away @ to_camera))[:, None])
+    return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])

@@ -104,7 +104,7 @@ def _three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], C
         near = world @ turn.T - shift
         if name in columns:
             return near[..., columns[name]]
-        return project_perspective(near.reshape(-1, 3), turned - shift).reshape(*near.shape[:-1], 2)
+        return project_perspective(near, turned - shift)
 
     names = [*columns, "perspective"]
     extents = {name: (project(points, name).min(axis=0), project(points, name).max(axis=0)) for name in names}
