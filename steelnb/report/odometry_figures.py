@@ -98,8 +98,10 @@ def figure_cloud_errors(results: Sequence[Result]) -> Figure:
         panel.set(xlim=(0, len(error) - 1), ylim=(0, 1.12 * top))
         numbers = f"mean {error.mean():.2f} m, max {error.max():.2f} m"
         panel.set_title(f"{LABELS[method]}, {FLIGHTS[flight]}: {numbers}", fontsize=11)
-    figure.supylabel("error (m)", fontsize=11)
-    figure.supxlabel(f"ToF scan ({settings.tof.rate_hz:g} Hz)", fontsize=11)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("error (m)")
+    for panel in panels[-1]:
+        panel.set_xlabel(f"ToF scan ({settings.tof.rate_hz:g} Hz)")
     keys: dict[str, dict[str, Any]] = {"raw": {"color": COLOURS["none"]}}
     keys |= {LABELS[method]: {"color": COLOURS[method], "lw": 2} for method in methods}
     if report:

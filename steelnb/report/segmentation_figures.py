@@ -64,11 +64,13 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for k, (panel, trial) in enumerate(zip(panels.ravel(), trials, strict=False)):
         _draw_found(panel, trial)
-        panel.tick_params(labelbottom=k + columns >= len(trials))
+        if k % columns == 0:
+            panel.set_ylabel("height (m)")
+        if k + columns >= len(trials):  # also above an empty place
+            panel.set_xlabel("across (m)")
+            panel.tick_params(labelbottom=True)
     for panel in panels.ravel()[len(trials) :]:
         panel.set_axis_off()
-    figure.supxlabel("across (m)", fontsize=11)
-    figure.supylabel("height (m)", fontsize=11)
     keys = {
         "right segment": {"color": RIGHT, "lw": 2},
         "wrong segment": {"color": WRONG, "lw": 2},
@@ -85,7 +87,7 @@ def _draw_found(panel: Axes, trial: Trial) -> None:
     shown = thinned(flat, 20_000)
     panel.scatter(shown[:, 0], shown[:, 1], s=0.7, c=POINTS, linewidths=0, rasterized=True)
     missed = _project(scene.members.axes[scene.members.observed() & ~score.found], scene.across)
-    draw_lines(panel, missed, colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3)
+    draw_lines(panel, missed, colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3, capstyle="butt")
     bars = _project(end_points(trial.segments), scene.across)
     draw_lines(panel, bars[score.right], colors=RIGHT, lw=1.5)
     draw_lines(panel, bars[~score.right], colors=WRONG, lw=1.5)

@@ -96,7 +96,7 @@ def draw_legend(
 
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
-    panel.add_collection(LineCollection(list(lines), capstyle="round", **look))
+    panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
 
 
 def draw_sample(

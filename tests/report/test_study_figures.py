@@ -1,4 +1,4 @@
-"""Figures of the claims, from made-up verdicts and runs."""
+"""Figures of studies and claims, from made-up verdicts and runs."""
 
 import itertools
 
