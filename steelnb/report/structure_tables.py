@@ -3,7 +3,7 @@ tables, the goals set for them, and the near-side bias."""
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -276,10 +276,7 @@ def toward_sensor_m(source: StructureFlight, bars: Segments, member: IntArray) -
     return toward
 
 
-def structure_files(structures: Mapping[str, Structure]) -> dict[str, Callable[[Path], object]]:
-    """Files for `write_results`: structure_<name>.json and .glb of each (no .glb for one without bars)."""
-    return {
-        f"structure_{name}.{ending}": partial(write_structure, structure)
-        for name, structure in structures.items()
-        for ending in (("json", "glb") if len(structure) else ("json",))
-    }
+def structure_files(name: str, structure: Structure) -> dict[str, Callable[[Path], object]]:
+    """Files for `write_results`: structure_<name>.json and .glb (no .glb for one without bars)."""
+    endings = ("json", "glb") if len(structure) else ("json",)
+    return {f"structure_{name}.{ending}": partial(write_structure, structure) for ending in endings}

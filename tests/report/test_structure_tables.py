@@ -144,7 +144,7 @@ def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
     final = runs[-2].structure
     for part in ("a", "b"):
         results.write_results(
-            tmp_path / part, table=table, metrics={}, figures={}, files=tables.structure_files({"true": final}),
+            tmp_path / part, table=table, metrics={}, figures={}, files=tables.structure_files("true", final),
             provenance={"tower": part},
         )  # fmt: skip
     merge({name: tmp_path / name for name in "ab"}, tmp_path / "all", {})
