@@ -5,6 +5,8 @@ is missing is named with the command that installs it.
 """
 
 import importlib
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steelnb.errors import MissingExtraError, SteelnbError
@@ -44,6 +46,35 @@ __all__ = [
     "detect_segments", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth", "reconstruct",
     "reconstruct_cloud", "register", "run", "write_flight", "write_structure",
 ]  # fmt: skip
+
+
+def _keep_compiled_code() -> None:
+    """Give Numba a folder for compiled code where it finds none: a read-only install without a writable home.
+
+    The folder is the user's own and closed to others, since Numba runs what it finds there.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    there = next((folder for folder in (home, *home.parents) if folder.is_dir()), home)
+    found = home.is_absolute() and os.access(there, os.W_OK)
+    if found or "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):
+        return
+    import atexit
+    import shutil
+    import tempfile
+
+    folder = Path(tempfile.gettempdir(), f"steelnb-numba-{os.getuid()}")
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        state = folder.lstat()
+    except OSError:
+        state = None
+    if state is None or folder.is_symlink() or state.st_uid != os.getuid() or state.st_mode & 0o077:
+        folder = Path(tempfile.mkdtemp(prefix="steelnb-numba-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+
+
+_keep_compiled_code()
 
 
 def __getattr__(name: str) -> Any:

@@ -87,7 +87,7 @@ def parse_parameter(text: str) -> tuple[str, Any]:
         try:
             parsed = read(value)
             json.dumps(parsed)  # refuses what a notebook's parameter cannot be: sets, bytes, dates
-        except (ValueError, SyntaxError, TypeError):
+        except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
             continue
         return name, parsed
     return name, value
