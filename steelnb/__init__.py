@@ -53,7 +53,7 @@ def _keep_compiled_code() -> None:
 
     The folder is the user's own and closed to others, since Numba runs what it finds there.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     there = next((folder for folder in (home, *home.parents) if folder.is_dir()), home)
     found = home.is_absolute() and os.access(there, os.W_OK)
     if found or "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):

@@ -63,6 +63,7 @@ def segment_file(
     Raises the errors of `read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
     """
     path = Path(path)
+    name = plain_name(path)
     target = Path(output) if output else Path(f"{path.stem}_segments")
     began = time.perf_counter()
     votes = MIN_VOTES if min_votes is None else min_votes
@@ -81,21 +82,19 @@ def segment_file(
         explained = float(np.average(within(cloud.points, found, dx), weights=cloud.count))
         filtered = float(within(points, found, dx).mean())
         about = {
-            "source": plain_name(path), "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
+            "source": name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
             "explained": explained, "explained_filtered": filtered,
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
-        built = _structure(cloud, dx, folder, plain_name(path)) if structure else None
+        built = _structure(cloud, dx, folder, name) if structure else None
         from steelnb.report.three_views import figure_segments
 
-        title = (
-            f"{plain_name(path)}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
-        )
+        title = f"{name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
     seconds = time.perf_counter() - began
     segments = found.moved(cloud.origin)
     summary = (
-        *_summary_of_cloud(plain_name(path), cloud, len(points), voxel, dx),
+        *_summary_of_cloud(name, cloud, len(points), voxel, dx),
         f"found     {len(found)} segments, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
