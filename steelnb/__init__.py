@@ -6,7 +6,6 @@ is missing is named with the command that installs it.
 
 import importlib
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steelnb.errors import MissingExtraError, SteelnbError
@@ -53,25 +52,27 @@ def _keep_compiled_code() -> None:
 
     The folder is the user's own and closed to others, since Numba runs what it finds there.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    there = next((folder for folder in (home, *home.parents) if folder.is_dir()), home)
-    found = home.is_absolute() and os.access(there, os.W_OK)
-    if found or "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    while os.path.isabs(cache) and not os.path.isdir(cache):
+        cache = os.path.dirname(cache)
+    found = os.path.isabs(cache) and os.access(cache, os.W_OK)
+    if found or "NUMBA_CACHE_DIR" in os.environ or os.access(os.path.dirname(__file__), os.W_OK):
         return
     import atexit
     import shutil
     import tempfile
 
-    folder = Path(tempfile.gettempdir(), f"steelnb-numba-{os.getuid()}")
+    folder = os.path.join(tempfile.gettempdir(), f"steelnb-numba-{os.getuid()}")
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        state = folder.lstat()
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        state = os.lstat(folder)
+        own = not os.path.islink(folder) and state.st_uid == os.getuid() and not state.st_mode & 0o077
     except OSError:
-        state = None
-    if state is None or folder.is_symlink() or state.st_uid != os.getuid() or state.st_mode & 0o077:
-        folder = Path(tempfile.mkdtemp(prefix="steelnb-numba-"))
+        own = False
+    if not own:
+        folder = tempfile.mkdtemp(prefix="steelnb-numba-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    os.environ["NUMBA_CACHE_DIR"] = folder
 
 
 _keep_compiled_code()

@@ -30,11 +30,14 @@ class Trajectory:
         return self.T_world_drone[:, :3, 3]
 
     def moved(self, by: Array) -> "Trajectory":
-        """The same poses with ``by (3,)``, metres, added to their positions; itself where that is zero."""
+        """The same poses with ``by (3,)``, metres, added to their positions; itself where that is zero.
+
+        Rounded to 0.1 µm, so that poses moved to zero from far away are those of the same flight at home.
+        """
         if not by.any():
             return self
         T_world_drone = self.T_world_drone.copy()
-        T_world_drone[:, :3, 3] += by
+        T_world_drone[:, :3, 3] = np.round(T_world_drone[:, :3, 3] + by, 7)
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":

@@ -129,15 +129,15 @@ def bag_reader(ros: int) -> Any:
     """rosbags' reader of ROS 1 or 2: memory for what it unpacks is bounded, and any name of a sqlite file is read."""
     with needs("io"):
         import lz4.frame
+        from backports import zstd
         from rosbags import rosbag1, rosbag2
-        from rosbags.rosbag2 import reader as readers
-        from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, zstd
+        from rosbags.rosbag2 import reader, storage_mcap
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    bounded_zstd = bounded(zstd.ZstdDecompressor)
-    DECOMPRESSORS.update(lz4=bounded(lz4.frame.LZ4FrameDecompressor), zstd=bounded_zstd)
-    rosbag1.reader.decompressors.update(bz2=bounded(bz2.BZ2Decompressor), lz4=bounded(lz4.frame.LZ4FrameDecompressor))
-    readers.zstd = SimpleNamespace(decompress=bounded_zstd, open=zstd.open)  # type: ignore[assignment]
+    by_lz4, by_zstd = bounded(lz4.frame.LZ4FrameDecompressor), bounded(zstd.ZstdDecompressor)
+    rosbag1.reader.decompressors.update(bz2=bounded(bz2.BZ2Decompressor), lz4=by_lz4)
+    storage_mcap.DECOMPRESSORS.update(lz4=by_lz4, zstd=by_zstd)
+    setattr(reader, "zstd", SimpleNamespace(decompress=by_zstd, open=zstd.open))  # noqa: B010
 
     class AnyName(Sqlite3Reader):
         """rosbags puts the path into a URI, where #, ? and % have a meaning."""
@@ -145,8 +145,8 @@ def bag_reader(ros: int) -> Any:
         def __init__(self, path: Path) -> None:
             super().__init__(Path(quote(os.fsencode(path))))
 
-    readers.Reader.STORAGE_PLUGINS = {**readers.Reader.STORAGE_PLUGINS, ".db3": AnyName}  # type: ignore[dict-item]
-    readers.DirectoryReader.STORAGE_PLUGINS = {"mcap": readers.McapReader, "sqlite3": AnyName}  # type: ignore[dict-item]
+    for each, key in ((reader.Reader, ".db3"), (reader.DirectoryReader, "sqlite3")):
+        each.STORAGE_PLUGINS = {**each.STORAGE_PLUGINS, key: AnyName}
     return rosbag1.Reader if ros == 1 else rosbag2.Reader
 
 
