@@ -43,8 +43,8 @@ def record(
 ) -> None:
     """Simulate a flight and record it: sensor data, drifting poses, and apart, in FILE.truth.tum, the truth."""
     from steelnb import experiment
+    from steelnb.io.bag_files import truth_path
     from steelnb.io.bag_writer import check_target, write_flight
-    from steelnb.io.flights import truth_path
     from steelnb.settings import ExperimentSettings
 
     if not DURATION_MIN_S <= duration <= DURATION_MAX_S:

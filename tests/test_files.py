@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -49,25 +50,25 @@ def test_of_two_runs_into_one_new_folder_both_are_kept(tmp_path: Path) -> None:
     assert files_below(tmp_path / "out") == {"a": "1", "b": "2"}
 
 
+def written(target: Path, names: str, text: str, overwrite: bool, meanwhile: Callable[[], None] | None = None) -> None:
+    with new_folder(target, overwrite=overwrite) as folder:
+        for name in names:
+            (folder / name).write_text(text)
+        if meanwhile is not None:
+            meanwhile()
+
+
 def test_without_overwriting_the_second_of_two_writes_nothing(tmp_path: Path) -> None:
-    with (
-        pytest.raises(OutputError, match="out/b: exists already"),
-        new_folder(tmp_path / "out", overwrite=False) as one,
-    ):
-        for name in "ab":
-            (one / name).write_text("1")
-        with new_folder(tmp_path / "out", overwrite=False) as other:
-            for name in "bc":
-                (other / name).write_text("2")
+    with pytest.raises(OutputError, match="out/b: exists already"):
+        written(tmp_path / "out", "ab", "1", False, lambda: written(tmp_path / "out", "bc", "2", False))
     assert files_below(tmp_path / "out") == {"b": "2", "c": "2"}
 
 
 def test_a_folder_in_the_place_of_a_file_keeps_all_others(tmp_path: Path) -> None:
     (tmp_path / "out" / "b").mkdir(parents=True)
     (tmp_path / "out" / "a").write_text("earlier")
-    with pytest.raises(OutputError, match="out/b: exists already"), new_folder(tmp_path / "out") as folder:
-        for name in "abc":
-            (folder / name).write_text("new")
+    with pytest.raises(OutputError, match="out/b: exists already"):
+        written(tmp_path / "out", "abc", "new", True)
     assert files_below(tmp_path / "out") == {"a": "earlier", "b": ""}
 
 

@@ -124,6 +124,13 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in (".bag", *STORAGES)
 
 
+def truth_path(path: Path) -> Path:
+    """Where the truth of a recording lies: X.truth.tum for X.bag and for the folder X."""
+    path = path.resolve()
+    stem = path.with_suffix("") if path.suffix.lower() in (".bag", *STORAGES) else path
+    return stem.with_name(f"{stem.name}.truth.tum")
+
+
 @functools.cache
 def bag_reader(ros: int) -> Any:
     """rosbags' reader of ROS 1 or 2: memory for what it unpacks is bounded, and any name of a sqlite file is read."""

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
 from steelnb.files import new_folder
-from steelnb.io.bag_files import STORAGES, TRANSFORMS, typestore
+from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY
-from steelnb.io.flights import truth_path
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 

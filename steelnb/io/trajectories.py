@@ -1,9 +1,8 @@
-"""Trajectory files (TUM, KITTI, EuRoC), read and written by evo, and stamps in text files and file names.
+"""Trajectory files (TUM, KITTI, EuRoC) and stamps in text files and file names.
 
-evo names no line and accepts poses that are none; both are checked here.
+evo's readers name no line, accept poses that are none and refuse what other programs write, so evo writes alone.
 """
 
-import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -50,25 +49,21 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None, stamp
 
 
 def _read(path: Path, skipped: Counter[str], stamp_s: Array | None) -> Trajectory:
-    with needs("io"):
-        from evo.tools import file_interface
-
     form, rows = _rows(path)
-    text = io.StringIO("\n".join(("," if form == "EuRoC" else " ").join(row) for row in rows))
-    if form == "KITTI":
-        T = np.array(file_interface.read_kitti_poses_file(text).poses_se3)
-        beside = stamps_beside(path)
-        if beside is not None:
-            stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
-        if stamp_s is None:
-            raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
-        if len(stamp_s) != len(T):
-            raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(T)}, one a pose")
-        return trajectory_of_matrices(path, stamp_s, T, skipped)
-    read = file_interface.read_tum_trajectory_file if form == "TUM" else file_interface.read_euroc_csv_trajectory
-    poses = read(text)
-    xyzw = np.roll(poses.orientations_quat_wxyz, -1, axis=1)
-    return trajectory_of(path, poses.timestamps, poses.positions_xyz, xyzw, skipped)
+    numbers = np.array(rows, dtype=float)
+    if form != "KITTI":
+        own_s, order = (numbers[:, 0] / 1e9, [5, 6, 7, 4]) if form == "EuRoC" else (numbers[:, 0], [4, 5, 6, 7])
+        return trajectory_of(path, own_s, numbers[:, 1:4], numbers[:, order], skipped)
+    T_world_drone = np.tile(np.eye(4), (len(numbers), 1, 1))
+    T_world_drone[:, :3] = numbers.reshape(-1, 3, 4)
+    beside = stamps_beside(path)
+    if beside is not None:
+        stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
+    if stamp_s is None:
+        raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
+    if len(stamp_s) != len(numbers):
+        raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(numbers)}, one a pose")
+    return trajectory_of_matrices(path, stamp_s, T_world_drone, skipped)
 
 
 def holds_poses(path: Path) -> bool:

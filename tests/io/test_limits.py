@@ -10,13 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steelnb.errors import ExtrinsicsError, FileContentError, FileMissingError, RecordingError, SettingsError
+from steelnb.errors import (
+    ExtrinsicsError,
+    FileContentError,
+    FileMissingError,
+    OutputError,
+    RecordingError,
+    SettingsError,
+)
 from steelnb.files import LINE_BYTES_MAX, reading, text_lines
 from steelnb.io import bag_files, read_cloud, read_flight, read_structure, read_trajectory, write_flight, write_tum
 from steelnb.io.bag_files import bounded
 from steelnb.io.bag_writer import check_target
 from steelnb.io.calibration import read_settings
-from steelnb.io.depth_folders import read_depth
+from steelnb.io.folders import read_depth
 from steelnb.io.trajectories import stamps_of_names
 from steelnb.settings import parse_parameter, read_toml
 from steelnb.types import Trajectory
@@ -151,7 +158,7 @@ def test_any_bytes_in_the_name_of_a_recording(tmp_path: Path, kind: str, stem: s
 
 def test_a_truth_that_is_there_is_of_another_flight(tmp_path: Path) -> None:
     write_tum(tmp_path / "a.truth.tum", poses(5))
-    with pytest.raises(Exception, match=r"a\.truth\.tum: holds another flight's truth"):
+    with pytest.raises(OutputError, match=r"a\.truth\.tum: holds another flight's truth"):
         check_target(tmp_path / "a.bag", True)
 
 

@@ -1,32 +1,46 @@
-"""Folders of depth images, as TUM RGB-D and 7-Scenes lay them out → parts of a flight.
+"""Folders of clouds, a file a scan, and of depth images (TUM RGB-D, 7-Scenes), with a trajectory → parts of a flight.
 
-Their trajectories are of the camera, z forward; here they are turned and moved to the drone.
+The trajectories of depth images are of the camera, z forward; here they are turned and moved to the drone.
 """
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
+from steelnb.errors import (
+    FileContentError,
+    FileMissingError,
+    RecordingError,
+    SettingsError,
+    SteelnbError,
+    TopicError,
+)
 from steelnb.files import reading, text_lines
 from steelnb.io.bag_files import PIXELS_MAX
-from steelnb.io.calibration import (
-    T_OPTICAL_SENSOR,
-    T_SENSOR_OPTICAL,
-    Intrinsics,
-    depth_points,
-    read_settings,
+from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points, read_settings
+from steelnb.io.clouds import read_points
+from steelnb.io.scans import Decode, Parts
+from steelnb.io.trajectories import (
+    STAMP_FILES,
+    holds_poses,
+    read_stamps,
+    read_trajectory,
+    stamps_beside,
+    stamps_of_names,
+    trajectory_of_matrices,
 )
-from steelnb.io.cloud_folders import TRAJECTORY, named_file, settings_file, walk_files
-from steelnb.io.scans import Parts
-from steelnb.io.trajectories import read_stamps, read_trajectory, trajectory_of_matrices
-from steelnb.types import Array, Trajectory
+from steelnb.types import Array, IntArray, Trajectory
 
+CLOUDS = (".ply", ".pcd", ".las", ".laz", ".npy")
+TRAJECTORY = "trajectory.txt"
+SETTINGS_FILES = ("settings.toml", "intrinsics.toml")
+TEXTS = (".tum", ".txt", ".csv", ".kitti", ".poses")
+TRUE = ("groundtruth", "ground_truth", "gt")
 GROUNDTRUTH = "groundtruth.txt"
 TUM_SCALE, SCENES_SCALE = 1 / 5000, 1 / 1000
 """Metres a unit of a depth image."""
@@ -39,6 +53,134 @@ CAMERAS = {
 }  # fmt: skip
 """fx, fy, cx, cy for 640 × 480 pixels as published with the data sets; of TUM by a part of a sequence's name."""
 _FRAME = re.compile(r"frame-(\d+)\.depth\.png")
+
+
+def is_cloud_folder(path: Path) -> bool:
+    """Whether a folder, or one of its sub-folders, holds clouds."""
+    return path.is_dir() and any(_clouds(folder) for folder in (path, *_folders(path)))
+
+
+def open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | None, settings: Path | None) -> Parts:
+    """The parts of a folder of clouds in the sensor frame, with a trajectory of the drone.
+
+    ``scans`` names a sub-folder or a pattern such as ``*.pcd``; ``poses`` a trajectory file, else it is the only file
+    with poses. Stamps are in file names, in a file of stamps, or, where there are as many, those of the poses. Raises
+    `RecordingError`, `TopicError`, `FileContentError`, and what settings raise.
+    """
+    skipped: Counter[str] = Counter()
+    files = _cloud_files(path, scans)
+    T_drone_sensor, _ = read_settings(settings_file(path, settings))
+    stamp_s, source = _scan_stamps(path, files)
+    file = named_file(path, poses) if poses else _trajectory_file(path)
+    prior = read_trajectory(file, skipped, stamp_s)
+    if stamp_s is None:
+        if len(prior) != len(files):
+            raise RecordingError(
+                f"{path}: {len(files)} clouds without stamps, {len(prior)} poses in {file.name}; expected as many, or "
+                f"stamps in the clouds' names or in one of {', '.join(STAMP_FILES)}"
+            )
+        stamp_s, source = prior.stamp_s, file.name
+    said = f"true poses, {file.name}" if file.stem.lower() in TRUE else file.name
+    facts = {"form": "folder of clouds", "scans": f"{len(files)} × {files[0].suffix.lower()}", "stamps": source}
+    mount = np.eye(4) if T_drone_sensor is None else T_drone_sensor
+    return Parts(
+        stamp_s, partial(walk_files, files, read_points), prior, mount, facts | {"poses": said}, skipped=skipped
+    )
+
+
+def read_clouds_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:
+    """The trajectory named, or the one in the folder whose name says that it is true (``groundtruth.txt``)."""
+    if truth is not None:
+        return read_trajectory(named_file(path, truth))
+    inside = [file for file in sorted(path.iterdir()) if file.stem.lower() in TRUE and file.suffix.lower() in TEXTS]
+    return read_trajectory(inside[0]) if inside and holds_poses(inside[0]) else None
+
+
+def walk_files(files: Sequence[Path], load: Callable[[Path], Array], number: IntArray) -> Iterator[Decode]:
+    """The scans of numbered files, as `Parts` walks them."""
+    return (partial(load, files[k]) for k in number.tolist())
+
+
+def settings_file(path: Path, settings: Path | None) -> Path | None:
+    """The settings that a user names, or those in the folder."""
+    return settings or next((path / name for name in SETTINGS_FILES if (path / name).is_file()), None)
+
+
+def named_file(path: Path, name: str) -> Path:
+    """A file that a user names, from here or from the folder. Raises `FileMissingError`."""
+    for file in (Path(name), path / name):
+        if file.is_file():
+            return file
+    raise FileMissingError(f"{name}: no such file, here or in {path}; expected a trajectory")
+
+
+def _scan_stamps(path: Path, files: list[Path]) -> tuple[Array | None, str]:
+    """Stamps of files and their source: their names, or a file of stamps with them or above; None without."""
+    named = stamps_of_names([file.stem for file in files])
+    if named is not None:
+        return named, "file names"
+    times = stamps_beside(files[0]) or stamps_beside(path)
+    if times is None:
+        return None, ""
+    listed = read_stamps(times)
+    by_name = {Path(rest.split(",")[0].strip()).name: stamp for stamp, rest in listed if rest}
+    if all(file.name in by_name for file in files):
+        return np.array([by_name[file.name] for file in files]), times.name
+    if len(listed) != len(files):
+        raise RecordingError(f"{times}: {len(listed)} stamps; expected {len(files)}, one a {files[0].suffix} file")
+    return np.array([stamp for stamp, _ in listed]), times.name
+
+
+def _trajectory_file(path: Path) -> Path:
+    """`TRAJECTORY`, or else the only file that holds poses. Raises `RecordingError`, `TopicError`."""
+    if (path / TRAJECTORY).is_file():
+        return path / TRAJECTORY
+    texts = [f for f in sorted(path.iterdir()) if f.suffix.lower() in TEXTS and f.name not in STAMP_FILES]
+    found = [file for file in texts if file.is_file() and holds_poses(file)]
+    found = [file for file in found if file.stem.lower() not in TRUE] or found
+    if not found:
+        raise RecordingError(f"{path}: no trajectory; expected a TUM, KITTI or EuRoC file in it, or one named")
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found)
+        raise TopicError(f"{path}: several files hold poses: {names}; expected one of them to be named as the poses")
+    return found[0]
+
+
+def _cloud_files(path: Path, scans: str | None) -> list[Path]:
+    """The clouds of a folder by the numbers in their names: 9 before 10. Raises `RecordingError`, `TopicError`."""
+    folder, pattern = path, "*"
+    if scans is not None and "*" in scans:
+        pattern = scans
+    elif scans is not None:
+        folder = path / scans
+        if not folder.is_dir():
+            names = ", ".join(each.name for each in _folders(path)) or "none"
+            raise TopicError(f"{path}: no folder {scans!r}; expected one of {names}")
+    elif not _clouds(path):
+        holding = [each for each in _folders(path) if _clouds(each)]
+        if len(holding) > 1:
+            raise TopicError(f"{path}: clouds in {', '.join(each.name for each in holding)}; expected one to be named")
+        folder = holding[0] if holding else path
+    files = [file for file in _clouds(folder) if file.match(pattern)]
+    endings = sorted({file.suffix.lower() for file in files})
+    if not files:
+        raise RecordingError(f"{folder}: no clouds; expected files that end with one of {', '.join(CLOUDS)}")
+    if len(endings) > 1:
+        raise TopicError(f"{folder}: clouds that end with {', '.join(endings)}; expected one to be named, as '*.ply'")
+    return sorted(files, key=_natural)
+
+
+def _natural(file: Path) -> list[tuple[float, str]]:
+    pieces = re.split(r"(\d+(?:\.\d+)?)", file.stem)
+    return [(float(piece), piece) if k % 2 else (-1.0, piece) for k, piece in enumerate(pieces)]
+
+
+def _clouds(folder: Path) -> list[Path]:
+    return [file for file in folder.iterdir() if file.suffix.lower() in CLOUDS and not file.name.startswith(".")]
+
+
+def _folders(path: Path) -> list[Path]:
+    return sorted(each for each in path.iterdir() if each.is_dir() and not each.name.startswith("."))
 
 
 def is_tum(path: Path) -> bool:
