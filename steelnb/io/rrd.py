@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SCAN_POINTS_MAX, MAP_POINTS_MAX = 2000, 20_000
 """Points of a scan and of a map: a flight of 200 s at 5 Hz stays at 25 MB."""
 MAP_PERIOD_S = 5.0
+FAR_M = 10_000.0
+"""Viewers compute in single precision: beyond, coordinates are counted from where the flight begins."""
 EPOCH_S = 1e8
 """Stamps beyond it (1973) are shown as dates."""
 TRACKS = {"true": ((0, 0, 0), 2.0), "drifting": ((213, 94, 0), 3.0), "corrected": ((0, 114, 178), 5.0)}
@@ -32,14 +34,15 @@ class Log:
 
     Entities: ``world/drone`` and ``world/scan`` a scan; ``world/map`` and ``world/bars`` now and then; and at the end
     the trajectories ``world/true``, ``world/drifting`` and ``world/corrected`` and, at each scan, ``error/…``, their
-    distance to the truth in metres, and ``matches``. Positions are metres in the world frame of the
-    flight, which should be near: viewers compute in single precision.
+    distance to the truth in metres, and ``matches``. Positions are metres in the world frame, less ``origin (3,)``.
 
     Raises `OutputError` on entering where nothing can be written, and later where the disk is full.
     """
 
     def __init__(self, path: Path, flight: Flight) -> None:
         self._path, self._flight = path, flight
+        first = flight.prior.position[0]
+        self.origin = np.round(first) if np.abs(first).max() > FAR_M else np.zeros(3)
         self._map_stamp_s = -np.inf
 
     def __enter__(self) -> Self:
@@ -120,7 +123,7 @@ class Log:
 
     def _single(self, positions: Array) -> NDArray[np.float32]:
         """Positions ``(..., 3)`` for the viewer."""
-        return positions.astype(np.float32)
+        return (positions - self.origin).astype(np.float32)
 
     def _check(self) -> None:
         if (fault := self._drain.fault) is not None:

@@ -225,13 +225,13 @@ def test_the_same_noise_is_the_same_drift_at_every_rate(rate_hz):
     assert np.abs(found[-1, :3, 3] - straight(at_s).position[-1]).max() > 0.01
 
 
-@pytest.mark.parametrize("begin_s", 1.7e9 + np.random.default_rng(0).uniform(0, 1e6, 12))
-def test_drift_on_stamps_since_1970(begin_s):
+@pytest.mark.parametrize("count", range(36, 48))
+def test_drift_on_stamps_since_1970(count):
     """They resolve a quarter of a microsecond: the last step of 8 ms may come out as none."""
-    true = straight(0.1 * np.arange(81))
-    found = drifted(Trajectory(begin_s + true.stamp_s, true.T_world_drone), WALK, 7)
+    true = straight(0.2 * np.arange(count))
+    found = drifted(Trajectory(1.7e9 + true.stamp_s, true.T_world_drone), WALK, 7)
     assert (np.diff(found.stamp_s) > 1e-6).all()
-    assert len(found) == 1001
+    assert len(found) == 25 * (count - 1) + 1
     np.testing.assert_allclose(found.T_world_drone, drifted(true, WALK, 7).T_world_drone, atol=1e-6)
 
 
