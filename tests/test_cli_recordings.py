@@ -84,7 +84,7 @@ BAD = [
     (["info", "{bag}", "--gap", "-1"], ["gap = -1"]),
     (["run", "{bag}", "--poses", "/nope"], ["'/nope'", "/odom"]),
     (["run", "{bag}", "--truth", "nope.tum"], ["nope.tum"]),
-    (["run", "{bag}", "--settings", "nope.toml"], ["nope.toml", "a settings file"]),
+    (["run", "{bag}", "--settings", "nope.toml"], ["nope.toml", "expected a settings file"]),
     (["run", "{bag}", "--odometry", "bset"], ["'bset'", "'best'"]),
     (["run", "{bag}", "--sensor", "lidar"], ["'lidar'", "'starling2'"]),
     (["run", "{bag}", "--noise", "walk"], ["'walk'", "random-walk"]),

@@ -18,10 +18,10 @@ def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
 
     Raises `FileMissingError` or `SettingsError`.
     """
-    form = f"a TOML file ({expected})" if expected else "a TOML file"
-    with reading(path, form, content=SettingsError):
-        with path.open("rb") as file:
-            text = file.read(TOML_BYTES_MAX + 1)
+    form = expected or "a TOML file"
+    with reading(path, form), path.open("rb") as file:
+        text = file.read(TOML_BYTES_MAX + 1)
+    with reading(path, "a TOML file", content=SettingsError):
         if len(text) > TOML_BYTES_MAX:
             raise SettingsError(f"{path}: more than {TOML_BYTES_MAX} bytes; expected {form}")
         tables = tomllib.loads(text.decode())
