@@ -91,3 +91,18 @@ def test_figures_show_every_curve_with_units(runs):
         assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
     flown = {"vertical": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
+
+
+def test_scans_cast_anew_are_those_of_the_simulation_to_the_bit() -> None:
+    small = {"tof.columns": 22, "tof.rows": 30, "tof.blind_s": [[0.5, 1.0]]}
+    settings = ExperimentSettings.preset(seed=5, duration_s=3.0, overrides=small)
+    (flight, truth), (anew, trajectory) = experiment.simulate(settings), experiment.simulate_anew(settings)
+    np.testing.assert_array_equal(anew.prior.T_world_drone, flight.prior.T_world_drone)
+    np.testing.assert_array_equal(trajectory.T_world_drone, truth.trajectory.T_world_drone)
+    assert len(anew.scans) == len(flight.scans) == 15
+    for _ in range(2):
+        for scan, expected in zip(anew.scans, flight.scans, strict=True):
+            assert scan.stamp_s == expected.stamp_s
+            np.testing.assert_array_equal(scan.points, expected.points)
+    np.testing.assert_array_equal(anew.scans[-2].points, flight.scans[13].points)
+    assert [scan.stamp_s for scan in anew.scans[1:3]] == [scan.stamp_s for scan in flight.scans[1:3]]
