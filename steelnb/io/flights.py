@@ -8,16 +8,8 @@ from steelnb.errors import FileMissingError, SettingsError, UnsupportedFormatErr
 from steelnb.files import reading
 from steelnb.io.bag_files import is_bag, truth_path
 from steelnb.io.bags import open_bag, read_bag_truth
-from steelnb.io.folders import (
-    is_cloud_folder,
-    is_scenes,
-    is_tum,
-    open_clouds,
-    open_scenes,
-    open_tum,
-    read_clouds_truth,
-    read_depth_truth,
-)
+from steelnb.io.depth_folders import is_scenes, is_tum, open_scenes, open_tum, read_depth_truth
+from steelnb.io.folders import is_cloud_folder, open_clouds, read_clouds_truth
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_trajectory
 from steelnb.types import Flight, Trajectory

@@ -277,10 +277,10 @@ def _summary(
     ]
     if "prior_ate_rmse_m" in numbers:
         removed = numbers.get("drift_removed_percent")
+        share = f": {removed:.0f} % of the drift removed" if removed is not None else ""
         lines.append(
             f"error     {numbers['prior_ate_rmse_m']:.3f} m drifting, {numbers['corrected_ate_rmse_m']:.3f} m "
-            "corrected (ATE, root mean square)"
-            + (f": {removed:.0f} % of the drift removed" if removed is not None else "")
+            f"corrected (ATE, root mean square){share}"
         )
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
     if built is not None:

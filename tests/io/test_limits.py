@@ -23,7 +23,7 @@ from steelnb.io import bag_files, read_cloud, read_flight, read_structure, read_
 from steelnb.io.bag_files import bounded
 from steelnb.io.bag_writer import check_target
 from steelnb.io.calibration import read_settings
-from steelnb.io.folders import read_depth
+from steelnb.io.depth_folders import read_depth
 from steelnb.io.trajectories import stamps_of_names
 from steelnb.settings import parse_parameter, read_toml
 from steelnb.types import Trajectory
