@@ -64,7 +64,7 @@ def reconstruct(
     scales = Scales.at(settings.tube_m)
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
-        flight = _MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
+        flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
         bars, _ = find_bars(flight.voxels, settings, grids=1)
         for _ in range(2 if len(bars) else 0):
             # Bars extended to their joints have more points, so a second round is more exact.
@@ -72,7 +72,7 @@ def reconstruct(
         if len(bars):
             points = flight.bar_points(fitted.bars, every=1, pixels=4)
             T_world_sensor, _ = adjust(fitted.bars, fitted.turn, fitted.width, fitted.across, T_world_sensor, points)
-    flight = _MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
+    flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
     bars, reason = find_bars(flight.voxels, settings)
     if not len(bars):
         return Structure.empty(reason)
@@ -189,7 +189,7 @@ class _Fitted:
 
 
 @dataclass(frozen=True)
-class _MappedScans:
+class MappedScans:
     """The scans, and the poses of the sensor at which they were accumulated in the voxels."""
 
     scans: Sequence[Scan]

@@ -1,0 +1,271 @@
+"""Bundle adjustment: all poses of a flight and all its bars, sections included, as one maximum a posteriori problem.
+
+Odometry places each scan against a map that holds the errors of the scans before it. Here poses and bars move at once
+(Triggs et al., "Bundle adjustment: a modern synthesis", 1999). The factors:
+
+- the distance of each point to the front face of its bar (`fusion.sections`) along the line of sight, with the range
+  noise as its standard deviation and robust weights;
+- the increments of the drifting prior from scan to scan, in the frame of the earlier pose;
+- the first pose, which is the prior's: drift begins there.
+
+Free are position and yaw of each pose, roll and pitch being the prior's; and place, direction, turn and flange of each
+bar. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+from steelnb.fusion import sections
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.types import Array, IntArray, Segments
+
+POSE, BAR = 4, 6
+"""Degrees of freedom: x, y, z, yaw; and two of place, two of direction, turn, flange."""
+DRIFT_SIGMA = np.array([0.01, 0.01, 0.01, 0.002])
+"""Standard deviation of an increment of the drift in `DRIFT_PERIOD_S`, metres and radians; it grows with √time."""
+DRIFT_PERIOD_S = 0.2
+BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.3, 0.01])
+"""Standard deviation of one step of a bar: for what its points do not tell, such as the place of a face seen from one
+side alone along that face."""
+FIXED = 1e12
+FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
+ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
+"""A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.scales.Scales`."""
+MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
+
+
+class Observations(NamedTuple):
+    """Points of K scans on bars: ``point (N, 3)`` float32, sensor frame, metres, and its ``bar (N,)``, sorted by scan:
+    those of scan k are ``first[k]`` to ``first[k + 1]``. The bars of scan k are ``pair_bar[pair_first[k]]`` to
+    ``pair_bar[pair_first[k + 1] - 1]``."""
+
+    point: np.ndarray
+    bar: IntArray
+    first: IntArray
+    pair_bar: IntArray
+    pair_first: IntArray
+
+    @classmethod
+    def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]], T_world_sensor: Array) -> "Observations":
+        """From points in the world frame at given poses, as `fusion.reconstruct` yields them scan by scan."""
+        points, bars, pairs = [], [], []
+        count, pair_count = np.zeros((2, len(T_world_sensor)), dtype=np.int64)
+        for k, point, bar in scans:
+            R, t = T_world_sensor[k, :3, :3], T_world_sensor[k, :3, 3]
+            points.append(((point - t) @ R).astype(np.float32))
+            bars.append(bar.astype(np.int32))
+            pairs.append(np.unique(bar))
+            count[k], pair_count[k] = len(bar), len(pairs[-1])
+        first, pair_first = (np.concatenate([[0], np.cumsum(number)]) for number in (count, pair_count))
+        return cls(
+            np.concatenate([np.zeros((0, 3), np.float32), *points]),
+            np.concatenate([np.zeros(0, np.int32), *bars]),
+            first,
+            np.concatenate([np.zeros(0, np.int64), *pairs]),
+            pair_first,
+        )
+
+
+@dataclass(frozen=True)
+class Bars:
+    """B bars with angle sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
+    radians and ``flange (B,)`` in metres as in `fusion.sections`; a bar with a flange of NaN takes no part."""
+
+    segments: Segments
+    across: Array
+    turn: Array
+    flange: Array
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
+    these scans exceeds that of `points.ranges`, and the ``step (K, 4)`` that led here, metres and radians."""
+
+    T_world_sensor: Array
+    bars: Bars
+    sigma_ratio: float
+    step: Array
+
+
+def start(T_world_sensor: Array, prior: Array, bars: Bars) -> Bundle:
+    """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
+    them, by a turn about z and a shift."""
+    between = prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T
+    turn = np.eye(4)
+    turn[:3, :3] = _about_z(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    turn[:3, 3] = prior[0, :3, 3] - turn[:3, :3] @ T_world_sensor[0, :3, 3]
+    segments = bars.segments.transformed(turn)
+    moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
+    return Bundle(turn @ T_world_sensor, moved, 1.0, np.zeros((len(prior), POSE)))
+
+
+def improve(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array) -> Bundle:
+    """One Gauss-Newton step of all poses and bars; ``prior (K, 4, 4)`` are the sensor's drifting poses at ``stamp_s``.
+
+    The range noise is taken from the residuals before the step (their median).
+    """
+    T, bars = bundle.T_world_sensor, bundle.bars
+    segments, known = bars.segments, np.isfinite(bars.flange)
+    poses, n = len(T), len(segments)
+    corner = sections.outlines(bars.turn, np.where(known, bars.flange, 0.05))
+    matrix, vector = np.zeros((poses, POSE, POSE)), np.zeros((poses, POSE))
+    cross = np.zeros((len(seen.pair_bar), POSE, BAR))
+    block, right, residuals = np.zeros((n, BAR, BAR)), np.zeros((n, BAR)), np.zeros(MEDIAN_BINS)
+    _gather(
+        *seen, T, known, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
+        bundle.sigma_ratio, matrix, vector, cross, block, right, residuals,
+    )  # fmt: skip
+    band = _chain(T, prior, stamp_s, matrix, vector)
+    row = POSE * np.repeat(np.arange(poses), np.diff(seen.pair_first))[:, None, None] + np.arange(POSE)[:, None]
+    column = BAR * seen.pair_bar[:, None, None] + np.arange(BAR)
+    where = (np.broadcast_to(row, cross.shape).ravel(), np.broadcast_to(column, cross.shape).ravel())
+    between = csr_array((cross.ravel(), where), shape=(POSE * poses, BAR * n))
+    solved = cho_solve_banded(
+        (cholesky_banded(band), False), np.column_stack([between.toarray(), vector.ravel()]), overwrite_b=True
+    )
+    schur = -(between.T @ solved[:, :-1])
+    for b in range(n):
+        place = slice(BAR * b, BAR * b + BAR)
+        schur[place, place] += block[b] + np.diag(BAR_SIGMA**-2.0)
+    moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
+    step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(poses, POSE)
+    return Bundle(_moved_poses(T, step), _moved_bars(bars, moved.reshape(n, BAR)), _ratio(residuals, bundle), step)
+
+
+def _chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) -> Array:
+    """Add the increments of the prior and the first pose to the normal equations of the poses, ``(K, 4, 4)`` and
+    ``(K, 4)``, and give their matrix as the band ``(8, 4 K)`` that LAPACK wants."""
+    time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
+    weight = DRIFT_SIGMA**-2.0 / time[:, None]
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error = np.empty((len(time), POSE))
+    error[:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
+    error[:, 3] = np.arctan2(apart[:, 1, 0] - apart[:, 0, 1], apart[:, 0, 0] + apart[:, 1, 1])
+    before = np.tile(-np.eye(POSE), (len(time), 1, 1))  # derivative by the earlier pose; by the later one: identity
+    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
+    weighed = weight[:, :, None] * before
+    matrix[:-1] += before.transpose(0, 2, 1) @ weighed
+    matrix[1:] += weight[:, :, None] * np.eye(POSE)
+    vector[:-1] -= (weighed.transpose(0, 2, 1) @ error[:, :, None])[:, :, 0]
+    vector[1:] -= weight * error
+    matrix[0] += FIXED * np.eye(POSE)
+    top, band = 2 * POSE - 1, np.zeros((2 * POSE, matrix.shape[0] * POSE))
+    for a in range(POSE):
+        for b in range(a, POSE):
+            band[top - (b - a), b::POSE] = matrix[:, a, b]
+        for b in range(POSE):
+            band[top - (POSE + b - a), POSE + b :: POSE] = weighed[:, b, a]
+    return band
+
+
+def _moved_poses(T: Array, step: Array) -> Array:
+    result = T.copy()
+    result[:, :3, 3] += step[:, :3]
+    result[:, :3, :3] = Rotation.from_rotvec(step[:, 3:] * [0, 0, 1]).as_matrix() @ T[:, :3, :3]
+    return result
+
+
+def _moved_bars(bars: Bars, step: Array) -> Bars:
+    old, half = bars.segments, 0.5 * bars.segments.length[:, None]
+    place, tilt = step[:, :2], step[:, 2:4]
+    ends = [each + np.einsum("bk,bkx->bx", place + s * half * tilt, bars.across) for s, each in
+            ((-1, old.start), (1, old.end))]  # fmt: skip
+    new = Segments(*ends, old.count, old.radius)
+    first = bars.across[:, 0] - (bars.across[:, 0] * new.direction).sum(axis=1)[:, None] * new.direction
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    across = np.stack([first, np.cross(new.direction, first)], axis=1)
+    return Bars(new, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))
+
+
+def _ratio(residuals: Array, bundle: Bundle) -> float:
+    """The range noise as a multiple of what `_gather` took, from the median of the residuals in standard deviations."""
+    total = residuals.sum()
+    if not total:
+        return bundle.sigma_ratio
+    median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
+    return float(bundle.sigma_ratio * median / 0.6745)
+
+
+def _about_z(angle: float) -> Array:
+    return Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(  # type: ignore[no-untyped-def]
+    point, bar, first, pair_bar, pair_first, T, known, start, direction, length, across, corner, flange, ratio,
+    matrix, vector, cross, block, right, residuals,
+):  # fmt: skip
+    """Add all points to the normal equations of the poses ``matrix (K, 4, 4)``, ``vector (K, 4)``, of the bars
+    ``block (B, 6, 6)``, ``right (B, 6)``, and between both ``cross (P, 4, 6)``; the magnitudes of their residuals in
+    standard deviations to a histogram."""
+    pose, place, pair_of = np.empty(4), np.empty(6), np.zeros(len(length), np.int64)
+    for k in range(len(T)):
+        for pair in range(pair_first[k], pair_first[k + 1]):
+            pair_of[pair_bar[pair]] = pair
+        r00, r01, r02, r10, r11, r12 = T[k, 0, 0], T[k, 0, 1], T[k, 0, 2], T[k, 1, 0], T[k, 1, 1], T[k, 1, 2]
+        r20, r21, r22 = T[k, 2, 0], T[k, 2, 1], T[k, 2, 2]
+        for i in range(first[k], first[k + 1]):
+            b = bar[i]
+            if not known[b]:
+                continue
+            sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
+            # c: from the point to the sensor; x: from the start of the bar to the point
+            cx, cy, cz = -(r00 * sx + r01 * sy + r02 * sz), -(r10 * sx + r11 * sy + r12 * sz), -(
+                r20 * sx + r21 * sy + r22 * sz
+            )
+            x, y, z = T[k, 0, 3] - cx - start[b, 0], T[k, 1, 3] - cy - start[b, 1], T[k, 2, 3] - cz - start[b, 2]
+            dx, dy, dz = direction[b, 0], direction[b, 1], direction[b, 2]
+            t = x * dx + y * dy + z * dz
+            if t < 0.0 or t > length[b]:
+                continue
+            e1, e2 = across[b, 0], across[b, 1]
+            u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
+            p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
+            square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
+            if square < 0.1 * whole:
+                continue
+            distance, range_ = math.sqrt(square), math.sqrt(whole)
+            cosine, sine = p / distance, q / distance
+            beside = -sine * u + cosine * v
+            front, rise = sections.front_face(corner[b], cosine, sine, beside)
+            if front < -1e8 or abs(rise) > 2.0:
+                continue
+            residual = cosine * u + sine * v - front
+            sigma = ratio * max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_
+            residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
+            bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
+            weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
+            # Derivatives are those at the point of the face on the same ray: at the measured point they would hold its
+            # noise, and the product of noise with itself does not average out.
+            gu, gv = cosine + rise * sine, sine - rise * cosine
+            for n in range(3):
+                pose[n] = gu * e1[n] + gv * e2[n]
+            share = residual / distance
+            pose[3] = (1.0 + share) * (cy * pose[0] - cx * pose[1])  # z × (point − sensor), along the normal
+            tau = t - share * (cx * dx + cy * dy + cz * dz) - 0.5 * length[b]
+            place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
+            place[4], place[5] = beside + rise * front, (beside * rise - front) / flange[b]
+            pair = pair_of[b]
+            for n in range(4):
+                weighed = weight * pose[n]
+                vector[k, n] -= weighed * residual
+                for m in range(4):
+                    matrix[k, n, m] += weighed * pose[m]
+                for m in range(6):
+                    cross[pair, n, m] += weighed * place[m]
+            for n in range(6):
+                weighed = weight * place[n]
+                right[b, n] -= weighed * residual
+                for m in range(6):
+                    block[b, n, m] += weighed * place[m]
