@@ -30,6 +30,7 @@ suppress_warnings = ["mystnb.unknown_mime_type"]
 
 default_role = "code"
 autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TABLES = ("README.md", "results/README.md", "results/claims/README.md")
-PAGES = (*TABLES, "benchmarks/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+PAGES = (*TABLES, "benchmarks/README.md", "CONTRIBUTING.md")
 LINK = re.compile(r"""\]\(([^)#:\s]+)[^):]*\)|src="([^"]+)\"""")
 
 
