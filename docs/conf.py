@@ -31,6 +31,7 @@ suppress_warnings = ["mystnb.unknown_mime_type"]
 default_role = "code"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
+autodoc_default_options = {"exclude-members": "model_config"}
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 
@@ -40,6 +41,10 @@ html_static_path = ["_static"]
 html_css_files = ["steelnb.css"]
 html_js_files = ["plotly.min.js"] if (DOCS / "_static/plotly.min.js").exists() else []
 html_show_sourcelink = False
+# Pages without pages below them.
+html_sidebars: dict[str, list[str]] = {
+    page: [] for page in ("index", "start", "results", "claims", "architecture", "contributing", "changelog")
+}
 html_math_renderer = "mathml"
 html_theme_options = {"navbar_align": "left", "show_prev_next": True, "navigation_depth": 2}
 
@@ -76,14 +81,18 @@ def bring(target: str, source: str) -> None:
         (DOCS / target).write_text(page, encoding="utf-8")
 
 
-def end_parameters(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """A paragraph after a list of parameters is one: napoleon takes it for a parameter but after two blank lines."""
-    if "Parameters" in lines:
-        begin = lines.index("Parameters") + 2
-        ends = (k for k in range(begin, len(lines) - 1) if not lines[k] and lines[k + 1][:1].strip())
-        end = next(ends, None)
-        if end is not None:
-            lines.insert(end, "")
+def list_parameters(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Parameters as napoleon reads them: descriptions on lines of their own, and two blank lines after the last.
+
+    It takes what follows a colon for a type, and a paragraph after a single blank line for another parameter.
+    """
+    if "Parameters" not in lines:
+        return
+    begin = lines.index("Parameters") + 2
+    after = (k for k in range(begin, len(lines) - 1) if not lines[k] and lines[k + 1][:1].strip())
+    end = next(after, len(lines))
+    listed = [re.sub(r"^(\w[\w, ]*?) ?: ", r"\1\n    ", line) for line in lines[begin:end]]
+    lines[begin:end] = [*"\n".join(listed).split("\n"), ""]
 
 
 def visit_math(writer, node: nodes.math) -> None:  # type: ignore[no-untyped-def]
@@ -100,5 +109,5 @@ def visit_math_block(writer, node: nodes.math_block) -> None:  # type: ignore[no
 def setup(app: Sphinx) -> None:
     for target, source in BROUGHT.items():
         bring(target, source)
-    app.connect("autodoc-process-docstring", end_parameters, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", list_parameters, priority=100)  # before napoleon
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
