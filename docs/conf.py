@@ -39,7 +39,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "steelnb"
 html_static_path = ["_static"]
 html_css_files = ["steelnb.css"]
-html_js_files = ["plotly.min.js"] if (DOCS / "_static/plotly.min.js").exists() else []
+html_js_files = ["plotly.min.js", "resize.js"] if (DOCS / "_static/plotly.min.js").exists() else []
 html_show_sourcelink = False
 # Pages without pages below them.
 html_sidebars: dict[str, list[str]] = {
