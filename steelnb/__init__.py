@@ -5,6 +5,7 @@ is missing is named with the command that installs it.
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from steelnb.errors import MissingExtraError, SteelnbError
@@ -44,6 +45,37 @@ __all__ = [
     "detect_segments", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth", "reconstruct",
     "reconstruct_cloud", "register", "run", "write_flight", "write_structure",
 ]  # fmt: skip
+
+
+def _keep_compiled_code() -> None:
+    """Give Numba a folder for compiled code where it finds none: a read-only install without a writable home.
+
+    The folder is the user's own and closed to others, since Numba runs what it finds there.
+    """
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    while os.path.isabs(cache) and not os.path.isdir(cache):
+        cache = os.path.dirname(cache)
+    found = os.path.isabs(cache) and os.access(cache, os.W_OK)
+    if found or "NUMBA_CACHE_DIR" in os.environ or os.access(os.path.dirname(__file__), os.W_OK):
+        return
+    import atexit
+    import shutil
+    import tempfile
+
+    folder = os.path.join(tempfile.gettempdir(), f"steelnb-numba-{os.getuid()}")
+    try:
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        state = os.lstat(folder)
+        own = not os.path.islink(folder) and state.st_uid == os.getuid() and not state.st_mode & 0o077
+    except OSError:
+        own = False
+    if not own:
+        folder = tempfile.mkdtemp(prefix="steelnb-numba-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = folder
+
+
+_keep_compiled_code()
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,8 @@
 0: done; 1: runs of a study failed, or `structure` found a difference; 2: bad input; 130: interrupted.
 """
 
+import io
+import os
 import signal
 import sys
 from pathlib import Path
@@ -36,12 +38,21 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments and arguments[0] in REMOVED:
         return _complain(f"{arguments[0]}: no longer a command; {REMOVED[arguments[0]]}")
+    for stream in (sys.stdout, sys.stderr):  # a terminal may not know ° or ×, and names of files may be any bytes
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     exit_on_signals()
     try:
         code = app(arguments or ["--help"], prog_name="steelnb", standalone_mode=False)
     except (SteelnbError, typer.TyperException) as fault:
         return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
-    if code == INTERRUPTED:  # Typer catches KeyboardInterrupt itself
+    except OSError as fault:
+        if fault.filename is None:
+            raise
+        return _complain(f"{os.fsdecode(fault.filename)}: {fault.strerror}")
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    if code == INTERRUPTED:  # Typer catches most itself
         return _complain("interrupted; nothing is half-written, and a study resumes where it stopped", code=INTERRUPTED)
     return int(code or 0)
 

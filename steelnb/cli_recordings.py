@@ -12,7 +12,8 @@ import typer
 from steelnb.errors import SettingsError
 
 LINE_PERIOD_S = 10.0
-DURATION_MIN_S = 1.0
+DURATION_MIN_S, DURATION_MAX_S = 1.0, 14_400.0
+"""Four hours: poses and IMU samples are held in memory, scans are not."""
 
 app = typer.Typer()
 Source = Annotated[
@@ -42,12 +43,14 @@ def record(
 ) -> None:
     """Simulate a flight and record it: sensor data, drifting poses, and apart, in FILE.truth.tum, the truth."""
     from steelnb import experiment
+    from steelnb.io.bag_files import truth_path
     from steelnb.io.bag_writer import check_target, write_flight
-    from steelnb.io.flights import truth_path
     from steelnb.settings import ExperimentSettings
 
-    if duration < DURATION_MIN_S:
-        raise SettingsError(f"duration = {duration:g}: expected at least {DURATION_MIN_S:g} s")
+    if not DURATION_MIN_S <= duration <= DURATION_MAX_S:
+        raise SettingsError(
+            f"duration = {duration:g}: expected at least {DURATION_MIN_S:g} s and at most {DURATION_MAX_S:g} s"
+        )
     settings = ExperimentSettings.preset(
         trajectory,  # type: ignore[arg-type]
         noise,
@@ -56,11 +59,11 @@ def record(
         duration_s=duration,
         overrides=_overrides(changed),
     )
-    check_target(file)
+    check_target(file, True)
     with _progress() as show:
         show(0.0, f"flying {duration:g} s")
-        flight, truth = experiment.simulate(settings)
-        write_flight(file, flight, truth.trajectory, lambda share: show(share, "writing"))
+        flight, truth = experiment.simulate_anew(settings)
+        write_flight(file, flight, truth, lambda share: show(share, "writing"))
     print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {_short(truth_path(file))}")
 
 

@@ -9,8 +9,8 @@ from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import Truth, build_tower, fly_and_scan
-from steelnb.types import Estimate, Flight
+from steelnb.simulation import CastScans, Truth, build_tower, fly, fly_and_scan
+from steelnb.types import Estimate, Flight, Trajectory
 
 Progress = Callable[[float], None]
 
@@ -36,6 +36,16 @@ def simulate(settings: ExperimentSettings) -> tuple[Flight, Truth]:
     trajectory, imu, scans, visibility = fly_and_scan(tower, settings.flight, settings.tof, settings.seed)
     prior = drifting(trajectory, settings.noise, settings.seed).at(scans.stamp_s)
     return Flight(scans, prior, settings.tof.T_drone_sensor, imu), Truth(trajectory, tower, visibility)
+
+
+def simulate_anew(settings: ExperimentSettings) -> tuple[Flight, Trajectory]:
+    """The flight of `simulate`, whose scans are cast whenever they are iterated over, and the true trajectory: a flight
+    of any length takes no more memory than its poses."""
+    tower, mount = build_tower(settings.tower), settings.tof.T_drone_sensor
+    trajectory, imu = fly(tower, settings.flight, settings.seed)
+    scans = CastScans(tower, trajectory, mount, settings.tof, settings.seed)
+    prior = drifting(trajectory, settings.noise, settings.seed).at(scans.stamp_s)
+    return Flight(scans, prior, mount, imu), trajectory
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:

@@ -29,6 +29,17 @@ class Trajectory:
         """Positions in the world frame, ``(N, 3)`` metres."""
         return self.T_world_drone[:, :3, 3]
 
+    def moved(self, by: Array) -> "Trajectory":
+        """The same poses with ``by (3,)``, metres, added to their positions; itself where that is zero.
+
+        Rounded to 0.1 µm, so that poses moved to zero from far away are those of the same flight at home.
+        """
+        if not by.any():
+            return self
+        T_world_drone = self.T_world_drone.copy()
+        T_world_drone[:, :3, 3] = np.round(T_world_drone[:, :3, 3] + by, 7)
+        return Trajectory(self.stamp_s, T_world_drone)
+
     def at(self, stamp_s: Array) -> "Trajectory":
         """The poses whose stamps equal ``stamp_s`` to a microsecond; raises ValueError if one is missing."""
         index = np.clip(np.searchsorted(self.stamp_s, stamp_s - 1e-6), 0, len(self) - 1)
@@ -165,6 +176,10 @@ class Segments:
         return Segments(
             self.start @ rotation.T + translation, self.end @ rotation.T + translation, self.count, self.radius
         )
+
+    def moved(self, by: Array) -> "Segments":
+        """The same segments with ``by (3,)``, metres, added to their ends."""
+        return replace(self, start=self.start + by, end=self.end + by)
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
         """The segments that an index or a mask picks."""

@@ -1,5 +1,6 @@
 """The commands for recordings as a user types them: their output, and one line and exit 2 for bad input."""
 
+import os
 import resource
 import subprocess
 import sys
@@ -92,6 +93,11 @@ BAD = [
     (["run", "{bag}", "--set", "preprocess.leaf=1"], ["preprocess.leaf"]),
     (["run", "{bag}", "--no-structure", "-o", "file"], ["file", "cannot be written"]),
     (["record", "b.bag", "--duration", "0"], ["duration = 0", "at least 1 s"]),
+    (["record", "b.bag", "--duration", "1e18"], ["duration = 1e+18", "at most 14400 s"]),
+    (["record", "b.bag", "--duration", "nan"], ["duration = nan"]),
+    (["info", "n" * 300], ["nnn", "File name too long"]),
+    (["run", "{bag}", "--poses", "n" * 300], ["nnn", "File name too long"]),
+    (["run", "{bag}", "-o", "n" * 300], ["nnn", "File name too long"]),
     (["record", "b.ply", *SMALL], ["'.ply'", "expected .bag, .mcap, .db3 or a folder name for ROS 2"]),
     (["record", "file", *SMALL], ["file", "exists already"]),
     (["record", "file/b.bag", *SMALL], ["file/b.bag", "cannot be written"]),
@@ -165,6 +171,46 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(bag, place, capfd, monkeypatch):
     assert cli.main(["run", str(bag), "-o", "out", "--no-structure"]) == 130
     assert "interrupted" in capfd.readouterr().err
     assert list(place.iterdir()) == []
+
+
+@pytest.mark.parametrize("after_s", [0.06, 0.1, 0.15, 0.2])
+def test_ctrl_c_while_libraries_are_loaded_is_one_line(place, after_s):
+    """From the first import of `steelnb.__main__` on; before it, the interpreter itself is starting."""
+    code = (
+        "import signal, sys, threading, os, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from steelnb.__main__ import main\n"
+        f"threading.Thread(target=lambda: (time.sleep({after_s}), os.kill(os.getpid(), signal.SIGINT))).start()\n"
+        "sys.argv = ['steelnb', 'segment', '/dev/zero']\nsys.exit(main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=place, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert done.returncode in (2, 130)
+
+
+def test_a_read_only_install_without_a_home_compiles_elsewhere(place):
+    """As another user, whose home is nowhere, in a container whose files it may not change."""
+    code = (
+        "import os\nreal, os.access = os.access, lambda *_: False\nimport steelnb\nos.access = real\n"
+        "import numba\nfrom steelnb.points import voxel_grid\nimport numpy as np\n"
+        "voxel_grid(np.zeros((2, 3)), 0.1)\nprint(os.environ['NUMBA_CACHE_DIR'])"
+    )
+    for kept in (True, False):
+        if not kept:
+            (place / f"steelnb-numba-{os.getuid()}").rename(place / "away")
+            (place / f"steelnb-numba-{os.getuid()}").symlink_to(place / "away")  # somebody else's, maybe
+        given = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            env=given | {"TMPDIR": str(place)},
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith(str(place / "steelnb-numba-"))
+        assert (done.stdout.strip() == str(place / f"steelnb-numba-{os.getuid()}")) is kept
+        assert Path(done.stdout.strip()).is_dir() is kept
 
 
 def test_help_names_the_tables_of_a_settings_file_and_loads_nothing_heavy():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.report import batch, segment_odometry, world
+from steelnb.report import batch, odometry_figures, structure_figures, world
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight
 
@@ -76,7 +76,7 @@ def test_drift_curves_agree_with_their_expectation():
 
 
 def test_figures_show_every_curve_with_units(runs):
-    figure = segment_odometry.figure_errors(runs)
+    figure = odometry_figures.figure_segment_errors(runs)
     panels = [axis for axis in figure.axes if axis.name == "rectilinear"]
     assert len(panels) == 2
     for panel, three in zip(panels, (runs[:3], runs[3:]), strict=True):
@@ -85,7 +85,24 @@ def test_figures_show_every_curve_with_units(runs):
             truth = run.truth.trajectory.at(run.corrected.stamp_s).position
             np.testing.assert_allclose(line.get_ydata(), np.linalg.norm(run.corrected.position - truth, axis=1))
         assert panel.get_ylabel() == "distance to the truth (m)"
-    maps = segment_odometry.figure_maps(runs[:3])
-    assert len([axis for axis in maps.axes if axis.name == "3d"]) == 3
+    for panel, run in zip(structure_figures.figure_maps(runs[:3]).axes, runs[:3], strict=True):
+        true, wrong, right = (len(lines.get_segments()) for lines in panel.collections)
+        assert (true, wrong + right) == (len(run.truth.tower.members), len(run.segments))
+        assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
     flown = {"vertical": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
+
+
+def test_scans_cast_anew_are_those_of_the_simulation_to_the_bit() -> None:
+    small = {"tof.columns": 22, "tof.rows": 30, "tof.blind_s": [[0.5, 1.0]]}
+    settings = ExperimentSettings.preset(seed=5, duration_s=3.0, overrides=small)
+    (flight, truth), (anew, trajectory) = experiment.simulate(settings), experiment.simulate_anew(settings)
+    np.testing.assert_array_equal(anew.prior.T_world_drone, flight.prior.T_world_drone)
+    np.testing.assert_array_equal(trajectory.T_world_drone, truth.trajectory.T_world_drone)
+    assert len(anew.scans) == len(flight.scans) == 15
+    for _ in range(2):
+        for scan, expected in zip(anew.scans, flight.scans, strict=True):
+            assert scan.stamp_s == expected.stamp_s
+            np.testing.assert_array_equal(scan.points, expected.points)
+    np.testing.assert_array_equal(anew.scans[-2].points, flight.scans[13].points)
+    assert [scan.stamp_s for scan in anew.scans[1:3]] == [scan.stamp_s for scan in flight.scans[1:3]]

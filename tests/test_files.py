@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,43 @@ def test_files_appear_together_and_others_stay_unless_stale(tmp_path: Path) -> N
         path.write_text("4")
     assert files_below(target)["a"] == "3"
     assert files_below(tmp_path / "new") == {"b": "4"}
+
+
+def test_of_two_runs_into_one_new_folder_both_are_kept(tmp_path: Path) -> None:
+    with new_folder(tmp_path / "out") as first:
+        (first / "a").write_text("1")
+        with new_folder(tmp_path / "out") as second:
+            (second / "a").write_text("2")
+            (second / "b").write_text("2")
+    assert files_below(tmp_path / "out") == {"a": "1", "b": "2"}
+
+
+def written(target: Path, names: str, text: str, overwrite: bool, meanwhile: Callable[[], None] | None = None) -> None:
+    with new_folder(target, overwrite=overwrite) as folder:
+        for name in names:
+            (folder / name).write_text(text)
+        if meanwhile is not None:
+            meanwhile()
+
+
+def test_without_overwriting_the_second_of_two_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="out/b: exists already"):
+        written(tmp_path / "out", "ab", "1", False, lambda: written(tmp_path / "out", "bc", "2", False))
+    assert files_below(tmp_path / "out") == {"b": "2", "c": "2"}
+
+
+def test_a_folder_in_the_place_of_a_file_keeps_all_others(tmp_path: Path) -> None:
+    (tmp_path / "out" / "b").mkdir(parents=True)
+    (tmp_path / "out" / "a").write_text("earlier")
+    with pytest.raises(OutputError, match="out/b: exists already"):
+        written(tmp_path / "out", "abc", "new", True)
+    assert files_below(tmp_path / "out") == {"a": "earlier", "b": ""}
+
+
+def test_names_too_long_are_refused_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="File name too long"), new_folder(tmp_path / ("n" * 300)):
+        pytest.fail("work was begun")
+    assert list(tmp_path.iterdir()) == []
 
 
 def umask() -> int:

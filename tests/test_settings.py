@@ -135,3 +135,9 @@ def test_there_are_at_most_ninety_settings():
         if "Settings" not in str(field.annotation)
     ]
     assert len(leaves) <= 90
+
+
+def test_a_message_about_a_very_long_value_is_short() -> None:
+    with pytest.raises(SettingsError, match="trajectory = 'xxx") as caught:
+        FlightSettings(trajectory="x" * 100_000)
+    assert len(str(caught.value)) <= 400

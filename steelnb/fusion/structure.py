@@ -1,7 +1,7 @@
 """The result of a reconstruction: bars, the joints that tie them, and the graph of both."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import networkx as nx
 import numpy as np
@@ -36,6 +36,10 @@ class Structure:
         return Structure(
             Segments.empty(), none, np.zeros(0, np.int64), none, np.zeros((0, 3)), np.zeros((0, 2), np.int64), reason
         )
+
+    def moved(self, by: Array) -> "Structure":
+        """The same structure with ``by (3,)``, metres, added to its coordinates."""
+        return replace(self, segments=self.segments.moved(by), joint=self.joint + by)
 
     def graph(self) -> nx.Graph:
         """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``bar``, ``length_m``).

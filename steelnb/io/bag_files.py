@@ -7,23 +7,32 @@ Points and depths are read where they lie. Sizes that do not fit are refused bef
 message costs no more memory than it has bytes.
 """
 
+import bz2
 import functools
+import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.errors import FileContentError, FileMissingError, SteelnbError, UnsupportedFormatError, needs
+from steelnb.errors import FileContentError, UnsupportedFormatError, needs
+from steelnb.files import reading
 from steelnb.types import Array
 
 STORAGES = (".mcap", ".db3")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 30
+UNPACKED_MAX = 1 << 28
+"""Bytes to which a compressed chunk or message may unpack: memory that a small file can ask for."""
+PIXELS_MAX = 1 << 23
+"""Pixels of a depth image: a few more than 3840 × 2160."""
 FLOATS = {7: "f4", 8: "f8"}
 """PointField datatypes that coordinates may have."""
 DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
@@ -88,7 +97,7 @@ class Bag:
         try:
             return (store.deserialize_ros1 if self.ros == 1 else store.deserialize_cdr)(message.raw, kind)
         except Exception as fault:
-            raise FileContentError(f"{message.topic}: not a {kind}: {_line(fault)}; expected a whole one") from None
+            raise FileContentError(f"{message.topic}: not a {kind}: {type(fault).__name__}; expected one") from None
 
     def stamp_s(self, message: Message) -> float:
         """The stamp of the header at the front of the message, decoded alone. Raises `FileContentError`."""
@@ -102,19 +111,10 @@ class Bag:
 
     @contextmanager
     def _opened(self, file: Path) -> Iterator[Any]:
-        """rosbags' reader of one file. For damaged files it raises anything, assertions too; here that becomes ours."""
-        with needs("io"):
-            from rosbags import rosbag1, rosbag2
-
-        try:
-            with rosbag1.Reader(file) if self.ros == 1 else rosbag2.Reader(file) as reader:
-                yield reader
-        except SteelnbError:
-            raise
-        except (PermissionError, FileNotFoundError) as fault:
-            raise FileMissingError(f"{file}: cannot be read: {fault.strerror or _line(fault)}") from None
-        except Exception as fault:
-            raise FileContentError(f"{file}: {_line(fault)}; expected a complete bag") from None
+        """rosbags' reader of one file, within the boundary of reading: for damaged files it raises anything."""
+        reader = bag_reader(self.ros)
+        with reading(file, "a bag", folder=self.ros == 2), reader(file) as opened:
+            yield opened
 
 
 def is_bag(path: Path) -> bool:
@@ -122,6 +122,60 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or any(file.suffix.lower() in STORAGES for file in path.iterdir())
     return path.suffix.lower() in (".bag", *STORAGES)
+
+
+def truth_path(path: Path) -> Path:
+    """Where the truth of a recording lies: X.truth.tum for X.bag and for the folder X."""
+    path = path.resolve()
+    stem = path.with_suffix("") if path.suffix.lower() in (".bag", *STORAGES) else path
+    return stem.with_name(f"{stem.name}.truth.tum")
+
+
+@functools.cache
+def bag_reader(ros: int) -> Any:
+    """rosbags' reader of ROS 1 or 2: memory for what it unpacks is bounded, and any name of a sqlite file is read."""
+    with needs("io"):
+        import lz4.frame
+        from backports import zstd
+        from rosbags import rosbag1, rosbag2
+        from rosbags.rosbag2 import reader, storage_mcap
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    by_lz4, by_zstd = bounded(lz4.frame.LZ4FrameDecompressor), bounded(zstd.ZstdDecompressor)
+    rosbag1.reader.decompressors.update(bz2=bounded(bz2.BZ2Decompressor), lz4=by_lz4)
+    storage_mcap.DECOMPRESSORS.update(lz4=by_lz4, zstd=by_zstd)
+    setattr(reader, "zstd", SimpleNamespace(decompress=by_zstd, open=zstd.open))  # noqa: B010
+
+    class AnyName(Sqlite3Reader):
+        """rosbags puts the path into a URI, where #, ? and % have a meaning."""
+
+        def __init__(self, path: Path) -> None:
+            super().__init__(Path(quote(os.fsencode(path))))
+
+    for each, key in ((reader.Reader, ".db3"), (reader.DirectoryReader, "sqlite3")):
+        each.STORAGE_PLUGINS = {**each.STORAGE_PLUGINS, key: AnyName}
+    return rosbag1.Reader if ros == 1 else rosbag2.Reader
+
+
+def bounded(make: Callable[[], Any]) -> Callable[..., bytes]:
+    """A function that unpacks bytes with a new decompressor, to `UNPACKED_MAX` bytes; more are a `FileContentError`."""
+
+    def unpack(data: bytes, *_: Any) -> bytes:
+        pieces, size = [], 0
+        while data:  # of which there may be several frames
+            decompressor = make()
+            pieces.append(decompressor.decompress(data, UNPACKED_MAX + 1 - size))
+            size += len(pieces[-1])
+            if size > UNPACKED_MAX:
+                raise FileContentError(
+                    f"a chunk or a message unpacks to more than {UNPACKED_MAX >> 20} MB; expected less"
+                )
+            if not decompressor.eof:
+                raise ValueError("compressed data end early")
+            data = decompressor.unused_data or b""
+        return b"".join(pieces)
+
+    return unpack
 
 
 @functools.cache
@@ -149,12 +203,6 @@ def _files(path: Path) -> list[Path]:
     if not files:
         raise UnsupportedFormatError(f"{path}: a folder; expected metadata.yaml, or files that end in .mcap or .db3")
     return files
-
-
-def _line(fault: Exception) -> str:
-    """The text of an exception on one line."""
-    text = " ".join(" ".join(map(str, fault.args)).split())[:200].rstrip(".")
-    return text or f"damaged ({type(fault).__name__})"
 
 
 def decode_points(message: Any) -> Array:
@@ -194,8 +242,8 @@ def decode_depth(message: Any, scale: float | None = None) -> Array:
     kind, unit = DEPTHS[message.encoding]
     pixel = np.dtype((">" if message.is_bigendian else "<") + kind)
     rows, columns, step = int(message.height), int(message.width), int(message.step)
-    if not 0 < rows < 2**16 or not 0 < columns < 2**16:
-        raise FileContentError(f"an image of {columns} × {rows}; expected 1 to 65535 pixels each way")
+    if rows < 1 or columns < 1 or rows * columns > PIXELS_MAX:
+        raise FileContentError(f"an image of {columns} × {rows}; expected 1 to {PIXELS_MAX} pixels")
     if step < columns * pixel.itemsize or len(message.data) < rows * step:
         raise FileContentError(
             f"{len(message.data)} bytes in rows of {step}; expected {rows} rows of at least {columns * pixel.itemsize}"

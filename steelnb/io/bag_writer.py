@@ -4,6 +4,7 @@ import heapq
 import os
 import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable, Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -14,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
 from steelnb.files import new_folder
-from steelnb.io.bag_files import STORAGES, TRANSFORMS, typestore
+from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY
-from steelnb.io.flights import truth_path
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 
@@ -43,10 +43,8 @@ def write_flight(
     cannot hold, and what reading the scans raises.
     """
     path = Path(path).absolute()
-    check_target(path)
-    if truth is None and truth_path(path).exists():
-        raise OutputError(f"{truth_path(path)}: would be taken for this flight's truth; expected no such file")
-    with new_folder(path.parent) as folder:
+    check_target(path, truth is not None)
+    with new_folder(path.parent, overwrite=False) as folder:
         try:
             _write(folder / path.name, flight, on_progress or (lambda _: None))
         except sqlite3.Error as fault:
@@ -55,14 +53,17 @@ def write_flight(
             write_tum(truth_path(folder / path.name), truth)
 
 
-def check_target(path: Path) -> None:
+def check_target(path: Path, with_truth: bool) -> None:
     """Raise `UnsupportedFormatError` or `OutputError` for a path that `write_flight` would refuse."""
     if path.suffix.lower() not in ("", ".bag", *STORAGES):
         raise UnsupportedFormatError(
             f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder name for ROS 2"
         )
-    if path.exists():
+    if os.path.lexists(path):
         raise OutputError(f"{path}: exists already; expected a new name")
+    if truth_path(path).exists():
+        why = "holds another flight's truth" if with_truth else "would be taken for this flight's truth"
+        raise OutputError(f"{truth_path(path)}: {why}; expected no such file")
     place = next(folder for folder in path.absolute().parents if folder.exists())
     if not place.is_dir() or not os.access(place, os.W_OK):
         raise OutputError(f"{path}: cannot be written: {place} is no folder that can be written to")
@@ -74,26 +75,29 @@ def _write(path: Path, flight: Flight, on_progress: Callable[[float], None]) -> 
 
     ros = 1 if path.suffix.lower() == ".bag" else 2
     store, single = typestore(ros), path.suffix.lower() in STORAGES
-    folder = path.with_suffix("") if single else path
-    plugin = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
-    serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr
-    writer: Any = rosbag1.Writer(path) if ros == 1 else rosbag2.Writer(folder, version=8, storage_plugin=plugin)
-    with writer:
-        connections = {}
-        for topic, kind in TOPICS.items():
-            if topic == "/imu" and (flight.imu is None or not len(flight.imu.stamp_s)):
-                continue
-            latched = topic == "/tf_static"
-            more: dict[str, Any] = (
-                {"latching": int(latched)} if ros == 1 else {"offered_qos_profiles": [_quality(latched)]}
-            )
-            connections[topic] = writer.add_connection(topic, kind, typestore=store, **more)
-        for stamp_ns, _, topic, message in _entries(flight, Messages(ros), on_progress):
-            writer.write(connections[topic], stamp_ns, serialize(message, TOPICS[topic]))
-    if single:
-        # Its metadata is in the file too (MCAP) or can be found again (`ros2 bag reindex`).
-        os.replace(folder / f"{folder.name}{path.suffix.lower()}", path)
-        shutil.rmtree(folder)
+    with tempfile.TemporaryDirectory() as plain:
+        # rosbags puts the path of a sqlite file into a URI, where #, ? and % have a meaning.
+        Path(plain, "out").symlink_to(path.parent)
+        folder = Path(plain, "out", "bag") if single else path
+        plugin = rosbag2.StoragePlugin.SQLITE3 if path.suffix.lower() == ".db3" else rosbag2.StoragePlugin.MCAP
+        serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+        writer: Any = rosbag1.Writer(path) if ros == 1 else rosbag2.Writer(folder, version=8, storage_plugin=plugin)
+        with writer:
+            connections = {}
+            for topic, kind in TOPICS.items():
+                if topic == "/imu" and (flight.imu is None or not len(flight.imu.stamp_s)):
+                    continue
+                latched = topic == "/tf_static"
+                more: dict[str, Any] = (
+                    {"latching": int(latched)} if ros == 1 else {"offered_qos_profiles": [_quality(latched)]}
+                )
+                connections[topic] = writer.add_connection(topic, kind, typestore=store, **more)
+            for stamp_ns, _, topic, message in _entries(flight, Messages(ros), on_progress):
+                writer.write(connections[topic], stamp_ns, serialize(message, TOPICS[topic]))
+        if single:
+            # Its metadata is in the file too (MCAP) or can be found again (`ros2 bag reindex`).
+            os.replace(folder / f"{folder.name}{path.suffix.lower()}", path)
+            shutil.rmtree(folder)
 
 
 def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], None]) -> Iterator[Entry]:

@@ -20,7 +20,8 @@ from steelnb.types import Array
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 """From x forward, y left, z up to z forward, x right, y down."""
 T_SENSOR_OPTICAL = T_OPTICAL_SENSOR.T
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, lt=1e9)]
+Offset = Annotated[float, Field(gt=-1e6, lt=1e6)]
 
 
 class _Table(BaseModel):
@@ -30,7 +31,7 @@ class _Table(BaseModel):
 class Extrinsics(_Table):
     """Pose of the sensor in the drone frame; the rotation as a quaternion or as roll, pitch and yaw, or none."""
 
-    translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
     rotation_xyzw: tuple[float, float, float, float] | None = None
     rotation_rpy_deg: tuple[float, float, float] | None = None
 
@@ -43,8 +44,8 @@ class Extrinsics(_Table):
         if self.rotation_rpy_deg:  # about the drone's fixed axes, as in ROS (REP 103)
             result[:3, :3] = Rotation.from_euler("xyz", self.rotation_rpy_deg, degrees=True).as_matrix()
         elif self.rotation_xyzw:
-            if np.linalg.norm(self.rotation_xyzw) < 1e-6:
-                raise ExtrinsicsError(f"{where}: rotation_xyzw {self.rotation_xyzw}; expected a quaternion not zero")
+            if not 1e-6 < np.abs(self.rotation_xyzw).max() < 1e6:
+                raise ExtrinsicsError(f"{where}: rotation_xyzw {self.rotation_xyzw}; expected a quaternion of length 1")
             result[:3, :3] = Rotation.from_quat(self.rotation_xyzw).as_matrix()
         return result
 

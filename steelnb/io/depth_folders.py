@@ -1,6 +1,6 @@
-"""Folders of depth images, as TUM RGB-D and 7-Scenes lay them out → parts of a flight.
+"""Folders of depth images (TUM RGB-D, 7-Scenes) with a trajectory → parts of a flight.
 
-Their trajectories are of the camera, z forward; here they are turned and moved to the drone.
+The trajectories are of the camera, z forward; here they are turned and moved to the drone.
 """
 
 import re
@@ -12,15 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.errors import FileContentError, RecordingError, SettingsError
-from steelnb.io.calibration import (
-    T_OPTICAL_SENSOR,
-    T_SENSOR_OPTICAL,
-    Intrinsics,
-    depth_points,
-    read_settings,
-)
-from steelnb.io.cloud_folders import TRAJECTORY, named_file, settings_file, walk_files
+from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
+from steelnb.files import reading, text_lines
+from steelnb.io.bag_files import PIXELS_MAX
+from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points, read_settings
+from steelnb.io.folders import TRAJECTORY, named_file, settings_file, walk_files
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_stamps, read_trajectory, trajectory_of_matrices
 from steelnb.types import Array, Trajectory
@@ -37,7 +33,6 @@ CAMERAS = {
 }  # fmt: skip
 """fx, fy, cx, cy for 640 × 480 pixels as published with the data sets; of TUM by a part of a sequence's name."""
 _FRAME = re.compile(r"frame-(\d+)\.depth\.png")
-PIXELS_MAX = 1 << 26
 
 
 def is_tum(path: Path) -> bool:
@@ -110,19 +105,13 @@ def _read_depth_points(file: Path, camera: Intrinsics, scale: float, invalid: in
 
 
 def read_depth(path: Path) -> NDArray[np.uint16]:
-    """Numbers ``(H, W)`` of a 16-bit grey PNG file. Raises `FileContentError` and FileNotFoundError."""
+    """Numbers ``(H, W)`` of a 16-bit grey PNG file. Raises `FileContentError` and `FileMissingError`."""
     from PIL import Image
 
-    try:
-        with Image.open(path) as image:
-            if image.width * image.height > PIXELS_MAX:
-                raise ValueError(f"{image.width} × {image.height} pixels; expected at most {PIXELS_MAX}")
-            pixels = np.asarray(image)
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError, MemoryError) as fault:
-        said = (str(fault).splitlines() or [type(fault).__name__])[0].replace(str(path), "it")[:80]
-        raise FileContentError(f"{path}: no whole image: {said}") from None
+    with reading(path, "a 16-bit grey PNG"), Image.open(path, formats=["PNG"]) as image:
+        if image.width * image.height > PIXELS_MAX:
+            raise FileContentError(f"{path}: {image.width} × {image.height} pixels; expected at most {PIXELS_MAX}")
+        pixels = np.asarray(image)
     if pixels.ndim != 2 or pixels.dtype.kind not in "iu" or pixels.dtype.itemsize < 2:
         raise FileContentError(f"{path}: {pixels.dtype} pixels of shape {pixels.shape}; expected a 16-bit grey PNG")
     return pixels.astype(np.uint16)
@@ -155,7 +144,7 @@ def _size(images: Sequence[Path]) -> tuple[int, int] | None:
     for image in images:
         try:
             rows, columns = read_depth(image).shape
-        except (FileContentError, OSError):
+        except SteelnbError:
             continue
         return rows, columns
     return None
@@ -187,12 +176,12 @@ def _frame_poses(path: Path, files: Sequence[Path], stamp_s: Array, skipped: Cou
     for file, stamp in zip(files, stamp_s.tolist(), strict=True):
         pose_file = file.with_name(file.name.replace(".depth.png", ".pose.txt"))
         try:
-            poses.append(np.array(pose_file.read_text().split(), dtype=float).reshape(4, 4))
+            with reading(pose_file, "the 16 numbers of a 4 × 4 pose"):
+                words = [word for _, line in text_lines(pose_file) for word in line.split()]
+                poses.append(np.array(words, dtype=float).reshape(4, 4))
             stamps.append(stamp)
-        except FileNotFoundError:
+        except FileMissingError:
             skipped["missing pose file"] += 1
-        except (OSError, ValueError) as fault:
-            raise FileContentError(f"{pose_file}: {fault}; expected the 16 numbers of a 4 × 4 pose") from None
     if not poses:
         raise RecordingError(
             f"{path}: no poses; expected frame-000000.pose.txt beside each image, or a trajectory named"

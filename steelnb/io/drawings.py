@@ -9,6 +9,7 @@ import numpy as np
 
 import steelnb
 from steelnb.errors import needs
+from steelnb.files import plain_name
 from steelnb.fusion.structure import Structure
 from steelnb.io.clouds import shift_of
 from steelnb.io.segments import GROUPS, orientation
@@ -123,7 +124,10 @@ def write_ifc(structure: Structure, path: Path) -> None:
     ifcopenshell, guid = library("ifcopenshell"), library("ifcopenshell.guid")
     model = ifcopenshell.file(schema="IFC4")
     header = model.header
-    header.file_name.name, header.file_name.time_stamp = path.name, "1970-01-01T00:00:00"  # the same bytes each time
+    header.file_name.name, header.file_name.time_stamp = (
+        plain_name(path),
+        "1970-01-01T00:00:00",
+    )  # the same bytes each time
     header.file_name.originating_system = f"steelnb {steelnb.__version__}"
     make = model.create_entity
 
@@ -182,7 +186,7 @@ def write_ifc(structure: Structure, path: Path) -> None:
         members.append(member)
     make("IfcRelContainedInSpatialStructure", identifier("site holds members", whole), RelatedElements=members,
          RelatingStructure=site)  # fmt: skip
-    model.write(str(path))
+    path.write_text(model.to_string(), encoding="utf-8")  # any name of a file will do
 
 
 def drawn_width(structure: Structure) -> Array:

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from steelnb.errors import FileMissingError, SettingsError, UnsupportedFormatError
-from steelnb.io.bag_files import STORAGES, is_bag
+from steelnb.files import reading
+from steelnb.io.bag_files import is_bag, truth_path
 from steelnb.io.bags import open_bag, read_bag_truth
-from steelnb.io.cloud_folders import is_cloud_folder, open_clouds, read_clouds_truth
 from steelnb.io.depth_folders import is_scenes, is_tum, open_scenes, open_tum, read_depth_truth
+from steelnb.io.folders import is_cloud_folder, open_clouds, read_clouds_truth
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_trajectory
 from steelnb.types import Flight, Trajectory
@@ -79,20 +80,11 @@ def read_truth(path: Path | str, *, truth: str | None = None, settings: Path | s
     return kind.truth(path, truth, Path(settings) if settings else None)
 
 
-def truth_path(path: Path) -> Path:
-    """Where the truth of a recording lies: X.truth.tum for X.bag and for the folder X."""
-    path = path.resolve()
-    stem = path.with_suffix("") if path.suffix.lower() in (".bag", *STORAGES) else path
-    return stem.with_name(f"{stem.name}.truth.tum")
-
-
 def _format(path: Path) -> _Format:
     if not path.exists():
         raise FileMissingError(f"{path}: does not exist; expected a recording")
-    try:
+    with reading(path, "a recording", folder=True):
         found = next((each for each in _FORMATS if each.fits(path)), None)
-    except OSError as fault:
-        raise FileMissingError(f"{path}: cannot be read: {fault.strerror}; expected a recording") from None
     if found is None:
         kind = "a folder of an unknown kind" if path.is_dir() else f"ending {path.suffix!r}"
         raise UnsupportedFormatError(

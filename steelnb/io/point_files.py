@@ -1,9 +1,9 @@
 """Point files → coordinates, a chunk at a time: PLY (plyfile), LAS and LAZ (laspy), PCD, NPY and text (`text_points`).
 
-What a library raises for a damaged file becomes a `FileContentError` that names the file.
+`reading` is the boundary for what they raise.
 """
 
-import contextlib
+import io
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.errors import FileContentError, FileMissingError, SteelnbError, UnsupportedFormatError, needs
+from steelnb.errors import FileContentError, UnsupportedFormatError, needs
+from steelnb.files import reading
 from steelnb.io.text_points import TextLayout, sniff, text_chunks
 from steelnb.types import Array
 
 CHUNK = 1 << 20
-_PCD_HEADER_BYTES = 1 << 16
+_HEADER_BYTES = 1 << 16
 _MOST_VLRS = 10_000
 
 
@@ -36,32 +37,16 @@ def open_points(path: Path) -> PointFile:
 
     Raises `FileMissingError`, `UnsupportedFormatError` and, now or while the chunks are read, `FileContentError`.
     """
-    if not path.is_file():
-        raise FileMissingError(f"{path}: {'a folder' if path.is_dir() else 'does not exist'}; expected a file")
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise UnsupportedFormatError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-    with _named(path):
+    with reading(path, f"a {path.suffix[1:].upper()} file of points"):
+        reader = READERS.get(path.suffix.lower())
+        if reader is None:
+            raise UnsupportedFormatError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
         file = reader(path)
     return PointFile(_guarded(path, file.chunks), file.shape, file.step_m)
 
 
-@contextlib.contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Give the errors of the libraries the name of the file."""
-    try:
-        yield
-    except (SteelnbError, GeneratorExit, KeyboardInterrupt, SystemExit):
-        raise
-    except OSError as fault:
-        raise FileMissingError(f"{path}: cannot be read: {fault.strerror or fault}") from None
-    except BaseException as fault:  # a panic of lazrs, which is Rust, is no Exception
-        said = (str(fault).splitlines() or [type(fault).__name__])[0][:100]
-        raise FileContentError(f"{path}: no whole {path.suffix[1:].upper()} file: {said}") from None
-
-
 def _guarded(path: Path, chunks: Iterable[Array]) -> Iterator[Array]:
-    with _named(path):
+    with reading(path, f"a {path.suffix[1:].upper()} file of points"):
         yield from chunks
 
 
@@ -83,8 +68,10 @@ def _read_ply(path: Path) -> PointFile:
     from plyfile import PlyData
 
     with path.open("rb") as file:
-        ply = PlyData._parse_header(file)  # PlyData.read would read the faces too, one by one
-        offset = file.tell()
+        header = file.read(_HEADER_BYTES)
+        head = io.BytesIO(header)
+        ply = PlyData._parse_header(head)  # PlyData.read would read the faces too, one by one
+        offset = head.tell()
     vertex = ply.elements[0] if ply.elements else None
     if vertex is None or vertex.name != "vertex":
         raise FileContentError(f"{path}: elements {[e.name for e in ply.elements]}; expected the vertices first")
@@ -93,8 +80,7 @@ def _read_ply(path: Path) -> PointFile:
         raise FileContentError(f"{path}: a list in the vertices; expected numbers alone")
     axes = _axes(path, list(dtype.names or ()))
     if ply.text:
-        with path.open("rb") as file:
-            lines = file.read(offset).count(b"\n")
+        lines = header[:offset].count(b"\n")
         return PointFile(text_chunks(path, TextLayout(lines, columns=axes, rows=vertex.count), CHUNK))
     return PointFile(_records(path, dtype, axes, offset, vertex.count))
 
@@ -104,8 +90,8 @@ def _read_pcd(path: Path) -> PointFile:
     lines = 0
     with path.open("rb") as file:
         while "DATA" not in header:
-            words = file.readline(_PCD_HEADER_BYTES).decode("ascii", errors="replace").split()
-            if file.tell() > _PCD_HEADER_BYTES or (not words and not file.peek(1)):
+            words = file.readline(_HEADER_BYTES).decode("ascii", errors="replace").split()
+            if file.tell() > _HEADER_BYTES or (not words and not file.peek(1)):
                 raise FileContentError(f"{path}: its header does not end; expected a line that begins with DATA")
             lines += 1
             header |= {words[0]: words[1:]} if words else {}
@@ -230,6 +216,11 @@ def _refuse_damaged_las(path: Path) -> None:
         if table < 0:  # written by a program that could not go back: it stands at the end
             file.seek(-8, 2)
             table = int.from_bytes(file.read(8), "little", signed=True)
+        if form >= 128 + 6:  # the sizes of the first chunk's layers, which lazrs believes
+            file.seek(start + 8 + record + 4)
+            layers = np.frombuffer(file.read(36).ljust(36, b"\0"), "<u4").sum(dtype=np.int64)
+            if count and layers > size:
+                raise FileContentError(f"{path}: {size} bytes; expected {layers} for the layers of its first points")
         file.seek(min(max(table, 0), size))
         chunks = int.from_bytes(file.read(8)[4:], "little")
     # The first point of each chunk stands there as it is.

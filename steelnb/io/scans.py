@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import EmptyCloudError, FileMissingError, RecordingError, SteelnbError
+from steelnb.files import plain_name
 from steelnb.io.trajectories import rising
 from steelnb.io.transforms import interpolate
 from steelnb.types import Array, Flight, Imu, IntArray, Scan, Trajectory
@@ -46,11 +47,11 @@ def _scan(stamp_s: float, decode: Decode) -> Scan:
     none = np.zeros((0, 3))
     try:
         points = decode()
-    except (FileNotFoundError, FileMissingError) as fault:
+    except FileMissingError as fault:
         return Scan(stamp_s, none, f"missing file: {fault}")
     except EmptyCloudError:
         return Scan(stamp_s, none, "empty cloud")
-    except (OSError, SteelnbError) as fault:
+    except SteelnbError as fault:
         return Scan(stamp_s, none, f"unreadable scan: {fault}")
     if not points.size:
         return Scan(stamp_s, none, "empty cloud")
@@ -95,7 +96,7 @@ class Parts:
         prior = Trajectory(stamp_s[covered], T_world_drone[covered])
         facts = {**self.facts, "poses": f"{self.facts['poses']}: {described(self.poses)}"}
         scans = Scans(self.walk, number[covered], prior.stamp_s)
-        return Flight(scans, prior, self.T_drone_sensor, self.imu, path.resolve().name, facts, dict(skipped))
+        return Flight(scans, prior, self.T_drone_sensor, self.imu, plain_name(path.resolve()), facts, dict(skipped))
 
 
 def described(trajectory: Trajectory) -> str:

@@ -2,7 +2,7 @@
 
 `Document.model_json_schema` describes the JSON. Every number survives a round trip exactly. Reading is strict, since a
 model that was read wrongly looks like one that was read rightly: an unknown key, a missing unit or a tie to a bar that
-is not there is an error. So a new key is a new version: version 1 had no ``reason``, and is read.
+is not there is an error. So a new key is a new version, and no other version is read.
 """
 
 import json
@@ -16,7 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from steelnb.errors import (
     EmptyStructureError,
     FileContentError,
-    FileMissingError,
     NonFiniteError,
     OutputError,
     SteelnbError,
@@ -25,9 +24,10 @@ from steelnb.errors import (
     UnsupportedFormatError,
     VersionError,
 )
-from steelnb.files import new_folder
+from steelnb.files import new_folder, reading
 from steelnb.fusion.structure import Structure
 from steelnb.io import drawings
+from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Segments
 
 FORMAT, VERSION = "steelnb structure", 2
@@ -42,9 +42,10 @@ INSTEAD = {
 }
 """Formats that were, and the way to them."""
 
-Point = Annotated[tuple[float, float, float], Field(description="x, y, z in the world frame, metres")]
-Length = Annotated[float, Field(ge=0)]
-Number = Annotated[int, Field(ge=0)]
+Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(description="x, y, z in the world frame, metres")]
+Length = Annotated[float, Field(ge=0, le=FARTHEST_M)]
+Number = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _Part(BaseModel):
@@ -135,11 +136,8 @@ def read_structure(path: Path | str) -> Structure:
     Raises `FileMissingError`, `FileContentError` (not JSON, not this format, a missing or unknown key), `VersionError`,
     `UnitsError`, `NonFiniteError`, and `StructureError` for a tie to a joint or a bar that does not exist.
     """
-    try:
-        text = Path(path).read_bytes()
-    except OSError as fault:
-        raise FileMissingError(f"{path}: cannot be read: {fault.strerror or fault}; expected a JSON file") from None
-    return _from_json(text, str(path))
+    with reading(path, "a structure in JSON"):
+        return _from_json(Path(path).read_bytes(), str(path))
 
 
 def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
@@ -175,18 +173,13 @@ def _nullable(values: Array) -> list[float | None]:
 def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileContentError) -> Structure:
     """The structure of a JSON text; ``name`` begins the messages. Raises as `read_structure`, ``misfit`` for values
     that do not fit the format."""
-    try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError) as fault:
-        raise FileContentError(f"{name}: not JSON: {fault}") from None
+    raw = json.loads(text)
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else type(raw).__name__
         raise FileContentError(f"{name}: format = {found!r}; expected {FORMAT!r}")
-    version = raw.get("version")
-    if version == 1 and "reason" not in raw:
-        text = json.dumps(raw | {"version": VERSION, "reason": ""})
-    elif version != VERSION:
-        raise VersionError(f"{name}: version = {version!r}; expected {VERSION}, or 1 without a reason")
+    if raw.get("version") != VERSION:
+        older = "; version 1 is no longer read: write the file again" if raw.get("version") == 1 else ""
+        raise VersionError(f"{name}: version = {raw.get('version')!r}; expected {VERSION}{older}")
     if raw.get("units") != {"length": "metre"}:
         raise UnitsError(f"{name}: units = {raw.get('units')!r}; expected {{'length': 'metre'}}")
     try:

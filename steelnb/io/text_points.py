@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.errors import EmptyCloudError, FileContentError
+from steelnb.files import open_lines, text_lines
 from steelnb.types import Array
 
 _NAN = ("nan", "-nan", "NaN", "-NaN", "NAN")
@@ -57,8 +58,8 @@ def text_chunks(path: Path, layout: TextLayout, size: int) -> Iterator[Array]:
     if layout.rows == 0:
         return
     try:
-        with pd.read_csv(
-            path, sep=layout.separator or r"\s+", decimal=layout.decimal, header=None, usecols=sorted(layout.columns),
+        with open_lines(path) as file, pd.read_csv(
+            file, sep=layout.separator or r"\s+", decimal=layout.decimal, header=None, usecols=sorted(layout.columns),
             dtype=np.float64, skiprows=layout.skip, nrows=layout.rows, comment="#", skipinitialspace=True,
             quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=list(_NAN), encoding="utf-8",
             encoding_errors="replace", chunksize=size,
@@ -87,10 +88,8 @@ def sniff(path: Path) -> TextLayout:
     beside semicolons or tabs. Raises `EmptyCloudError`, or `FileContentError` where the file is not text or its first
     line of data holds no three numbers.
     """
-    with path.open("rb") as file:
+    with open_lines(path) as file:
         sample = file.read(_SAMPLE_BYTES)
-    if b"\0" in sample:
-        raise FileContentError(f"{path}: holds zero bytes; expected text in UTF-8 or ASCII")
     columns: tuple[int, int, int] | None = None
     rows: int | None = None
     named = False
@@ -120,12 +119,11 @@ def _named_columns(names: str) -> tuple[int, int, int] | None:
 
 def _refuse_bad_line(path: Path, layout: TextLayout) -> None:
     """Name the first line that is at fault, the slow way."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        found = 0
-        for number, line in enumerate(file, start=1):
-            if number > layout.skip and line.partition("#")[0].strip() and found != layout.rows:
-                layout.check(path, number, line)
-                found += 1
+    found = 0
+    for number, line in text_lines(path):
+        if number > layout.skip and found != layout.rows:
+            layout.check(path, number, line)
+            found += 1
 
 
 def _refuse_cut_end(path: Path, layout: TextLayout) -> None:

@@ -1,20 +1,20 @@
-"""Trajectory files (TUM, KITTI, EuRoC), read and written by evo, and stamps in text files and file names.
+"""Trajectory files (TUM, KITTI, EuRoC) and stamps in text files and file names.
 
-evo names no line and accepts poses that are none; both are checked here.
+evo's readers name no line, accept poses that are none and refuse what other programs write, so evo writes alone.
 """
 
-import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import FileContentError, FileMissingError, RecordingError, needs
-from steelnb.files import new_file
+from steelnb.errors import FileContentError, RecordingError, SteelnbError, needs
+from steelnb.files import new_file, reading, text_lines
+from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Trajectory
 
 QUATERNION_MIN = 1e-6
@@ -28,7 +28,7 @@ FORMS = {
 }
 STAMP_FILES = ("timestamps.txt", "times.txt", "stamps.csv", "timestamps.csv", "times.csv")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?")
-_IN_NAME = re.compile(r"\d+(?:\.\d+)?")
+_IN_NAME = re.compile(r"\d+(?:\.\d+)?", re.ASCII)
 _UNITS = ((10**17, 10**9), (10**14, 10**6), (10**11, 10**3))
 """From these whole numbers on, a stamp is in parts of a second: seconds since 1970 have ten digits."""
 
@@ -44,33 +44,33 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None, stamp
     Raises `FileMissingError`, `FileContentError` with the first bad line, and `RecordingError` where no pose is left or
     KITTI poses have no stamps.
     """
-    with needs("io"):
-        from evo.tools import file_interface
+    with reading(path, "a trajectory"):
+        return _read(Path(path), Counter() if skipped is None else skipped, stamp_s)
 
-    path, skipped = Path(path), Counter() if skipped is None else skipped
+
+def _read(path: Path, skipped: Counter[str], stamp_s: Array | None) -> Trajectory:
     form, rows = _rows(path)
-    text = io.StringIO("\n".join(("," if form == "EuRoC" else " ").join(row) for row in rows))
-    if form == "KITTI":
-        T = np.array(file_interface.read_kitti_poses_file(text).poses_se3)
-        beside = stamps_beside(path)
-        if beside is not None:
-            stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
-        if stamp_s is None:
-            raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
-        if len(stamp_s) != len(T):
-            raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(T)}, one a pose")
-        return trajectory_of_matrices(path, stamp_s, T, skipped)
-    read = file_interface.read_tum_trajectory_file if form == "TUM" else file_interface.read_euroc_csv_trajectory
-    poses = read(text)
-    xyzw = np.roll(poses.orientations_quat_wxyz, -1, axis=1)
-    return trajectory_of(path, poses.timestamps, poses.positions_xyz, xyzw, skipped)
+    numbers = np.array(rows, dtype=float)
+    if form != "KITTI":
+        own_s, order = (numbers[:, 0] / 1e9, [5, 6, 7, 4]) if form == "EuRoC" else (numbers[:, 0], [4, 5, 6, 7])
+        return trajectory_of(path, own_s, numbers[:, 1:4], numbers[:, order], skipped)
+    T_world_drone = np.tile(np.eye(4), (len(numbers), 1, 1))
+    T_world_drone[:, :3] = numbers.reshape(-1, 3, 4)
+    beside = stamps_beside(path)
+    if beside is not None:
+        stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
+    if stamp_s is None:
+        raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
+    if len(stamp_s) != len(numbers):
+        raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(numbers)}, one a pose")
+    return trajectory_of_matrices(path, stamp_s, T_world_drone, skipped)
 
 
 def holds_poses(path: Path) -> bool:
     """Whether the first line of numbers of a text file is a pose."""
     try:
         first = next((line for _, line in text_lines(path) if _numeric(_words(line)[:1])), "")
-    except (FileContentError, OSError):
+    except SteelnbError:
         return False
     return _form(first) is not None
 
@@ -88,6 +88,10 @@ def trajectory_of(
     largest = np.abs(np.where(finite[:, None], quaternion_xyzw, 0.0)).max(axis=1, initial=0.0)
     turns = largest > QUATERNION_MIN
     count(skipped, "pose not finite", ~finite)
+    with np.errstate(invalid="ignore"):
+        near = (np.abs(position) <= FARTHEST_M).all(axis=1)
+    count(skipped, f"pose farther than {FARTHEST_M:.0e} m", finite & ~near)
+    finite &= near
     count(skipped, "pose with a quaternion of length zero", finite & ~turns)
     good = np.flatnonzero(finite & turns)
     count(skipped, "pose out of order, sorted", np.diff(stamp_s[good]) < 0)
@@ -202,10 +206,10 @@ def read_stamps(path: Path) -> list[tuple[float, str]]:
 def stamps_of_names(names: Sequence[str]) -> Array | None:
     """Stamps ``(N,)``, the last number in each name, or None where these only count the files.
 
-    A stamp has a decimal point or at least ten digits.
+    A stamp has a decimal point or ten to twenty digits.
     """
     words = [found[-1] if (found := _IN_NAME.findall(name)) else "" for name in names]
-    if not words or not all("." in word or len(word.lstrip("0")) >= 10 for word in words):
+    if not words or not all("." in word or 10 <= len(word.lstrip("0")) <= 20 for word in words):
         return None
     return np.array([seconds(word) for word in words])
 
@@ -231,20 +235,3 @@ def count(skipped: Counter[str], reason: str, which: NDArray[np.bool_]) -> None:
     """Add the number of True in ``which`` to a reason, if there is any."""
     if number := int(np.count_nonzero(which)):
         skipped[reason] += number
-
-
-def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number and text of every line that is neither blank nor a comment (``#``).
-
-    Raises `FileMissingError`, and `FileContentError` for a binary file.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as fault:
-        raise FileMissingError(f"{path}: {fault.strerror or fault}; expected a text file") from None
-    if b"\0" in data:
-        raise FileContentError(f"{path}: holds zero bytes; expected text")
-    for number, line in enumerate(data.decode("utf-8-sig", errors="replace").split("\n"), start=1):
-        text = line.partition("#")[0].strip()
-        if text:
-            yield number, text

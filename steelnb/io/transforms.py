@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.io.calibration import T_OPTICAL_SENSOR
+from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Trajectory
 
 MOVED = 1e-6
@@ -61,8 +62,11 @@ class Transforms:
         """Take ``T_parent_child`` as x, y, z and a quaternion xyzw; False where it is no transform."""
         parent, child = plain(parent), plain(child)
         numbers = np.array([stamp_s, *pose])
-        length = np.linalg.norm(numbers[4:])
-        if not (np.isfinite(numbers).all() and length > 1e-6 and parent and child and parent != child):
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(numbers[4:])
+        if not (np.isfinite([*numbers, length]).all() and length > 1e-6 and np.abs(numbers[1:4]).max() <= FARTHEST_M):
+            return False
+        if not parent or not child or parent == child:
             return False
         numbers[4:] /= length
         edge = (parent, child)

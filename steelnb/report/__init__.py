@@ -1,1 +1,1 @@
-"""Results → tables, sentences and figures, one module a notebook. Figures do not compute, tables do not plot."""
+"""Results → tables, sentences and figures, by subject. Figures do not compute, tables do not plot."""

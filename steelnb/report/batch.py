@@ -1,19 +1,52 @@
-"""Several experiments that share flights, and the tables of their numbers."""
+"""Several experiments that share flights, the tables of their numbers, and what the report shows of the same."""
 
-from collections.abc import Callable, Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.metrics import largest_slip, position_error_m
-from steelnb.settings import ExperimentSettings, TrajectoryName
-from steelnb.study.row import WRONG_M
+from steelnb.metrics import Bend
+from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
+from steelnb.types import Array
 
 Progress = Callable[[float], None]
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that name a run of an odometry by clouds."""
+
+REPORT_SEGMENT_ODOMETRY: dict[str, dict[str, float]] = {
+    "vertical": {"raw_final_m": 4.2, "mean_m": 0.2, "max_m": 0.28, "steps": 1050},
+    "orbit": {"raw_final_m": 2.1, "mean_m": 0.3, "max_m": 0.42, "steps": 800},
+}
+"""Figures 3.2b and 3.3b: the drift at the end, and the corrected error's usual and largest value."""
+REPORT_CLOUD_ODOMETRY: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
+    "random-walk": {
+        "none": {"orbit": (0.7, 0.8), "vertical": (0.7, 0.8)},
+        "icp": {"orbit": (0.1, 0.3), "vertical": (0.0, 1.0)},
+        "icp-3dof": {"orbit": (0.0, 0.85), "vertical": (0.02, 0.35)},
+        "gicp": {"orbit": (0.25, 0.54), "vertical": (0.10, 0.25)},
+    },
+    "constant-drift": {
+        "none": {"orbit": (2.5, 4.6), "vertical": (2.5, 4.6)},
+        "icp": {"orbit": (0.1, 0.85), "vertical": (0.0, 1.5)},
+        "icp-3dof": {"orbit": (0.3, 0.4), "vertical": (0.1, 0.5)},
+        "gicp": {"orbit": (0.25, 0.4), "vertical": (0.0, 0.1)},
+    },
+}
+"""Figures 3.5 and 3.6: noise → method → flight → range (m) of the corrected error; for ``none``, the drift's end."""
+
+
+def at_level(noise: str, level: float) -> str:
+    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `SettingsError`."""
+    NoiseSettings.parse(noise)
+    if noise == "none" or level == 1:
+        return noise
+    parts = (part.strip().partition(":") for part in noise.split("+"))
+    scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
+    NoiseSettings.parse(scaled)
+    return scaled
 
 
 def make_cases(
@@ -27,19 +60,10 @@ def make_cases(
 ) -> list[ExperimentSettings]:
     """Settings of every flight × noise × method; a method may come with its overrides. Raises `SettingsError`."""
     wanted: list[Any] = [(each, {}) if isinstance(each, str) else each for each in method]
+    given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
     return [
-        ExperimentSettings.preset(
-            flight,
-            each,
-            sensor=sensor,
-            seed=seed,
-            duration_s=duration_s,
-            overrides={**(overrides or {}), **changes},
-            method=name,
-        )
-        for flight in trajectory
-        for each in noise
-        for name, changes in wanted
+        ExperimentSettings.preset(flight, each, overrides={**(overrides or {}), **changes}, method=name, **given)
+        for flight, each, (name, changes) in itertools.product(trajectory, noise, wanted)
     ]
 
 
@@ -130,28 +154,54 @@ def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | No
     return {name: float(value) for name, value in named.items() if np.isfinite(value)}
 
 
-def find_slips(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """False convergence in flight, a row a run.
+def ranking(rows: pd.DataFrame, methods: Sequence[str], by: str = "error_mean_m") -> pd.DataFrame:
+    """The order of some methods, a row for each flight and noise.
 
-    ``wrong_share`` of the scans that had pairs ended farther than `WRONG_M` from the truth; ``slip_m`` is the largest
-    growth of the error within a second over such scans, at ``slip_s``.
+    ``rows`` has a row a run; columns are the value of each method, ``order`` from best to worst, ``as_claimed``,
+    whether each of ``methods`` is better than the one before it, and ``pairs_as_claimed`` of all pairs, 0 to 1.
     """
-    rows = []
-    for result in results:
-        settings = result.settings
-        error = position_error_m(result.corrected, result.truth.trajectory)
-        paired = result.matches > 0
-        scan, slip = largest_slip(error, max(1, round(settings.tof.rate_hz)))
-        rows.append(
+    chosen = rows[rows["method"].isin(methods)].drop_duplicates(["trajectory", "noise", "method"])
+    wide = chosen.pivot_table(index=["trajectory", "noise"], columns="method", values=by, sort=False)[list(methods)]
+    pairs = list(itertools.combinations(methods, 2))
+    agree = np.mean([wide[later] < wide[earlier] for earlier, later in pairs], axis=0)
+    order = [" < ".join(wide.columns[np.argsort(values)]) for values in wide.to_numpy()]
+    return wide.assign(order=order, as_claimed=agree == 1.0, pairs_as_claimed=agree).reset_index()
+
+
+def beside_report(rows: pd.DataFrame, noise: str) -> pd.DataFrame:
+    """The corrected error of each run next to the range (low, high) that the report's figure of a noise shows.
+
+    Runs that it does not show are left out, as are repeated ones.
+    """
+    shown = REPORT_CLOUD_ODOMETRY.get(noise, {})
+    ranges = [(flight, method, *span) for method, spans in shown.items() for flight, span in spans.items()]
+    report = pd.DataFrame(ranges, columns=["trajectory", "method", "report_low_m", "report_high_m"])
+    columns = ["trajectory", "noise", "method", "error_mean_m", "error_max_m", "error_final_m"]
+    first = rows.drop_duplicates(["trajectory", "noise", "method"])[columns]
+    beside = first.merge(report, on=["trajectory", "method"])
+    return beside.assign(within_report=beside["error_max_m"] <= beside["report_high_m"])
+
+
+def bend_table(results: Mapping[str, experiment.Result], bends: Mapping[str, Bend], axis: Array) -> pd.DataFrame:
+    """One row a run and slice of height: tilt, turn, offset on the vertical through ``axis (2,)``, blur and points."""
+    slices = [
+        pd.DataFrame(
             {
-                **case_of(settings),
-                "max_correspondence_m": getattr(settings.odometry.clouds, "max_correspondence_m", np.nan),
-                "blind_s": sum(last - first for first, last in settings.tof.blind_s),
-                "ate_rmse_m": result.metrics["ate_rmse_m"],
-                "error_final_m": result.metrics["error_final_m"],
-                "wrong_share": float((error[paired] > WRONG_M).mean()) if paired.any() else 0.0,
-                "slip_m": slip,
-                "slip_s": float(result.corrected.stamp_s[scan]),
+                **case_of(results[name].settings),
+                "height_m": fit.height_m,
+                "tilt_deg": fit.tilt_deg,
+                "yaw_deg": fit.yaw_deg,
+                "offset_m": np.linalg.norm(fit.offset_m(axis), axis=1),
+                "blur_m": fit.blur_m,
+                "points": fit.count,
             }
         )
-    return pd.DataFrame(rows)
+        for name, fit in bends.items()
+    ]
+    return pd.concat(slices, ignore_index=True)
+
+
+def bend_summary(results: Mapping[str, experiment.Result], bends: Mapping[str, Bend], axis: Array) -> pd.DataFrame:
+    """One row a method: the numbers of `Bend.metrics`, and the error of the trajectory, ``ate_rmse_m``."""
+    numbers = {name: fit.metrics(axis) for name, fit in bends.items()}
+    return pd.DataFrame(numbers).T.assign(ate_rmse_m=[results[name].metrics["ate_rmse_m"] for name in bends])

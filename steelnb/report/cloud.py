@@ -2,13 +2,13 @@
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.files import new_folder
+from steelnb.files import new_folder, plain_name
 from steelnb.fusion.reconstruct import reconstruct_cloud
 from steelnb.fusion.structure import Structure
 from steelnb.hough.blocks import segment_structure, within
@@ -63,6 +63,7 @@ def segment_file(
     Raises the errors of `read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
     """
     path = Path(path)
+    name = plain_name(path)
     target = Path(output) if output else Path(f"{path.stem}_segments")
     began = time.perf_counter()
     votes = MIN_VOTES if min_votes is None else min_votes
@@ -81,19 +82,19 @@ def segment_file(
         explained = float(np.average(within(cloud.points, found, dx), weights=cloud.count))
         filtered = float(within(points, found, dx).mean())
         about = {
-            "source": path.name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
+            "source": name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
             "explained": explained, "explained_filtered": filtered,
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
-        built = _structure(cloud, dx, folder, path.name) if structure else None
+        built = _structure(cloud, dx, folder, name) if structure else None
         from steelnb.report.three_views import figure_segments
 
-        title = f"{path.name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        title = f"{name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
     seconds = time.perf_counter() - began
-    segments = _placed(found, cloud)
+    segments = found.moved(cloud.origin)
     summary = (
-        *_summary_of_cloud(path.name, cloud, len(points), voxel, dx),
+        *_summary_of_cloud(name, cloud, len(points), voxel, dx),
         f"found     {len(found)} segments, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
@@ -111,13 +112,9 @@ def _structure(cloud: Cloud, dx_m: float, folder: Path, source: str) -> Structur
         found = reconstruct_cloud(cloud.points, settings)
     except SettingsError as fault:  # so fine a dx that the cloud's voxels cannot be numbered
         found = Structure.empty(str(fault))
-    placed = replace(found, segments=_placed(found.segments, cloud), joint=found.joint + cloud.origin)
+    placed = found.moved(cloud.origin)
     write_structure(placed, folder / "structure.json", about={"source": source, "settings": settings.model_dump()})
     return placed
-
-
-def _placed(segments: Segments, cloud: Cloud) -> Segments:
-    return replace(segments, start=segments.start + cloud.origin, end=segments.end + cloud.origin)
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:

@@ -1,13 +1,14 @@
-"""Notebook 00: a short flight for any choice of settings, and a panel to choose them with.
+"""Notebook 00: a short flight for any choice of settings, a panel to choose them with, and a scene to turn around.
 
 A flight and its scans take most of the time, and do not depend on drift and method: they are made once and kept.
 """
 
 import functools
+import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -15,35 +16,33 @@ from steelnb import experiment
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.tube import MIN_VOTES, tube_radius
-from steelnb.report.scene import (
-    CLOUD,
-    HEIGHT_PX,
-    MEMBERS,
-    TRACKS,
-    corners,
-    figure_scene,
-    plotly_bundle,
-    tracks_and_errors,
-)
+from steelnb.metrics import position_error_m
+from steelnb.report.batch import at_level
 from steelnb.report.style import COLOURS, LABELS, Figure, draw_bars, end_points, frame_3d, style, thinned
 from steelnb.settings import (
     METHODS,
-    REPORT_NOISE,
     SENSORS,
     TRAJECTORIES,
     ExperimentSettings,
-    NoiseSettings,
     TrajectoryName,
 )
-from steelnb.simulation import Truth
 from steelnb.study.row import paired_clouds
-from steelnb.types import Array, Flight, Segments, Trajectory
+from steelnb.types import Array, Segments, Trajectory
 
 if TYPE_CHECKING:
     from IPython.display import DisplayHandle
+    from plotly.graph_objects import Figure as PlotlyFigure
+    from plotly.graph_objects import Scatter3d
 
 POINTS_MAX = 20_000
 NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
+HEIGHT_PX = 860
+PLOTLY_TYPE = "application/vnd.plotly.v1+json"
+CLOUD, MEMBERS = "#8a94a6", "#c4c4c4"
+TRACKS = {"true": COLOURS["truth"], "drifting": COLOURS["drifting"], "corrected": COLOURS["corrected"]}
+WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
+"""The corrected trajectory lies on the true one where all is well: one thin, one wide shows both."""
+CAMERA = {"eye": {"x": 0.8, "y": -1.5, "z": 0.5}, "projection": {"type": "orthographic"}}
 
 
 @dataclass(frozen=True)
@@ -75,17 +74,6 @@ class View:
         )
 
 
-def at_level(noise: str, level: float) -> str:
-    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `SettingsError`."""
-    NoiseSettings.parse(noise)
-    if noise == "none" or level == 1:
-        return noise
-    parts = (part.strip().partition(":") for part in noise.split("+"))
-    scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
-    NoiseSettings.parse(scaled)
-    return scaled
-
-
 def fly(
     trajectory: TrajectoryName,
     noise: str,
@@ -112,9 +100,102 @@ def fly(
     return View(result, cloud, segments, time.perf_counter() - began)
 
 
-@functools.lru_cache(maxsize=4)
-def _flown(settings: ExperimentSettings) -> tuple[Flight, Truth]:
-    return experiment.simulate(settings)
+_flown = functools.lru_cache(maxsize=4)(experiment.simulate)
+
+
+def figure_scene(
+    prior: Trajectory,
+    corrected: Trajectory,
+    truth: Trajectory | None,
+    cloud: Array,
+    segments: Segments,
+    members: Array | None = None,
+) -> "PlotlyFigure":
+    """The scene above the error curve, interactive; what the legend names can be switched off by a click on it.
+
+    ``cloud (N, 3)`` are the scans at the corrected poses, ``segments`` the bars found in them, ``members``
+    ``(M, 2, 3)`` the true ones, all in the world frame; errors are those at the stamps of ``truth``.
+    """
+    from plotly.graph_objects import Scatter, Scatter3d
+    from plotly.subplots import make_subplots
+
+    tracks, errors = tracks_and_errors(prior, corrected, truth)
+    low, high = corners(cloud, tracks)
+    rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
+    if not errors:
+        rows = {"rows": 1, "specs": [[{"type": "scene"}]]}
+    figure = make_subplots(cols=1, vertical_spacing=0.06, **rows)
+    traces = []
+    if members is not None:
+        low[2] = 0.0
+        traces.append(_path(_apart(members[(members[:, :, 2] <= high[2]).all(axis=1)]), "true members", MEMBERS, 2))
+    marker = {"size": 1, "color": CLOUD, "opacity": 0.5}
+    traces.append(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker))
+    traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["least_squares"], 6))
+    traces += [_path(at, name, TRACKS[name], WIDTHS[name], legendgroup=name) for name, at in tracks.items()]
+    figure.add_traces(traces, rows=1, cols=1)
+    for name, (time_s, error) in errors.items():
+        line = {"color": TRACKS[name], "width": 2}
+        curve = Scatter(x=time_s, y=error, name=name, legendgroup=name, showlegend=False, line=line)
+        figure.add_trace(curve, row=2, col=1)
+    axes = {
+        f"{name}axis": {"title": {"text": f"{name} (m)"}, "range": [low[k], high[k]], "backgroundcolor": "white",
+                        "gridcolor": "#e4e4e4", "dtick": 2, "showspikes": False}
+        for k, name in enumerate("xyz")
+    }  # fmt: skip
+    # Without perspective, the size of the box in the page goes by its aspect ratio.
+    ratio = dict(zip("xyz", 1.6 * (high - low) / np.linalg.norm(high - low) * np.sqrt(2), strict=True))
+    figure.update_layout(
+        template="plotly_white",
+        height=HEIGHT_PX,
+        margin={"l": 56, "r": 16, "t": 12, "b": 48},
+        legend={"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"},
+        scene={**axes, "aspectmode": "manual", "aspectratio": ratio, "camera": CAMERA},
+    )
+    figure.update_xaxes(title_text="time (s)")
+    figure.update_yaxes(title_text="distance to the truth (m)", rangemode="tozero")
+    return figure
+
+
+def plotly_bundle(figure: "PlotlyFigure", text: str) -> dict[str, Any]:
+    """A figure as JupyterLab's renderer of Plotly takes it, whatever renderer the user's settings name; and as text."""
+    content = json.loads(cast(str, figure.to_json()))
+    return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": text}
+
+
+def tracks_and_errors(
+    prior: Trajectory, corrected: Trajectory, truth: Trajectory | None
+) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
+    """Positions ``(N, 3)`` of each trajectory, and where there is truth the times ``(N,)`` and errors ``(N,)`` of both
+    others."""
+    tracks = {"drifting": prior.position, "corrected": corrected.position}
+    if truth is None:
+        return tracks, {}
+    time_s, paths = truth.stamp_s - truth.stamp_s[0], {"drifting": prior, "corrected": corrected}
+    errors = {name: (time_s, position_error_m(path.at(truth.stamp_s), truth)) for name, path in paths.items()}
+    return {"true": truth.position, **tracks}, errors
+
+
+def corners(cloud: Array, tracks: dict[str, Array]) -> tuple[Array, Array]:
+    """Lowest and highest corner ``(3,)`` around a cloud and trajectories, in whole metres."""
+    points = np.concatenate([cloud, *tracks.values()])
+    return np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+
+
+def _columns(points: Array) -> dict[str, Any]:
+    """``(N, 3)`` as the arguments x, y and z; single precision is half a page, and finer than a pixel."""
+    return dict(zip("xyz", points.T.astype(np.float32), strict=True)) | {"hoverinfo": "skip"}
+
+
+def _apart(bars: Array) -> Array:
+    """Bars ``(M, 2, 3)`` as the points ``(3 M, 3)`` of one line that is interrupted between them."""
+    return np.concatenate([bars, np.full((len(bars), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+
+
+def _path(points: Array, name: str, colour: str, width: float, **more: Any) -> "Scatter3d":
+    from plotly.graph_objects import Scatter3d
+
+    return Scatter3d(**_columns(points), mode="lines", name=name, line={"color": colour, "width": width}, **more)
 
 
 @style()

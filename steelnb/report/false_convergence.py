@@ -1,7 +1,7 @@
 """Notebook 05: basins of convergence of a registration, and flights that converge to a wrong bar (Figure 3.10)."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -9,13 +9,14 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle
 
 from steelnb.experiment import Result
-from steelnb.metrics import basin_radius_m, position_error_m
+from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
-from steelnb.report.cloud_odometry import draw_cloud_legend, draw_clouds
-from steelnb.report.style import COLOURS, Figure, draw_legend, style
+from steelnb.report.batch import case_of
+from steelnb.report.style import Figure, draw_legend, style
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
+from steelnb.study.row import WRONG_M
 from steelnb.types import Array, Flight
 
 RIGHT_M = 0.1
@@ -54,15 +55,13 @@ def find_basin(
         used.append(bool(step.used))
         if on_progress:
             on_progress((k + 1) / len(offset_m))
+    error, moved = np.linalg.norm(ends, axis=1), np.linalg.norm(np.array(ends) - offset_m, axis=1)
+    taken, close = np.array(used), error <= RIGHT_M
+    wrong, still = taken & ~close, moved <= RIGHT_M
     basin = pd.DataFrame(offset_m, columns=["x_m", "y_m", "z_m"])
-    basin["error_m"] = error = np.linalg.norm(ends, axis=1)
-    taken, moved = np.array(used), np.linalg.norm(np.array(ends) - offset_m, axis=1)
-    basin["right"] = taken & (error <= RIGHT_M)
-    basin["wrong"] = taken & (error > RIGHT_M)
-    basin["stayed"] = basin["wrong"] & (moved <= RIGHT_M)
-    basin["locked"] = basin["wrong"] & ~basin["stayed"]
-    basin["refused"] = ~taken
-    return basin
+    return basin.assign(
+        error_m=error, right=taken & close, wrong=wrong, stayed=wrong & still, locked=wrong & ~still, refused=~taken
+    )
 
 
 def offset_grid(reach_m: float, step_m: float) -> Array:
@@ -121,32 +120,28 @@ def figure_basins(basins: Mapping[str, pd.DataFrame], table: pd.DataFrame) -> Fi
     return figure
 
 
-@style()
-def figure_flight(
-    results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int, reach_m: float = 2.2
-) -> Figure:
-    """The error over the scans (left) and, for each label, the built over the true cloud around where the drone was at
-    ``scan`` (right)."""
-    first = next(iter(results.values()))
-    truth, rate_hz = first.truth.trajectory, first.settings.tof.rate_hz
-    drone = truth.at(first.corrected.stamp_s).position[scan]
-    cloud = next(iter(clouds.values()))[1]
-    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * reach_m], axis=0)
-    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.2))
-    curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
-    for label, result in results.items():
-        error = position_error_m(result.corrected, truth)
-        curve.plot(error, color=COLOURS[result.settings.odometry.method], label=label)
-    curve.axvline(scan, color=COLOURS["report"], linewidth=1.0)
-    for begin, end in first.settings.tof.blind_s:
-        curve.axvspan(begin * rate_hz, end * rate_hz, color=COLOURS["report"], alpha=0.2, lw=0)
-    curve.set(xlabel=f"ToF scan ({rate_hz:g} Hz)", ylabel="error (m)", xlim=(0, len(error) - 1))
-    curve.set_ylim(0, 1.35 * curve.get_ylim()[1])
-    curve.legend(loc="upper left", fontsize=10)
-    for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
-        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
-        draw_clouds(panel, built[near], true[near], 0, size=2.0)
-        panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
-        panel.set(title=label, ylabel="z (m)")
-    draw_cloud_legend(figure)
-    return figure
+def find_slips(results: Sequence[Result]) -> pd.DataFrame:
+    """False convergence in flight, a row a run.
+
+    ``wrong_share`` of the scans that had pairs ended farther than `WRONG_M` from the truth; ``slip_m`` is the largest
+    growth of the error within a second over such scans, at ``slip_s``.
+    """
+    rows = []
+    for result in results:
+        settings = result.settings
+        error = position_error_m(result.corrected, result.truth.trajectory)
+        paired = result.matches > 0
+        scan, slip = largest_slip(error, max(1, round(settings.tof.rate_hz)))
+        rows.append(
+            {
+                **case_of(settings),
+                "max_correspondence_m": getattr(settings.odometry.clouds, "max_correspondence_m", np.nan),
+                "blind_s": sum(last - first for first, last in settings.tof.blind_s),
+                "ate_rmse_m": result.metrics["ate_rmse_m"],
+                "error_final_m": result.metrics["error_final_m"],
+                "wrong_share": float((error[paired] > WRONG_M).mean()) if paired.any() else 0.0,
+                "slip_m": slip,
+                "slip_s": float(result.corrected.stamp_s[scan]),
+            }
+        )
+    return pd.DataFrame(rows)

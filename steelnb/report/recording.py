@@ -4,7 +4,7 @@ import contextlib
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from steelnb.files import new_folder
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
-from steelnb.io.clouds import write_ply
+from steelnb.io.clouds import shift_of, write_ply
 from steelnb.io.flights import GAP_MAX_S
 from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation, write_segments
@@ -29,7 +29,7 @@ from steelnb.report.recording_truth import truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments
 from steelnb.settings import METHODS, ExperimentSettings, NoiseSettings, StructureSettings
-from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
@@ -136,10 +136,17 @@ def run_recording(
     elif flight.facts.get("poses", "").startswith("true poses"):
         notes = ("the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift",)
     true, remarks = truth_at_scans(flight, truth, gap_max_s)
+    origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero
+    flight = replace(flight, prior=flight.prior.moved(-origin))
+    true = true.moved(-origin) if true is not None else None
+    floor_m = settings.odometry.preprocess.floor_m - float(origin[2])
+    near = settings.override({"preprocess.floor_m": floor_m}) if origin[2] else settings
+    if structure is not None and origin[2]:
+        structure = structure.replace(floor_m=structure.floor_m - float(origin[2]))
     target = Path(output) if output else Path(f"{Path(flight.name).stem}_run")
     with new_folder(target) as folder, contextlib.ExitStack() as stack:
-        odometry.run(flight.first(WARM_UP_SCANS), odometry.make_odometry(settings.odometry, flight.T_drone_sensor))
-        estimator = odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
+        odometry.run(flight.first(WARM_UP_SCANS), odometry.make_odometry(near.odometry, flight.T_drone_sensor))
+        estimator = odometry.make_odometry(near.odometry, flight.T_drone_sensor)
         log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
 
         def observe(k: int, scan: Scan, step: OdometryStep) -> None:
@@ -156,13 +163,16 @@ def run_recording(
         if log is not None:
             log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
             log.finish(estimate, true)
+        flight, estimate, true = _placed(flight, estimate, true, origin)
+        segments = segments.moved(origin)
+        built = built.moved(origin) if built is not None else None
         numbers = measure_recording(flight, estimate, true)
         numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
         if built is not None:
             numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
         figures = _figures(flight, estimate, true, segments, settings.odometry.method)
         about = {"source": flight.name, "odometry": settings.odometry.method, "noise": added_noise}
-        _write(folder, flight, estimate, true, segments, built, about)
+        _write(folder, flight, estimate, true, segments, built, about, origin)
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
         for name, figure in figures.items():
@@ -171,6 +181,20 @@ def run_recording(
         files = sorted(file.name for file in folder.iterdir())
     summary = (*_summary(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
+
+
+def _placed(
+    flight: Flight, estimate: Estimate, truth: Trajectory | None, origin: Array
+) -> tuple[Flight, Estimate, Trajectory | None]:
+    """The same in the world of the recording; exactly the same where it was not shifted."""
+    if not origin.any():
+        return flight, estimate, truth
+    prior = estimate.prior.moved(origin)
+    placed = replace(
+        estimate, prior=prior, corrected=estimate.corrected.moved(origin), points=estimate.points + origin,
+        segments=estimate.segments.moved(origin),
+    )  # fmt: skip
+    return replace(flight, prior=prior), placed, truth.moved(origin) if truth is not None else None
 
 
 def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | None) -> dict[str, float]:
@@ -202,12 +226,12 @@ def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | No
 
 def _write(
     folder: Path, flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments,
-    built: Structure | None, about: dict[str, str | None],
+    built: Structure | None, about: dict[str, str | None], origin: Array,
 ) -> None:  # fmt: skip
     write_tum(folder / "prior.tum", estimate.prior)
     write_tum(folder / "corrected.tum", estimate.corrected)
     write_ply(folder / "map.ply", estimate.points, "<f8")  # world coordinates may be those of a country
-    write_segments(folder, segments, np.zeros(3), orientation(segments), about)
+    write_segments(folder, segments.moved(-origin), origin, orientation(segments), about)
     if built is not None:
         write_structure(built, folder / "structure.json", about=about)
     frames = pd.DataFrame({"stamp_s": estimate.prior.stamp_s, "matches": estimate.matches, "not_used": estimate.reason})
@@ -218,7 +242,7 @@ def _write(
             error_m[_index(flight, truth)] = position_error_m(path.at(truth.stamp_s), truth)
         frames[f"{name}_error_m"] = error_m
     digits = {"stamp_s": 6, "ms": 2, "prior_error_m": 4, "corrected_error_m": 4}
-    frames.round(digits).to_csv(folder / "frames.csv", index=False, lineterminator="\n")
+    frames.round(digits).to_csv(folder / "frames.csv", index=False, lineterminator="\n", errors="backslashreplace")
 
 
 def _figures(
@@ -253,10 +277,10 @@ def _summary(
     ]
     if "prior_ate_rmse_m" in numbers:
         removed = numbers.get("drift_removed_percent")
+        share = f": {removed:.0f} % of the drift removed" if removed is not None else ""
         lines.append(
             f"error     {numbers['prior_ate_rmse_m']:.3f} m drifting, {numbers['corrected_ate_rmse_m']:.3f} m "
-            "corrected (ATE, root mean square)"
-            + (f": {removed:.0f} % of the drift removed" if removed is not None else "")
+            f"corrected (ATE, root mean square){share}"
         )
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
     if built is not None:

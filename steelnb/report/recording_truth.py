@@ -50,7 +50,8 @@ def drifted(true: Trajectory, noise: NoiseSettings, seed: int) -> Trajectory:
     steps = (stamp_s[-1] - stamp_s[0]) / STEP_S
     if not steps < STEPS_MAX:
         raise RecordingError(f"poses over {steps * STEP_S:.0f} s; expected less than four hours to add drift to")
-    fine_s = stamp_s[0] + STEP_S * np.arange(math.ceil(steps - 1e-6) + 1)
+    # Stamps since 1970 resolve a quarter of a microsecond: a last step shorter than that would be none.
+    fine_s = stamp_s[0] + STEP_S * np.arange(math.ceil(steps - 1e-3) + 1)
     fine_s[-1] = stamp_s[-1]
     return drifting(Trajectory(fine_s, interpolate(true, fine_s, math.inf)[0]), noise, seed)
 

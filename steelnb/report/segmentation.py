@@ -31,7 +31,7 @@ ANGLE_MAX_RAD = math.radians(10)
 LEAN_SIGMA_RAD = math.radians(2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A cloud ``points (N, 3)`` in the world frame, the members seen in it, and the conditions it was made under.
 
@@ -87,13 +87,9 @@ class Scenes:
 
     def whole(self, seed: int, count: int, leaf_m: float = 0.04) -> Scene:
         """``count`` views along both flights, placed at their true poses, voxel-filtered, with clutter."""
-        flights = [
-            FlightSettings.preset("vertical"),
-            FlightSettings.preset("orbit").replace(height_max_m=15.0, levels=10),
-        ]
-        views = [
-            self._view(seed, k, flights[k % 2], (k // 2 + 0.5) / math.ceil(count / 2), NOISE_M) for k in range(count)
-        ]
+        orbit = FlightSettings.preset("orbit").replace(height_max_m=15.0, levels=10)
+        flights, shares = (FlightSettings.preset("vertical"), orbit), (np.arange(count) // 2 + 0.5) / -(-count // 2)
+        views = [self._view(seed, k, flights[k % 2], float(share), NOISE_M) for k, share in enumerate(shares)]
         return self._scene("tower", seed, 0, views, NOISE_M, CLUTTER, 1.0, leaf_m)
 
     def _view(self, seed: int, k: int, flight: FlightSettings, share: float, noise_m: float) -> View:
@@ -132,9 +128,8 @@ def attempt(method: str, scene: Scene, label: str | None = None, **options: Any)
     begin = time.perf_counter()
     segments = METHODS[method](scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
-    score = score_segments(
-        segments, scene.members.axes, scene.members.observed(), ANGLE_MAX_RAD, seen=scene.members.seen
-    )
+    members = scene.members
+    score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)
     return Trial(label or method, scene, segments, score, seconds)
 
 
@@ -170,7 +165,9 @@ def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
     """One row a trial; the errors of its right segments are arrays."""
     return pd.DataFrame(
         {
-            **dict(zip(CASE, (t.scene.name, t.scene.noise_m, t.scene.clutter, t.scene.kept, t.method), strict=True)),
+            "scene": t.scene.name,
+            **{name: getattr(t.scene, name) for name in USUAL},
+            "method": t.method,
             "seed": t.scene.seed,
             "points": len(t.scene.points),
             "bars": t.scene.members.observed().sum(),
@@ -211,11 +208,9 @@ def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min
 
     The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
     """
-    widths: list[tuple[str, float]] = [(FIXED, width) for width in dx]
+    rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
     rows = []
-    for noise_m, (rule, width), votes in itertools.product(
-        scenes, [*widths, (CHOSEN, math.nan), (REFERENCE, math.nan)], min_votes
-    ):
+    for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
         settings = SegmentationSettings(points_min=votes)
         own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
         trials = [

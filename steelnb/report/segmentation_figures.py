@@ -1,12 +1,10 @@
 """Figures of notebooks 07 and 13: segments found by each method, curves over conditions, maps over tuning, seeds."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 
 from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, USUAL, Trial
 from steelnb.report.style import (
@@ -18,6 +16,8 @@ from steelnb.report.style import (
     VERMILION,
     Figure,
     draw_legend,
+    draw_lines,
+    draw_sample,
     end_points,
     style,
     thinned,
@@ -62,16 +62,15 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
     width = 12.0 / columns
     figure = Figure(figsize=(columns * width + 0.5, rows * (width * high / wide + 0.9) + 0.4))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for k, panel in enumerate(panels.ravel()):
-        if k >= len(trials):
-            panel.set_axis_off()
-            continue
-        _draw_found(panel, trials[k])
-        if k + columns >= len(trials):
-            panel.set_xlabel("across (m)")
-            panel.tick_params(labelbottom=True)
+    for k, (panel, trial) in enumerate(zip(panels.ravel(), trials, strict=False)):
+        _draw_found(panel, trial)
         if k % columns == 0:
             panel.set_ylabel("height (m)")
+        if k + columns >= len(trials):  # also above an empty place
+            panel.set_xlabel("across (m)")
+            panel.tick_params(labelbottom=True)
+    for panel in panels.ravel()[len(trials) :]:
+        panel.set_axis_off()
     keys = {
         "right segment": {"color": RIGHT, "lw": 2},
         "wrong segment": {"color": WRONG, "lw": 2},
@@ -88,10 +87,10 @@ def _draw_found(panel: Axes, trial: Trial) -> None:
     shown = thinned(flat, 20_000)
     panel.scatter(shown[:, 0], shown[:, 1], s=0.7, c=POINTS, linewidths=0, rasterized=True)
     missed = _project(scene.members.axes[scene.members.observed() & ~score.found], scene.across)
-    panel.add_collection(LineCollection(list(missed), colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3))
+    draw_lines(panel, missed, colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3, capstyle="butt")
     bars = _project(end_points(trial.segments), scene.across)
-    for mask, colour in ((score.right, RIGHT), (~score.right, WRONG)):
-        panel.add_collection(LineCollection(list(bars[mask]), colors=colour, lw=1.5, capstyle="round"))
+    draw_lines(panel, bars[score.right], colors=RIGHT, lw=1.5)
+    draw_lines(panel, bars[~score.right], colors=WRONG, lw=1.5)
     numbers = f"precision {score.precision:.2f}" if len(score.right) else "no segment"
     panel.set_title(f"{MARKS[trial.method][1]}\nrecall {score.recall:.2f}\n{numbers}", fontsize=10)
     panel.set_aspect("equal")
@@ -127,16 +126,13 @@ def figure_conditions(cases: pd.DataFrame) -> Figure:
                     y = y.where(curve["recall"] >= RECALL_MIN)
                 panel.plot(x, y, color=COLOURS[method], marker=marker, markersize=5, label=label)
             panel.axvline(scale * USUAL[condition], color=GREY, lw=0.8, ls=":", zorder=0)
-            if row == 0 and condition == "kept":
-                panel.set_xscale("log", base=2)
-                panel.set_xticks(scale * np.sort(chosen[condition].unique()))
-                panel.xaxis.set_major_formatter(lambda value, _: f"{value:.3g}")
-            if column == 0:
-                panel.set_ylabel(unit)
-            if row == len(NUMBERS) - 1:
-                panel.set_xlabel(words)
+            panel.set(xlabel=words, ylabel=unit)
+            panel.label_outer()
     for row, number in enumerate(NUMBERS):
         panels[row, 0].set_ylim(0, 1.03 if number in ("recall", "precision") else None)
+    ticks = 100 * np.sort(cases["kept"].unique())
+    panels[0, -1].set_xscale("log", base=2)
+    panels[0, -1].set_xticks(ticks, [f"{value:.3g}" for value in ticks])
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
@@ -145,23 +141,22 @@ def figure_conditions(cases: pd.DataFrame) -> Figure:
 @style()
 def figure_sequence(trials: Sequence[Trial]) -> Figure:
     """Recall, precision and points of each frame of a sequence, a curve a method."""
-    scenes = list({id(trial.scene): trial.scene for trial in trials}.values())
-    place = {id(scene): k for k, scene in enumerate(scenes)}
+    scenes = list(dict.fromkeys(trial.scene for trial in trials))
+    frames = pd.DataFrame(
+        {"method": t.method, "frame": scenes.index(t.scene), "recall": t.score.recall, "precision": t.score.precision}
+        for t in trials
+    )
     figure = Figure(figsize=(9.0, 7.0))
-    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
-    for method in dict.fromkeys(trial.method for trial in trials):
-        own = [trial for trial in trials if trial.method == method]
-        index = [place[id(trial.scene)] for trial in own]
-        marker, label = MARKS[method]
-        look: dict[str, Any] = {"color": COLOURS[method], "marker": marker, "markersize": 5, "label": label}
-        look["linestyle"] = "-" if len(own) == len(scenes) else ""
-        top.plot(index, [trial.score.recall for trial in own], **look)
-        middle.plot(index, [trial.score.precision for trial in own], **look)
+    *panels, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
+    for number, panel in zip(("recall", "precision"), panels, strict=True):
+        for method, own in frames.groupby("method", sort=False):
+            marker, label = MARKS[str(method)]
+            dash = "-" if len(own) == len(scenes) else ""
+            panel.plot(own["frame"], own[number], dash, color=COLOURS[str(method)], marker=marker, ms=5, label=label)
+        panel.set(ylabel=number, ylim=(-0.03, 1.03))
     bottom.plot([scene.members.observed().sum() for scene in scenes], color=BLACK, marker=".")
-    top.set(ylabel="recall", ylim=(-0.03, 1.03))
-    middle.set(ylabel="precision", ylim=(-0.03, 1.03))
     bottom.set(ylabel="bars observed", xlabel="frame", ylim=(0, None), xlim=(-0.5, len(scenes) - 0.5))
-    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -213,12 +208,13 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(11.0, 0.75 * len(methods) + 1.2))
     panels = figure.subplots(1, len(columns), sharey=True)
     for panel, (number, rows) in zip(panels, columns.items(), strict=True):
+        middle = np.median if number == "median_ms" else np.mean
         for k, method in enumerate(methods):
-            values = rows[rows["method"] == method].sort_values("seed")[number].to_numpy()
-            place = k + np.linspace(-0.25, 0.25, len(values))
-            panel.plot(values, place, MARKS[method][0], color=COLOURS[method], markersize=4, alpha=0.7, ls="")
-            middle = float(np.median(values) if number == "median_ms" else values.mean())
-            panel.plot([middle] * 2, [k - 0.38, k + 0.38], color=BLACK, lw=2)
+            values = rows.loc[rows["method"] == method, number].to_numpy()
+            draw_sample(
+                panel, k, values, COLOURS[method], MARKS[method][0], middle, width=0.7, across=True,
+                markersize=4, alpha=0.7, ls="",
+            )  # fmt: skip
         panel.set(xlabel=number, xlim=(-0.03, 1.03))
         panel.grid(axis="y", visible=False)
     panels[2].set(xlabel="time a frame (ms)", xscale="log")

@@ -1,4 +1,4 @@
-"""Figures of notebooks 10 and 12: rebuilt structures (Figure 3.4), the error on the bars, recall, near side, goals."""
+"""Figures of bars over a tower: maps and structures (Figures 3.4 and 5.1), errors, recall, near side and goals."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,24 +8,30 @@ import pandas as pd
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, Normalize
+from numpy.typing import NDArray
 
-from steelnb.report.structure_flights import Rebuilt
+from steelnb.experiment import Result
+from steelnb.metrics import score_segments
+from steelnb.report.structure_tables import Rebuilt
 from steelnb.report.style import (
     BLACK,
     BLUE,
     COLOURS,
     GREEN,
     GREY,
+    LABELS,
     LIGHT_GREY,
     VERMILION,
     Figure,
     draw_legend,
+    draw_lines,
+    draw_sample,
     end_points,
     project_perspective,
     style,
 )
+from steelnb.simulation import Tower
 from steelnb.types import Array
 
 RIGHT, WRONG, TRUE, JOINT = GREEN, VERMILION, LIGHT_GREY, "#222222"
@@ -43,30 +49,41 @@ BAR_M = 2.0
 
 
 @style()
+def figure_maps(results: Sequence[Result]) -> Figure:
+    """All segments of each run's map over the true members (grey), a panel a run, in perspective.
+
+    Segments within 5° and 10 cm of a true member along half their length are green, the others red.
+    """
+    tower = results[0].truth.tower
+    figure, panels = _panels(tower, len(results))
+    for panel, result in zip(panels, results, strict=True):
+        right = score_segments(result.segments, tower.axes).right
+        _draw_judged(panel, tower, end_points(result.segments), right)
+        counts = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
+        panel.set_title(f"{LABELS[result.settings.odometry.method]}\n{counts}", fontsize=11)
+    draw_legend(figure, _keys("segment"))
+    return figure
+
+
+@style()
 def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
     """The structure of each run, a panel a run, over the true members (grey), in perspective.
 
     Bars within 5° and 10 cm of a member along half their length are green, others red; joints are dots.
     """
-    figure, panels = _panels(runs)
+    tower = runs[0].source.result.truth.tower
+    figure, panels = _panels(tower, len(runs))
     for panel, run in zip(panels, runs, strict=True):
-        right, bars, joints = run.score.member >= 0, end_points(run.structure.segments), run.structure.joint
-        _draw(panel, run, bars[~right], colors=WRONG, linewidths=1.3, zorder=2)
-        _draw(panel, run, bars[right], colors=RIGHT, linewidths=1.5, zorder=3)
-        at = project_perspective(joints, run.source.truth.tower.vertices)
+        right, joints = run.score.member >= 0, run.structure.joint
+        _draw_judged(panel, tower, end_points(run.structure.segments), right)
+        at = project_perspective(joints, tower.vertices)
         panel.plot(at[:, 0], at[:, 1], "o", color=JOINT, markersize=2.4, zorder=4)
         panel.set_title(
             f"{POSES[run.poses][1]}, {run.method}\n{np.count_nonzero(right)} bars on a member, "
             f"{np.count_nonzero(~right)} not;\n{len(joints)} joints; recall {run.score.metrics['recall']:.0%}",
             fontsize=11,
         )
-    keys = {
-        "bar on a member": {"color": RIGHT, "lw": 2},
-        "on none": {"color": WRONG, "lw": 2},
-        "true member": {"color": TRUE, "lw": 2},
-        "joint": {"color": JOINT, "marker": "o", "ls": "", "ms": 4},
-    }
-    draw_legend(figure, keys)
+    draw_legend(figure, _keys("bar") | {"joint": {"color": JOINT, "marker": "o", "ls": "", "ms": 4}})
     return figure
 
 
@@ -77,15 +94,14 @@ def figure_errors(runs: Sequence[Rebuilt]) -> Figure:
     Bars on no member are black and dashed, members that were observed and not found thick and dark grey.
     """
     colours = ListedColormap(colormaps["plasma"](np.linspace(0, 0.87, 256)))  # no yellow, which paper hides
-    scale = Normalize(0, 3)
-    figure, panels = _panels(runs)
+    scale, tower = Normalize(0, 3), runs[0].source.result.truth.tower
+    figure, panels = _panels(tower, len(runs))
     for panel, run in zip(panels, runs, strict=True):
         right, bars, truth = run.score.member >= 0, end_points(run.structure.segments), run.source.reference
-        missed = truth.axes[truth.observed & ~run.score.found]
-        _draw(panel, run, missed, colors=GREY, linewidths=2.6, zorder=2)
         shades = colours(scale(100 * run.score.offset_m[right]))
-        _draw(panel, run, bars[right], colors=shades, linewidths=2.0, zorder=3)
-        _draw(panel, run, bars[~right], colors=BLACK, linewidths=1.3, linestyles="--", zorder=4)
+        _draw(panel, tower, truth.axes[truth.observed & ~run.score.found], colors=GREY, linewidths=2.6, zorder=2)
+        _draw(panel, tower, bars[right], colors=shades, linewidths=2.0, zorder=3)
+        _draw(panel, tower, bars[~right], colors=BLACK, linewidths=1.3, linestyles="--", zorder=4)
         median, p90 = (100 * run.score.metrics[f"offset_{name}_m"] for name in ("median", "p90"))
         panel.set_title(f"{POSES[run.poses][1]}\nmedian {median:.1f} cm, p90 {p90:.1f} cm")
     figure.colorbar(
@@ -101,15 +117,15 @@ def figure_errors(runs: Sequence[Rebuilt]) -> Figure:
     return figure
 
 
-def _panels(runs: Sequence[Rebuilt]) -> tuple[Figure, list[Axes]]:
-    """A panel for each run, with the true members in grey and a bar of two metres."""
-    flat = project_perspective(runs[0].source.truth.tower.vertices, runs[0].source.truth.tower.vertices)
+def _panels(tower: Tower, count: int) -> tuple[Figure, list[Axes]]:
+    """Panels side by side, each with the true members in grey and a bar of two metres."""
+    flat = project_perspective(tower.vertices, tower.vertices)
     (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
     scale = TOWER_IN / (high - low)
-    figure = Figure(figsize=(len(runs) * max((right - left) * scale + 0.3, 3.7) + 0.8, TOWER_IN + 1.5))
-    panels = list(figure.subplots(1, len(runs), squeeze=False)[0])
-    for panel, run in zip(panels, runs, strict=True):
-        _draw(panel, run, run.source.truth.tower.axes, colors=TRUE, linewidths=0.8, zorder=1)
+    figure = Figure(figsize=(count * max((right - left) * scale + 0.3, 3.7) + 0.8, TOWER_IN + 1.5))
+    panels = list(figure.subplots(1, count, squeeze=False)[0])
+    for panel in panels:
+        _draw(panel, tower, tower.axes, colors=TRUE, linewidths=0.8, zorder=1)
         panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
         panel.set_axis_off()
         panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
@@ -117,10 +133,21 @@ def _panels(runs: Sequence[Rebuilt]) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _draw(panel: Axes, run: Rebuilt, bars: Array, **look: Any) -> None:
+def _draw(panel: Axes, tower: Tower, bars: Array, **look: Any) -> None:
     """Add bars ``(M, 2, 3)`` to a panel, seen in perspective."""
-    flat = project_perspective(bars.reshape(-1, 3), run.source.truth.tower.vertices).reshape(-1, 2, 2)
-    panel.add_collection(LineCollection(list(flat), capstyle="round", **look))
+    draw_lines(panel, project_perspective(bars, tower.vertices), **look)
+
+
+def _draw_judged(panel: Axes, tower: Tower, bars: Array, right: NDArray[np.bool_]) -> None:
+    """Add bars ``(M, 2, 3)``, those ``right (M,)`` over the wrong ones."""
+    _draw(panel, tower, bars[~right], colors=WRONG, linewidths=1.3, zorder=2)
+    _draw(panel, tower, bars[right], colors=RIGHT, linewidths=1.5, zorder=3)
+
+
+def _keys(name: str) -> dict[str, dict[str, Any]]:
+    """Legend of `_draw_judged`."""
+    shades = {f"{name} on a member": RIGHT, "on none": WRONG, "true member": TRUE}
+    return {label: {"color": shade, "lw": 2} for label, shade in shades.items()}
 
 
 @style()
@@ -160,26 +187,17 @@ def figure_near_side(bias: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(7.6, 4.9))
     panel = figure.add_subplot()
     panel.axhline(0, color=BLACK, linewidth=1.0)
-    for k, kind in enumerate(kinds.index):
-        for side, (axis, colour) in zip((-0.2, 0.2), AXES.items(), strict=True):
-            chosen = bias[(bias["kind"] == kind) & (bias["axis"] == axis)]["toward_sensor_m"]
-            value = 100 * np.sort(chosen.dropna().to_numpy())
-            if not len(value):
-                continue
-            spread = 0.13 * np.sin(2.4 * np.arange(len(value)))  # the golden angle: dots side by side, no chance
-            panel.plot(k + side + spread, np.clip(value, -4, 6), "o", color=colour, markersize=3.5, alpha=0.55)
-            panel.plot([k + side - 0.17, k + side + 0.17], [np.median(value)] * 2, color=BLACK, linewidth=2.5)
-            panel.annotate(f"{np.median(value):+.1f}", (k + side, 6.5), ha="center", fontsize=11, color=colour)
+    for (kind, axis), own in bias.dropna().sort_values("toward_sensor_m").groupby(["kind", "axis"]):
+        place = list(kinds.index).index(kind) + (-0.2 if axis == "middle of points" else 0.2)
+        values = 100 * own["toward_sensor_m"].to_numpy()
+        median = draw_sample(panel, place, values, AXES[str(axis)], "o", np.median, (-4, 6), alpha=0.55, markersize=3.5)
+        panel.annotate(f"{median:+.1f}", (place, 6.5), ha="center", fontsize=11, color=AXES[str(axis)])
     panel.set_xticks(range(len(kinds)), [f"{kind}\n{1000 * flange:.0f} mm" for kind, flange in kinds.items()])
     panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 7.2), xlabel="kind of member, width of its flanges")
     panel.set_ylabel("axis nearer to the sensor than the true one (cm)")
     panel.grid(axis="x", visible=False)
-    keys: dict[str, dict[str, Any]] = {
-        "middle of the points": {"color": AXES["middle of points"], "marker": "o", "ls": ""},
-        "section fitted": {"color": AXES["section fitted"], "marker": "o", "ls": ""},
-        "median (cm, above)": {"color": BLACK, "lw": 2.5},
-    }
-    draw_legend(figure, keys)
+    keys: dict[str, dict[str, Any]] = {axis: {"color": shade, "marker": "o", "ls": ""} for axis, shade in AXES.items()}
+    draw_legend(figure, keys | {"median (cm, above)": {"color": BLACK, "lw": 2.0}})
     return figure
 
 
@@ -189,17 +207,14 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
 
     The goal is the dashed line, the side of it that is aimed at is white; lines through dots are means.
     """
-    towers, methods = list(dict.fromkeys(table["tower"])), list(dict.fromkeys(table["method"]))
+    towers, methods = list(table["tower"].unique()), list(table["method"].unique())
     figure = Figure(figsize=(12.5, 8.6))
     for panel, goal in zip(figure.subplots(3, 4).ravel(), goals.to_dict("records"), strict=True):
         name, factor, unit = _unit(goal["goal"])
-        for k, tower in enumerate(towers):
-            for m, method in enumerate(methods):
-                value = factor * table[(table["tower"] == tower) & (table["method"] == method)][goal["goal"]]
-                place = k + (m - 0.5 * (len(methods) - 1)) * 0.36
-                spread = np.linspace(-0.1, 0.1, len(value)) if len(value) > 1 else np.zeros(len(value))
-                panel.plot(place + spread, value, MARKERS[method], color=COLOURS[method], markersize=4.5)
-                panel.plot([place - 0.15, place + 0.15], [value.mean()] * 2, color=BLACK, linewidth=1.8)
+        for (tower, method), own in table.groupby(["tower", "method"], sort=False):
+            place = towers.index(tower) + (methods.index(method) - 0.5 * (len(methods) - 1)) * 0.36
+            values = factor * own[goal["goal"]].to_numpy()
+            draw_sample(panel, place, values, COLOURS[str(method)], MARKERS[str(method)], markersize=4.5)
         limit, at_most = factor * goal["limit"], goal["side"] == "at most"
         panel.axhline(limit, color="#555555", linestyle="--", linewidth=1.2)
         low, high = panel.get_ylim()
@@ -210,7 +225,7 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
         panel.set_xticks(range(len(towers)), towers)
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
-    keys |= {"mean": {"color": BLACK, "lw": 1.8}, "goal": {"color": "#555555", "lw": 1.2, "ls": "--"}}
+    keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": "#555555", "lw": 1.2, "ls": "--"}}
     draw_legend(figure, keys)
     return figure
 

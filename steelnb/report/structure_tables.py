@@ -1,8 +1,10 @@
-"""Notebooks 10 and 12: tables of structures rebuilt from flights, the goals set for them, and the near-side bias."""
+"""Notebooks 10 and 12: structures from flights at true, drifting and corrected poses, at once and frame by frame; their
+tables, the goals set for them, and the near-side bias."""
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,22 +12,32 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb.fusion.reconstruct import find_bars, map_scans
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.fusion import SegmentMap
+from steelnb.fusion.joints import find_joints
+from steelnb.fusion.reconstruct import find_bars, map_scans, reconstruct
+from steelnb.fusion.scales import Scales
 from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
-from steelnb.metrics.reconstruction import score_structure
-from steelnb.report.batch import case_of, flat
-from steelnb.report.structure_flights import SIGHTINGS_MIN, Rebuilt, StructureFlight
-from steelnb.settings import StructureSettings, TrajectoryName
-from steelnb.types import Array, IntArray, Segments
+from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
+from steelnb.odometry import SegmentOdometry
+from steelnb.report.batch import Progress, case_of
+from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
+from steelnb.types import Array, Flight, IntArray, Segments
 
-COLUMNS = (
+POSES = ("raw", "corrected", "true")
+BUILDS = ("final", "incremental")
+SIGHTINGS_MIN = 5
+"""A bar counts from the fifth sighting on: a second of flight. Chosen on seed 11."""
+FORGET_FRAMES = 50
+"""Bars with fewer sightings are dropped after ten seconds without one."""
+CASE = ("trajectory", "noise", "tower", "seed", "poses", "method", "odometry", "sensor")
+NUMBERS = (
     "recall", "precision", "duplicates", "angle_median_deg", "offset_median_m", "offset_p90_m", "end_median_m",
-    "joint_recall", "joint_error_median_m", "edge_recall", "edge_precision",
-)  # fmt: skip
-MORE = (
-    "bars", "observed", "joints", "joints_observed", "joint_precision", "edges", "angle_p90_deg", "end_p90_m",
-    "joint_error_p90_m",
+    "joint_recall", "joint_error_median_m", "edge_recall", "edge_precision", "bars", "observed", "joints",
+    "joints_observed", "joint_precision", "edges", "angle_p90_deg", "end_p90_m", "joint_error_p90_m",
+    "toward_sensor_median_m", "ate_rmse_m",
 )  # fmt: skip
 STRUCTURE_GOALS: dict[str, tuple[float | dict[str, float], str]] = {
     "recall": ({"orbit": 0.92, "vertical": 0.88}, "at least"),
@@ -44,31 +56,127 @@ STRUCTURE_GOALS: dict[str, tuple[float | dict[str, float], str]] = {
 """Column → its limit, for either flight or for both, and the side of it on which the goal lies."""
 
 
+@dataclass(frozen=True)
+class StructureFlight:
+    """A flight over a named tower, its odometry and truth, the members to be found, and ``T_world_drone (K, 4, 4)`` at
+    the scans for each of `POSES`."""
+
+    tower: str
+    flight: Flight
+    result: experiment.Result
+    reference: Reference
+    poses: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """One structure: from which poses, by which method, its score and the seconds it took."""
+
+    source: StructureFlight
+    poses: str
+    method: str
+    structure: Structure
+    score: StructureScore
+    seconds: float
+
+
+def fly_tower(
+    trajectory: TrajectoryName,
+    sensor: str,
+    noise: str,
+    method: str,
+    seed: int,
+    duration_s: float,
+    tower: str = "report",
+    overrides: dict[str, Any] | None = None,
+    on_progress: Progress | None = None,
+) -> StructureFlight:
+    """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `SettingsError`."""
+    settings = ExperimentSettings.preset(
+        trajectory, noise, sensor=sensor, seed=seed, duration_s=duration_s, method=method
+    )
+    settings = settings.replace(tower=TowerSettings.preset(tower)).override(overrides or {})
+    flight, truth = experiment.simulate(settings)
+    result = experiment.estimate(settings, flight, truth, on_progress)
+    at_scans = (result.prior, result.corrected, truth.trajectory.at(flight.prior.stamp_s))
+    poses = {name: path.T_world_drone for name, path in zip(POSES, at_scans, strict=True)}
+    return StructureFlight(tower, flight, result, reference(truth.tower, truth.visibility), poses)
+
+
+def rebuild(
+    source: StructureFlight,
+    method: Sequence[str] = BUILDS,
+    poses: Sequence[str] = POSES,
+    on_progress: Progress | None = None,
+) -> list[Rebuilt]:
+    """The structure from each of some `POSES` by each of some methods of `BUILDS`, scored. Raises `SettingsError`.
+
+    The drifting poses are taken as they are: the final reconstruction does not adjust them.
+    """
+    for label, values, known in (("poses", poses, POSES), ("structure_method", method, BUILDS)):
+        for value in values:
+            if value not in known:
+                raise SettingsError(f"{label} = {value!r}: expected one of {', '.join(map(repr, known))}")
+    flight, runs = source.flight, []
+    cases = [(each, name) for each in poses for name in method]
+    for k, (each, name) in enumerate(cases):
+        began = time.perf_counter()
+        if name == "final":
+            chosen = StructureSettings().replace(adjust=False) if each == "raw" else StructureSettings()
+            structure = reconstruct(flight.scans, source.poses[each], flight.T_drone_sensor, chosen)
+        else:
+            structure = _frame_by_frame(source, each)
+        seconds = time.perf_counter() - began
+        runs.append(Rebuilt(source, each, name, structure, score_structure(structure, source.reference), seconds))
+        if on_progress:
+            on_progress((k + 1) / len(cases))
+    return runs
+
+
+def _frame_by_frame(source: StructureFlight, poses: str) -> Structure:
+    """The map of `SegmentOdometry`, which is given the poses and corrects nothing, as a structure."""
+    s = source.result.settings
+    still = OdometrySettings.preset("none", s.sensor).replace(preprocess=s.odometry.preprocess)
+    odometry = SegmentOdometry(still, source.flight.T_drone_sensor)
+    for k, (scan, T_world_drone) in enumerate(zip(source.flight.scans, source.poses[poses], strict=True)):
+        odometry.update(scan, T_world_drone)
+        if k % FORGET_FRAMES == 0:
+            odometry.map.prune(SIGHTINGS_MIN, FORGET_FRAMES)
+    return structure_of(odometry.map)
+
+
+def structure_of(bars: SegmentMap) -> Structure:
+    """The report's incremental reconstruction: the bars of a map with at least `SIGHTINGS_MIN` sightings, tied at
+    joints where they come close to each other (`fusion.joints.find_joints`).
+
+    World frame, metres. The axis of a bar runs in the middle of its points, so on the near side of its section; its
+    width is not known (NaN). ``sigma_m``: the spread of the points over the root of the sightings, since the points of
+    one sighting err together. An empty structure says why it is empty.
+    """
+    seen = bars.sightings >= SIGHTINGS_MIN
+    segments, sightings = bars.segments.take(seen), bars.sightings[seen]
+    if not len(segments):
+        return Structure.empty(f"none of {len(bars)} bars was seen {SIGHTINGS_MIN} times")
+    joint, tie, led = find_joints(segments, 2 * segments.radius, Scales())
+    return Structure(led, np.full(len(led), np.nan), sightings, segments.radius / np.sqrt(sightings), joint, tie)
+
+
 def structure_table(runs: Sequence[Rebuilt]) -> pd.DataFrame:
-    """One row a structure: what it was built from, the numbers of the goals, then more of them.
+    """One row a structure: `CASE`, what it was built from, then `NUMBERS` and the ``seconds`` that it took.
 
     ``odometry`` names the method that corrected the poses; ``toward_sensor_median_m`` is how much nearer to the sensor
-    the axes lie than the true ones.
+    the axes lie than the true ones, NaN where no bar is on a member.
     """
     rows = []
     for run in runs:
-        toward = toward_sensor_m(run.source, run.structure.segments, run.score.member)
-        bias = float(np.median(toward[np.isfinite(toward)])) if np.isfinite(toward).any() else math.nan
-        numbers = {name: run.score.metrics[name] for name in (*COLUMNS, *MORE)}
-        error_m = run.source.ate_m[run.poses]
-        rows.append({**_case(run), **numbers, "toward_sensor_median_m": bias, "ate_rmse_m": error_m})
-    return pd.DataFrame(rows)
-
-
-def structure_timing(runs: Sequence[Rebuilt]) -> pd.DataFrame:
-    """Seconds that each structure took."""
-    return pd.DataFrame([_case(run) | {"seconds": run.seconds} for run in runs])
-
-
-def structure_metrics(runs: Sequence[Rebuilt]) -> dict[str, float]:
-    """The finite numbers of `structure_table` in one flat map, ``<poses>.<method>.<metric>``."""
-    table = structure_table(runs)
-    return flat(table, ("poses", "method"), [str(name) for name in table if name not in _case(runs[0])])
+        result, tower = run.source.result, run.source.tower
+        case = case_of(result.settings)
+        case |= {"tower": tower, "poses": run.poses, "method": run.method, "odometry": case["method"]}
+        toward = pd.Series(toward_sensor_m(run.source, run.structure.segments, run.score.member))
+        ate_m = {"raw": result.metrics["raw_ate_rmse_m"], "corrected": result.metrics["ate_rmse_m"], "true": 0.0}
+        measured = {"toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses], "seconds": run.seconds}
+        rows.append(case | run.score.metrics | measured)
+    return pd.DataFrame(rows)[[*CASE, *NUMBERS, "seconds"]]
 
 
 def structure_summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -83,12 +191,13 @@ def structure_summary(table: pd.DataFrame) -> pd.DataFrame:
 
 def structure_goals(table: pd.DataFrame, trajectory: TrajectoryName) -> pd.DataFrame:
     """The goals beside the means of some runs: ``goal``, ``side``, ``limit``, ``mean``, ``reached`` (by the mean)."""
-    rows = []
-    for name, (limits, side) in STRUCTURE_GOALS.items():
-        limit = limits[trajectory] if isinstance(limits, dict) else limits
-        mean = float(table[name].mean())
-        rows.append((name, side, limit, mean, bool(mean >= limit if side == "at least" else mean <= limit)))
-    return pd.DataFrame(rows, columns=["goal", "side", "limit", "mean", "reached"])
+    goals = pd.DataFrame(
+        {"goal": name, "side": side, "limit": limit[trajectory] if isinstance(limit, dict) else limit}
+        for name, (limit, side) in STRUCTURE_GOALS.items()
+    )
+    goals["mean"] = [table[name].mean() for name in goals["goal"]]
+    above, below = goals["mean"] >= goals["limit"], goals["mean"] <= goals["limit"]
+    return goals.assign(reached=above.where(goals["side"] == "at least", below))
 
 
 def recall_by_points(runs: Sequence[Rebuilt], per_decade: int = 2) -> pd.DataFrame:
@@ -99,15 +208,15 @@ def recall_by_points(runs: Sequence[Rebuilt], per_decade: int = 2) -> pd.DataFra
     """
     rows = []
     for run in runs:
-        hits = run.source.truth.visibility.returns
+        hits = run.source.result.truth.visibility.returns
         decades = math.ceil(math.log10(max(int(hits.max()), 11)))
         edges = 10.0 ** (1 + np.arange((decades - 1) * per_decade + 1) / per_decade)
-        for low, high in itertools.pairwise(edges.tolist()):
-            inside = (hits >= low) & (hits < high)
-            if inside.any():
-                recall = float(run.score.found[inside].mean())
-                rows.append((run.poses, run.method, low, high, int(inside.sum()), recall))
-    return pd.DataFrame(rows, columns=["poses", "method", "points_from", "points_to", "members", "recall"])
+        k = np.searchsorted(edges, hits, side="right") - 1
+        inside = (k >= 0) & (k < len(edges) - 1)
+        found = pd.Series(run.score.found[inside]).groupby(k[inside]).agg(members="size", recall="mean")
+        at = found.index.to_numpy()
+        rows.append(found.assign(poses=run.poses, method=run.method, points_from=edges[at], points_to=edges[at + 1]))
+    return pd.concat(rows, ignore_index=True)
 
 
 def near_side(run: Rebuilt) -> pd.DataFrame:
@@ -122,17 +231,16 @@ def near_side(run: Rebuilt) -> pd.DataFrame:
     middles = find_bars(map_scans(source.flight.scans, T_world_sensor, s), s)[0]
     unknown = np.full(len(middles), np.nan)
     blank = Structure(middles, unknown, middles.count, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
-    cases = {
-        "middle of points": (middles, score_structure(blank, source.reference).member),
-        "section fitted": (run.structure.segments, run.score.member),
-    }
-    rows = []
-    for axis, (bars, members) in cases.items():
-        toward = toward_sensor_m(source, bars, members)
-        for m, value in zip(members[members >= 0].tolist(), toward[members >= 0].tolist(), strict=True):
-            member = source.truth.tower.members[m]
-            rows.append((axis, member.kind, member.section_m[0], value))
-    return pd.DataFrame(rows, columns=["axis", "kind", "section_m", "toward_sensor_m"])
+    members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)
+    tables = []
+    for axis, bars, on in (
+        ("middle of points", middles, score_structure(blank, source.reference).member),
+        ("section fitted", run.structure.segments, run.score.member),
+    ):
+        toward = toward_sensor_m(source, bars, on)[on >= 0]
+        own = members.loc[on[on >= 0]].set_axis(["kind", "section_m"], axis=1)
+        tables.append(own.assign(axis=axis, toward_sensor_m=toward))
+    return pd.concat(tables, ignore_index=True)
 
 
 def near_side_summary(bias: pd.DataFrame) -> pd.DataFrame:
@@ -149,9 +257,8 @@ def toward_sensor_m(source: StructureFlight, bars: Segments, member: IntArray) -
     Measured across the axis, along the mean direction in which the bar was looked at from the true poses, near looks
     weighing more (1/distance²), as their points do.
     """
-    flight = source.flight
-    T_world_sensor = source.truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor
-    tof = source.settings.tof
+    T_world_sensor = source.poses["true"] @ source.flight.T_drone_sensor
+    tof = source.result.settings.tof
     inside = math.cos(0.5 * max(tof.fov_horizontal_rad, tof.fov_vertical_rad))
     toward = np.full(len(bars), np.nan)
     for b in np.flatnonzero(member >= 0):
@@ -169,25 +276,7 @@ def toward_sensor_m(source: StructureFlight, bars: Segments, member: IntArray) -
     return toward
 
 
-def structure_provenance(runs: Sequence[Rebuilt]) -> dict[str, Any]:
-    """The settings of the flight, its tower and odometry, and those of the reconstruction."""
-    source = runs[0].source
-    about = {"tower": source.tower, "settings": source.settings.model_dump()}
-    return about | {"structure": StructureSettings().model_dump(), "sightings_min": SIGHTINGS_MIN}
-
-
-def _case(run: Rebuilt) -> dict[str, Any]:
-    case = case_of(run.source.settings)
-    return {
-        "trajectory": case["trajectory"], "noise": case["noise"], "tower": run.source.tower, "seed": case["seed"],
-        "poses": run.poses, "method": run.method, "odometry": case["method"], "sensor": case["sensor"],
-    }  # fmt: skip
-
-
-def structure_files(structures: Mapping[str, Structure]) -> dict[str, Callable[[Path], object]]:
-    """Files for `write_results`: structure_<name>.json and .glb of each (no .glb for one without bars)."""
-    return {
-        f"structure_{name}.{ending}": partial(write_structure, structure)
-        for name, structure in structures.items()
-        for ending in (("json", "glb") if len(structure) else ("json",))
-    }
+def structure_files(name: str, structure: Structure) -> dict[str, Callable[[Path], object]]:
+    """Files for `write_results`: structure_<name>.json and .glb (no .glb for one without bars)."""
+    endings = ("json", "glb") if len(structure) else ("json",)
+    return {f"structure_{name}.{ending}": partial(write_structure, structure) for ending in endings}

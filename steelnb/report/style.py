@@ -1,13 +1,15 @@
 """The style of all figures, with one table of colours and one of names, and drawing helpers shared by them."""
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
 import matplotlib.figure
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
@@ -92,6 +94,33 @@ def draw_legend(
     figure.legend(handles=handles, **options)
 
 
+def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
+    """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
+    panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
+
+
+def draw_sample(
+    panel: Axes,
+    place: float,
+    values: Array,
+    colour: str,
+    marker: str = "o",
+    middle: Callable[[Array], Any] = np.mean,
+    limits: tuple[float, float] = (-np.inf, np.inf),
+    width: float = 0.3,
+    across: bool = False,
+    **look: Any,
+) -> float:
+    """Draw values ``(N,)`` as dots side by side around ``place`` on the other axis, and their middle, which is given
+    back, as a black bar of a ``width``; upright columns, or with ``across`` rows. Dots stay within ``limits``."""
+    spread = place + 0.45 * width * np.sin(2.4 * np.arange(len(values)))  # the golden angle: no two dots coincide
+    centre, side = float(middle(values)), [place - 0.55 * width, place + 0.55 * width]
+    turn = -1 if across else 1
+    panel.plot(*(spread, np.clip(values, *limits))[::turn], marker, color=colour, **look)
+    panel.plot(*(side, [centre, centre])[::turn], color=BLACK, linewidth=2.0)
+    return centre
+
+
 def draw_bars(axis, bars: Array, **look) -> None:  # type: ignore[no-untyped-def]
     """Draw bars ``(M, 2, 3)`` into a 3D axis."""
     axis.add_collection3d(Line3DCollection(bars, **look), autolim=False)
@@ -123,7 +152,7 @@ def frame_3d(axis, points: Array, azimuth_deg: float = -60, zoom: float = 1.25) 
 
 
 def project_perspective(points: Array, cloud: Array) -> Array:
-    """Points ``(N, 3)`` → ``(N, 2)`` in metres: a pinhole camera 10° above and 2.2 diagonals away from the middle of
+    """Points ``(…, 3)`` → ``(…, 2)`` in metres: a pinhole camera 10° above and 2.2 diagonals away from the middle of
     ``cloud``, where it is to scale.
 
     Not matplotlib's 3D axes, which draw into a square and hide bars behind points.
@@ -134,4 +163,4 @@ def project_perspective(points: Array, cloud: Array) -> Array:
     away = points - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
     distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
     flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
-    return np.asarray(flat * (distance / (distance - away @ to_camera))[:, None])
+    return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.ticker import MaxNLocator
 
 from steelnb.fusion.differences import Comparison
@@ -17,6 +16,7 @@ from steelnb.report.style import (
     VERMILION,
     Figure,
     draw_legend,
+    draw_lines,
     end_points,
     project_perspective,
     style,
@@ -40,7 +40,7 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
     for name, panel in panels.items():
         x, y = project(points, name).T
         panel.scatter(x, y, s=1.0, c=POINT_COLOUR, linewidths=0, rasterized=True)
-        _draw(panel, project(end_points(segments), name), colors=colours, linewidths=1.1, alpha=0.9)
+        draw_lines(panel, project(end_points(segments), name), colors=colours, linewidths=1.1, alpha=0.9)
     keys: dict[str, dict[str, Any]] = {
         f"{name.replace('_', ' ')} ({sum(other == name for other in groups)})": {"color": colour, "lw": 2}
         for name, colour in GROUPS.items()
@@ -73,7 +73,7 @@ def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str)
         for kind, dash, structure, bars, joints in layers:
             width = 1.0 if kind == "same" else 2.2 if dash == "-" else 1.2
             flat = project(end_points(structure.segments)[bars], name)
-            _draw(panel, flat, colors=CHANGES[kind], linewidths=width, linestyles=dash)
+            draw_lines(panel, flat, colors=CHANGES[kind], linewidths=width, linestyles=dash)
             if kind != "same":
                 at = project(structure.joint[joints], name)
                 panel.plot(at[:, 0], at[:, 1], "o", mfc="none", mec=CHANGES[kind], mew=1.3, ms=7)
@@ -104,7 +104,7 @@ def _three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], C
         near = world @ turn.T - shift
         if name in columns:
             return near[..., columns[name]]
-        return project_perspective(near.reshape(-1, 3), turned - shift).reshape(*near.shape[:-1], 2)
+        return project_perspective(near, turned - shift)
 
     names = [*columns, "perspective"]
     extents = {name: (project(points, name).min(axis=0), project(points, name).max(axis=0)) for name in names}
@@ -131,10 +131,6 @@ def _three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], C
             panel.set_ylabel("height (m)")
     panels["perspective"].set_axis_off()
     return figure, panels, project
-
-
-def _draw(panel: Axes, bars: Array, **look: Any) -> None:
-    panel.add_collection(LineCollection(list(bars), capstyle="round", **look))
 
 
 def upright_box(points: Array) -> Array:

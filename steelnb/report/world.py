@@ -116,12 +116,11 @@ def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
 
 
 @style()
-def figure_drift(curves: Mapping[str, tuple[Array, Array]], analytic_m: Mapping[str, Array], claim: str) -> Figure:
+def figure_drift(curves: Mapping[str, tuple[Array, Array]], claim: str) -> Figure:
     """Drift over time, a panel for each noise.
 
-    ``curves`` maps a noise to stamps ``(N,)`` and errors ``(S, N)`` of many seeds, metres, or radians for a yaw noise;
-    ``analytic_m`` to the expected RMS at those stamps. The report's claim (1 m after 3 min) is marked in the panel of
-    the noise named ``claim``.
+    ``curves`` maps a noise to its `drift_curves`; the dashed line is their `expected_drift`. The report's claim (1 m
+    after 3 min) is marked in the panel of the noise named ``claim``.
     """
     figure = Figure(figsize=(11, 3.8))
     for k, (name, (stamp, errors)) in enumerate(curves.items()):
@@ -134,7 +133,9 @@ def figure_drift(curves: Mapping[str, tuple[Array, Array]], analytic_m: Mapping[
         panel.plot([], [], color="#999999", linewidth=0.9, label="single seeds")
         rms = scale * np.sqrt((errors**2).mean(axis=0))
         panel.plot(minutes[thin], rms[thin], color=COLOURS["average"], label=f"RMS of {len(errors)} seeds")
-        panel.plot(minutes[thin], scale * analytic_m[name][thin], "--", color=COLOURS["truth"], label="expected")
+        panel.plot(
+            minutes[thin], scale * expected_drift(name, stamp[thin]), "--", color=COLOURS["truth"], label="expected"
+        )
         if name == claim:
             panel.plot(3, 1.0, "*", color=COLOURS["none"], markersize=13, label="report: about 1 m")
         panel.set(title=name, xlabel="time (min)", ylabel="heading error (°)" if yaw else "position error (m)")

@@ -16,6 +16,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
+_SHOWN = 400
+"""Characters of the longest message: a value may be a whole file."""
 S = TypeVar("S", bound="Settings")
 
 
@@ -28,7 +30,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as fault:
-            raise SettingsError(describe_fault(type(self).__name__, fault)) from None
+            raise SettingsError(describe_fault(type(self).__name__, fault)[:_SHOWN]) from None
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked like the original."""
@@ -87,7 +89,7 @@ def parse_parameter(text: str) -> tuple[str, Any]:
         try:
             parsed = read(value)
             json.dumps(parsed)  # refuses what a notebook's parameter cannot be: sets, bytes, dates
-        except (ValueError, SyntaxError, TypeError):
+        except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
             continue
         return name, parsed
     return name, value

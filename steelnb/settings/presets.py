@@ -5,23 +5,28 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from steelnb.errors import FileMissingError, SettingsError
+from steelnb.errors import SettingsError
+from steelnb.files import reading
 from steelnb.settings.base import S, as_tuples, quoted
 
+TOML_BYTES_MAX = 1 << 22
 PRESETS = Path(__file__).parent.parent / "presets"
 
 
 def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
-    """The tables of a TOML file; ``expected`` is what the message about a missing one says.
+    """The tables of a TOML file; ``expected`` is what messages call its content.
 
     Raises `FileMissingError` or `SettingsError`.
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as fault:
-        raise FileMissingError(f"{path}: {fault.strerror}{'; expected ' if expected else ''}{expected}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as fault:
-        raise SettingsError(f"{path}: not a TOML file: {fault}") from None
+    form = expected or "a TOML file"
+    with reading(path, form), path.open("rb") as file:
+        text = file.read(TOML_BYTES_MAX + 1)
+    with reading(path, "a TOML file", content=SettingsError):
+        if len(text) > TOML_BYTES_MAX:
+            raise SettingsError(f"{path}: more than {TOML_BYTES_MAX} bytes; expected {form}")
+        tables = tomllib.loads(text.decode())
+        repr(tables)  # so that no table is nested deeper than messages about it can be
+        return tables
 
 
 def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:

@@ -1,6 +1,8 @@
 """A Time-of-Flight camera on a flight, by ray casting against the tower's mesh (Open3D, Embree) on one thread."""
 
+import itertools
 import os
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ from steelnb.errors import needs
 from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
-from steelnb.types import Array, IntArray, RangeScans, Trajectory
+from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
 
 SCANS_AT_ONCE = 8
 EDGE_M = 0.1
@@ -46,25 +48,54 @@ def scan_flight(
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
-    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
-    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
-    index = index[index < len(trajectory) - 1] if len(index) > 1 else index
-    scene, ray, counter = make_scene(tower), rays(settings), SliceCounter(tower.axes)
-    range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
-    for begin in range(0, len(index), SCANS_AT_ONCE):
-        some = index[begin : begin + SCANS_AT_ONCE]
-        T_world_sensor = trajectory.T_world_drone[some] @ T_drone_sensor
-        exact, member = cast_rays(scene, T_world_sensor, ray)
-        for k, T in enumerate(T_world_sensor):
-            image = range_m[begin + k]
-            image[:] = measured_ranges(exact[k], settings, rng.stream(seed, "tof", begin + k))
-            stamp = trajectory.stamp_s[some[k]]
-            if any(first <= stamp < last for first, last in settings.blind_s):
-                image[:] = np.nan
-            steel = np.flatnonzero(np.isfinite(image) & (member[k] >= 0))
-            distance, along = exact[k].ravel()[steel], ray.reshape(-1, 3)[steel] @ T[:3, :3].T
-            counter.add(T[:3, 3] + distance[:, None] * along, member[k].ravel()[steel])
-    return RangeScans(trajectory.stamp_s[index], range_m, ray), counter.visibility()
+    scans, counter = CastScans(tower, trajectory, T_drone_sensor, settings, seed), SliceCounter(tower.axes)
+    range_m = np.empty((len(scans), settings.rows, settings.columns), dtype=np.float32)
+    for k, (image, exact, member, T) in enumerate(scans.cast()):
+        range_m[k] = image
+        steel = np.flatnonzero(np.isfinite(image) & (member >= 0))
+        distance, along = exact.ravel()[steel], scans.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
+        counter.add(T[:3, 3] + distance[:, None] * along, member.ravel()[steel])
+    return RangeScans(scans.stamp_s, range_m, scans.ray), counter.visibility()
+
+
+class CastScans(Sequence[Scan]):
+    """The scans of `scan_flight`, cast anew whenever they are iterated over, so that only a few are in memory.
+
+    ``stamp_s (K,)``; ``ray (H, W, 3)`` unit vectors in the sensor frame. An index costs as much as all scans before it.
+    """
+
+    def __init__(
+        self, tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: int
+    ) -> None:
+        step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
+        index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
+        index = index[index < len(trajectory) - 1] if len(index) > 1 else index
+        self.stamp_s, self.ray = trajectory.stamp_s[index], rays(settings)
+        self._tower, self._settings, self._seed = tower, settings, seed
+        self._T_world_sensor = trajectory.T_world_drone[index] @ T_drone_sensor
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
+        found = list(itertools.islice(self, range(len(self))[index] + 1)) if isinstance(index, int) else list(self)
+        return found[-1] if isinstance(index, int) else found[index]
+
+    def __iter__(self) -> Iterator[Scan]:
+        for stamp_s, (image, *_) in zip(self.stamp_s.tolist(), self.cast(), strict=True):
+            yield Scan(stamp_s, image[..., None] * self.ray)
+
+    def cast(self) -> Iterator[tuple[np.ndarray, np.ndarray, IntArray, Array]]:
+        """Of each scan measured and exact ranges ``(H, W)`` float32, the members hit, and ``T_world_sensor``."""
+        scene = make_scene(self._tower)
+        for begin in range(0, len(self), SCANS_AT_ONCE):
+            T_world_sensor = self._T_world_sensor[begin : begin + SCANS_AT_ONCE]
+            exact, member = cast_rays(scene, T_world_sensor, self.ray)
+            for k, T in enumerate(T_world_sensor):
+                image = measured_ranges(exact[k], self._settings, rng.stream(self._seed, "tof", begin + k))
+                if any(first <= self.stamp_s[begin + k] < last for first, last in self._settings.blind_s):
+                    image[:] = np.nan
+                yield image, exact[k], member[k], T
 
 
 def measured_ranges(exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator) -> np.ndarray:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import SegmentMap, associate
-from steelnb.report.structure_flights import structure_of
+from steelnb.report.structure_tables import structure_of
 from steelnb.settings import FusionSettings
 from steelnb.types import Segments
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, turned

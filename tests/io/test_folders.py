@@ -241,14 +241,14 @@ def test_seven_scenes(tmp_path):
     np.testing.assert_allclose(flight.prior.stamp_s, [5.0, 5.1, 5.2, 5.3])  # the third pose is interpolated
     assert flight.skipped == {"missing pose file": 1}
     (folder / "frame-000001.pose.txt").write_text("1 2 3")
-    with pytest.raises(FileContentError, match=r"frame-000001.pose.txt: .* expected the 16 numbers"):
+    with pytest.raises(FileContentError, match=r"frame-000001.pose.txt: not the 16 numbers"):
         read_flight(folder)
 
 
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
-        (lambda path: path.write_bytes(path.read_bytes()[:200]), "no whole image"),
+        (lambda path: path.write_bytes(path.read_bytes()[:200]), "not a 16-bit grey PNG"),
         (lambda path: png(path, np.zeros((480, 640), np.uint8)), "expected a 16-bit grey PNG"),
         (lambda path: png(path, np.ones((48, 64), np.uint16)), "64 × 48 pixels; expected 640 × 480"),
         (lambda path: png(path, np.zeros((480, 640), np.uint16)), "no finite point"),

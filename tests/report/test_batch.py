@@ -6,7 +6,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import SettingsError
-from steelnb.report import batch, cloud_odometry, false_convergence
+from steelnb.report import batch, false_convergence
 from steelnb.study.row import paired_clouds
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -54,7 +54,7 @@ def test_an_error_that_jumps_is_a_slip_at_its_scan(runs):
     moved[:, :3, 3] = run.truth.trajectory.at(run.corrected.stamp_s).position
     moved[20:, 0, 3] += 0.5
     off = experiment.Result(**{**vars(run), "corrected": type(run.corrected)(run.corrected.stamp_s, moved)})
-    slip = batch.find_slips([off]).iloc[0]
+    slip = false_convergence.find_slips([off]).iloc[0]
     assert slip["slip_m"] == pytest.approx(0.5)
     assert 0 <= slip["slip_s"] - run.corrected.stamp_s[20] <= 1.0
     paired = run.matches > 0
@@ -79,14 +79,17 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
         false_convergence.find_basin(segments, flight, truth, 0, starts)
 
 
-def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
+def test_the_ranking_says_which_pairs_are_in_the_order_claimed(monkeypatch):
     rows = pd.DataFrame(
         {"trajectory": "orbit", "noise": "walk", "method": ["a", "b", "c"], "error_mean_m": [3.0, 1.0, 2.0]}
     )
-    (found,) = cloud_odometry.ranking(rows, ["a", "b", "c"]).to_dict("records")
+    (found,) = batch.ranking(rows, ["a", "b", "c"]).to_dict("records")
     assert (found["order"], found["as_claimed"]) == ("b < c < a", False)
     assert found["pairs_as_claimed"] == pytest.approx(2 / 3)
     rows["error_max_m"] = rows["error_final_m"] = rows["error_mean_m"]
-    beside = cloud_odometry.beside_report(rows, {"a": {"orbit": (0.0, 2.0)}, "b": {"vertical": (0.0, 9.0)}})
+    shown = {"walk": {"a": {"orbit": (0.0, 2.0)}, "b": {"vertical": (0.0, 9.0)}}}
+    monkeypatch.setattr(batch, "REPORT_CLOUD_ODOMETRY", shown)
+    beside = batch.beside_report(rows, "walk")
+    assert batch.beside_report(rows, "none").empty
     assert beside["method"].tolist() == ["a"]
     assert beside["within_report"].tolist() == [False]

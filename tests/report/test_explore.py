@@ -10,8 +10,8 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import experiment
 from steelnb.errors import CollisionError, SettingsError
-from steelnb.report import explore
-from steelnb.report.scene import PLOTLY_TYPE
+from steelnb.report import batch, explore
+from steelnb.report.explore import PLOTLY_TYPE
 from steelnb.settings import NoiseSettings
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
@@ -35,7 +35,7 @@ def view() -> explore.View:
     ],
 )
 def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float, turn_rad: float) -> None:
-    settings = NoiseSettings.parse(explore.at_level(noise, level))
+    settings = NoiseSettings.parse(batch.at_level(noise, level))
     assert settings.random_walk_m == pytest.approx(walk_m)
     assert settings.yaw_random_walk_rad == pytest.approx(turn_rad)
 
@@ -43,7 +43,7 @@ def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float,
 @pytest.mark.parametrize(("noise", "level"), [("random-walk", -1.0), ("random-walk", float("nan")), ("wind", 1.0)])
 def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> None:
     with pytest.raises(SettingsError):
-        explore.at_level(noise, level)
+        batch.at_level(noise, level)
 
 
 def test_a_flight_is_the_experiment_of_the_same_settings(view: explore.View) -> None:

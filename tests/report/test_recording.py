@@ -225,6 +225,38 @@ def test_the_same_noise_is_the_same_drift_at_every_rate(rate_hz):
     assert np.abs(found[-1, :3, 3] - straight(at_s).position[-1]).max() > 0.01
 
 
+@pytest.mark.parametrize("count", range(36, 48))
+def test_drift_on_stamps_since_1970(count):
+    """They resolve a quarter of a microsecond: the last step of 8 ms may come out as none."""
+    true = straight(0.2 * np.arange(count))
+    found = drifted(Trajectory(1.7e9 + true.stamp_s, true.T_world_drone), WALK, 7)
+    assert (np.diff(found.stamp_s) > 1e-6).all()
+    assert len(found) == 25 * (count - 1) + 1
+    np.testing.assert_allclose(found.T_world_drone, drifted(true, WALK, 7).T_world_drone, atol=1e-6)
+
+
+def test_poses_of_a_map_come_back_in_its_coordinates(simulated, tmp_path):
+    _, flight, truth = simulated
+    utm = np.array([399_100.0, 5_801_400.0, 0.0])
+    flight = flight.first(12)
+    flight = replace(flight, prior=flight.prior.moved(utm).moved(-utm))  # both in steps of 0.1 µm
+    far = replace(flight, prior=flight.prior.moved(utm))
+    reports = {
+        name: run_recording(each, tmp_path / name, truth=true, structure=StructureSettings())
+        for name, each, true in (("near", flight, truth.trajectory), ("far", far, truth.trajectory.moved(utm)))
+    }
+    near, found = reports["near"], reports["far"]
+    assert near.numbers["used"] == found.numbers["used"] == 11
+    np.testing.assert_allclose(found.estimate.corrected.position - utm, near.estimate.corrected.position, atol=1e-6)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "far" / "map.ply").origin, utm)
+    assert len(found.segments) == len(near.segments) == len(found.structure) > 0
+    np.testing.assert_allclose(found.segments.middle - utm, near.segments.middle, atol=1e-6)
+    assert found.numbers["corrected_ate_rmse_m"] == pytest.approx(near.numbers["corrected_ate_rmse_m"], abs=1e-4)
+    written = read_structure(tmp_path / "far" / "structure.json")
+    np.testing.assert_array_equal(written.segments.start, found.structure.segments.start)
+    np.testing.assert_allclose(read_trajectory(tmp_path / "far" / "prior.tum").position, far.prior.position)
+
+
 def test_noise_goes_onto_the_truth_and_not_onto_drifting_poses():
     flight, truth = made(lattice), straight(0.2 * np.arange(8), speed_m_s=0.4)
     found, true = with_drift(flight, truth, NoiseSettings(), 1, 0.5)

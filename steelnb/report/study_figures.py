@@ -1,19 +1,26 @@
-"""Notebook 11: the error over the seeds of a study, by noise and method, and over time (also notebook 08)."""
+"""Notebooks 08 and 11: the error over the seeds of a study, by noise and method and over time; verdicts on claims."""
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from steelnb.report.cloud_odometry import REPORT_CLOUD_ODOMETRY
-from steelnb.report.segment_odometry import REPORT_SEGMENT_ODOMETRY
-from steelnb.report.style import BLUE, COLOURS, GREY, LABELS, Figure, draw_legend, style
+from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY
+from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, ONLY_WHEN, Claim, Verdict
+from steelnb.report.style import BLUE, COLOURS, GREY, LABELS, VERMILION, Figure, draw_legend, draw_sample, style
 from steelnb.types import Array
 
 PERCENTILES = (10, 50, 90)
 ERROR_LIMITS_M = (0.003, 10.0)
+MARKS = {HOLDS: ("o", BLUE), ONLY_WHEN: ("D", "#B37400"), FAILS: ("X", VERMILION), NOT_RUN: ("_", GREY)}
+"""Mark and colour of each verdict: told apart by either."""
+WHITE = {"facecolor": "white", "edgecolor": "none", "pad": 0.7}
+"""Box behind a text."""
+LINE_IN, LETTERS = 0.17, 105
+MINUS = "\N{MINUS SIGN}"
 
 
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
@@ -48,14 +55,8 @@ def figure_accuracy(table: pd.DataFrame, goal_m: float, worst_m: float) -> Figur
     labels = []
     for k, (key, values) in enumerate(groups):
         case, method = map(str, cast(tuple, key))
-        error = 100 * values.to_numpy()
-        spread = np.linspace(-0.15, 0.15, len(error))
-        panel.plot(k + spread, error, "o", color=COLOURS.get(method, BLUE), markersize=6, alpha=0.8)
-        panel.plot([k - 0.25, k + 0.25], [error.mean()] * 2, color=COLOURS["truth"], linewidth=2)
-        panel.annotate(
-            f"{error.mean():.1f}", (k + 0.27, error.mean()), va="center", fontsize=10,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-        )  # fmt: skip
+        mean = draw_sample(panel, k, 100 * values.to_numpy(), COLOURS.get(method, BLUE), width=0.45, alpha=0.8)
+        panel.annotate(f"{mean:.1f}", (k + 0.27, mean), va="center", fontsize=10, bbox=WHITE)
         short = case.replace("+yaw-random-walk", "\n+ yaw walk").replace(", blind", ",\nblind")
         labels.append(f"{short}\n{LABELS.get(method, method)}")
     for limit, dash, whom in ((100 * goal_m, "--", "the mean"), (100 * worst_m, ":", "any seed")):
@@ -86,12 +87,10 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
             case = (runs["noise"] == noise) & (runs["trajectory"] == trajectory) & (runs["method"] == method)
             _draw_bands(panel, runs[case & (runs["status"] == "ok")], method)
             of_report |= _draw_report(panel, noise, trajectory, method)
+            panel.set(xlabel="time (s)", ylabel=f"{LABELS.get(method, method)}\nerror (m)")
+            panel.label_outer()
             if row == 0:
                 panel.set_title(f"{trajectory}\n{noise.replace('+yaw-random-walk', ' + yaw')}", fontsize=11)
-            if row == len(methods) - 1:
-                panel.set_xlabel("time (s)")
-            if column == 0:
-                panel.set_ylabel(f"{LABELS.get(method, method)}\nerror (m)")
     grid[0, 0].set(yscale="log", ylim=ERROR_LIMITS_M)
     grid[0, 0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     keys: dict[str, dict[str, Any]] = {
@@ -127,3 +126,80 @@ def _draw_report(panel: Axes, noise: str, trajectory: str, method: str) -> bool:
     if found:
         panel.axhspan(max(found[0], ERROR_LIMITS_M[0]), found[1], color=COLOURS["report"], alpha=0.18, linewidth=0)
     return found is not None
+
+
+@style()
+def figure_claims(verdicts: Sequence[Verdict]) -> Figure:
+    """Forest plot: below each claim, its estimate and 95 % interval in each cell against the claim's threshold.
+
+    Every claim has its own scale, turned so that what is as claimed lies to the right of the upright line, in the
+    shaded part. A claim that was not run has the reason in place of cells. Wide intervals leave the panel.
+    """
+    headings = [_heading(each) for each in verdicts]
+    rows = sum(len(text) + len(each.cells) + 1 for text, each in zip(headings, verdicts, strict=True))
+    figure = Figure(figsize=(10, LINE_IN * rows + 1.2))
+    panel = figure.add_subplot()
+    panel.axvline(0, color="#555555", linewidth=0.9, zorder=0)
+    y, labels, numbers = 0.0, {}, {}
+    for text, each in zip(headings, verdicts, strict=True):
+        colour = MARKS[each.verdict][1]
+        panel.text(-1.4, y, "\n".join(text), va="top", fontsize=9, color=colour, zorder=3, bbox=WHITE)
+        y += len(text)
+        place, end = _scale(each)
+        panel.fill_betweenx([y, y + len(each.cells)], 0, end, color=BLUE, alpha=0.08, linewidth=0)
+        for cell in each.cells.to_dict("records"):
+            y += 0.5
+            mark, colour = MARKS[HOLDS if cell["holds"] else FAILS]
+            panel.plot([place(cell["low"]), place(cell["high"])], [y, y], color=colour)
+            panel.plot(place(cell["estimate"]), y, mark, color=colour, markersize=5.5)
+            labels[y] = ", ".join(filter(None, (cell[name] for name in each.claim.by)))
+            numbers[y] = f"{interval_text(cell['estimate'], cell['low'], cell['high'])} {each.claim.unit}".rstrip()
+            y += 0.5
+        y += 1
+    panel.set(xlim=(-1, 1), ylim=(rows, 0), xticks=[-0.5, 0.5], xlabel="estimate [95 %] on the right")
+    panel.set_xticklabels(["not ←", "→ as claimed"])
+    panel.set_yticks([*labels], labels.values(), fontsize=8.5)
+    panel.secondary_yaxis("right").set_yticks([*numbers], numbers.values(), fontsize=8.5)
+    panel.grid(False)
+    keys = {word: {"marker": mark, "color": colour, "ls": ""} for word, (mark, colour) in MARKS.items()}
+    draw_legend(figure, keys, "outside upper center")
+    return figure
+
+
+def _heading(verdict: Verdict) -> list[str]:
+    """Verdict, claim, its section and its test, in lines."""
+    text = f"{verdict.verdict.upper()} · {verdict.claim.claim} ({verdict.claim.section}; {claim_goal(verdict.claim)})"
+    return textwrap.wrap(text + (f": {verdict.condition}" if verdict.verdict == NOT_RUN else ""), LETTERS)
+
+
+def _scale(verdict: Verdict) -> tuple[Callable[[float], float], float]:
+    """The place of a number between -1 and 1, and where what is claimed ends.
+
+    The claim's (first) threshold lies at 0. All estimates are within the panel, and intervals as far as they reach no
+    more than twice as far from the threshold.
+    """
+    claim, cells = verdict.claim, verdict.cells
+    first, last, sign = claim.threshold[0], claim.threshold[-1], -1.0 if claim.comparison == "below" else 1.0
+    if cells.empty:
+        return float, 0.0
+    nearest = float(np.abs(cells["estimate"] - first).max())
+    farthest = float(np.abs(cells[["low", "high"]].to_numpy() - first).max())
+    reach = 1.1 * max(min(farthest, 2 * nearest), 1.2 * (last - first)) or 1.0
+    return lambda value: sign * (value - first) / reach, (
+        last - first
+    ) / reach if claim.comparison == "between" else 1.0
+
+
+def claim_goal(claim: Claim) -> str:
+    """The test of a claim's number: ``error_mean_m, difference < 0 m``."""
+    low, high = (f"{value:g}".replace("-", MINUS) for value in (claim.threshold[0], claim.threshold[-1]))
+    test = {"below": f"< {low}", "above": f"> {low}", "between": f"in {low} to {high}"}[claim.comparison]
+    return f"{claim.metric}, {claim.form} {test} {claim.unit}".rstrip()
+
+
+def interval_text(estimate: float, low: float, high: float) -> str:
+    """An estimate with its interval, to two digits of the interval's width."""
+    width = high - low
+    digits = int(np.clip(1 - np.floor(np.log10(width)), 0, 4)) if width > 1e-9 else 2
+    middle, first, last = (f"{round(value, digits) + 0.0:.{digits}f}" for value in (estimate, low, high))
+    return f"{middle} [{first}, {last}]".replace("-", MINUS)

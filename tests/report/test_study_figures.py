@@ -1,4 +1,4 @@
-"""Figures of the claims, from made-up verdicts and runs."""
+"""Figures of studies and claims, from made-up verdicts and runs."""
 
 import itertools
 
@@ -6,9 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.report.accuracy import figure_error_bands, percentile_bands
 from steelnb.report.claims import HOLDS, NOT_RUN, ONLY_WHEN, Claim, Verdict
-from steelnb.report.claims_figures import claim_goal, figure_claims, interval_text
+from steelnb.report.study_figures import (
+    claim_goal,
+    figure_claims,
+    figure_error_bands,
+    interval_text,
+    percentile_bands,
+)
 
 
 def verdict(

@@ -1,6 +1,5 @@
-"""Notebooks 03, 04 and 06: tables and figures (3.5–3.9, 5.2–5.3) of the odometry by clouds and the clouds it builds."""
+"""Notebooks 02 to 06: figures of odometries (3.2, 3.3, 3.5–3.10, 5.2, 5.3): errors, methods side by side, clouds."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,28 +9,11 @@ from matplotlib.axes import Axes
 
 from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
-from steelnb.report.batch import case_of
-from steelnb.report.style import COLOURS, LABELS, Figure, draw_legend, style, thinned
-from steelnb.settings import SEGMENT_METHODS, ExperimentSettings
+from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY
+from steelnb.report.style import COLOURS, LABELS, Figure, draw_bars, draw_legend, frame_3d, style, thinned
+from steelnb.settings import SEGMENT_METHODS
 from steelnb.types import Array
 
-REPORT_CLOUD_ODOMETRY: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
-    "random-walk": {
-        "none": {"orbit": (0.7, 0.8), "vertical": (0.7, 0.8)},
-        "icp": {"orbit": (0.1, 0.3), "vertical": (0.0, 1.0)},
-        "icp-3dof": {"orbit": (0.0, 0.85), "vertical": (0.02, 0.35)},
-        "gicp": {"orbit": (0.25, 0.54), "vertical": (0.10, 0.25)},
-    },
-    "constant-drift": {
-        "none": {"orbit": (2.5, 4.6), "vertical": (2.5, 4.6)},
-        "icp": {"orbit": (0.1, 0.85), "vertical": (0.0, 1.5)},
-        "icp-3dof": {"orbit": (0.3, 0.4), "vertical": (0.1, 0.5)},
-        "gicp": {"orbit": (0.25, 0.4), "vertical": (0.0, 0.1)},
-    },
-}
-"""Figures 3.5 and 3.6: noise → method → flight → range (m) of the corrected error; for ``none``, the drift's end."""
-REPORT_TIME_RATIO = 3.0
-"""Section 3.3.3: GICP is "nearly three times more time-consuming"."""
 POINTS_MAX = 60_000
 FLIGHTS = {"orbit": "around", "vertical": "vertical"}
 """The report's names of the flights, in the order of its columns."""
@@ -39,66 +21,58 @@ DECADES = ([0.01, 0.03, 0.1, 0.3, 1, 3], ["0.01", "0.03", "0.1", "0.3", "1", "3"
 """Ticks of a logarithmic axis of errors in metres."""
 
 
-def ranking(rows: pd.DataFrame, methods: Sequence[str], by: str = "error_mean_m") -> pd.DataFrame:
-    """The order of some methods, a row for each flight and noise.
+@style()
+def figure_segment_errors(results: Sequence[Result]) -> Figure:
+    """A row for each noise: the trajectories (left), the distance to the truth with and without correction (right).
 
-    ``rows`` has a row a run; columns are the value of each method, ``order`` from best to worst, ``as_claimed``,
-    whether each of ``methods`` is better than the one before it, and ``pairs_as_claimed`` of all pairs, 0 to 1.
+    ``results`` hold one flight under any noises, each with the correction ``none`` among others. The dashed line and
+    the grey band are the report's usual and largest corrected error.
     """
-    chosen = rows[rows["method"].isin(methods)].drop_duplicates(["trajectory", "noise", "method"])
-    wide = chosen.pivot_table(index=["trajectory", "noise"], columns="method", values=by, sort=False)[list(methods)]
-    pairs = list(itertools.combinations(methods, 2))
-    agree = np.mean([wide[later] < wide[earlier] for earlier, later in pairs], axis=0)
-    order = [" < ".join(wide.columns[np.argsort(values)]) for values in wide.to_numpy()]
-    return wide.assign(order=order, as_claimed=agree == 1.0, pairs_as_claimed=agree).reset_index()
+    noises = list(dict.fromkeys(result.settings.noise_name for result in results))
+    flight = results[0].settings.flight.trajectory
+    report = REPORT_SEGMENT_ODOMETRY[flight]
+    figure = Figure(figsize=(11, 4.6 * len(noises)))
+    grid = figure.add_gridspec(len(noises), 2, width_ratios=(1, 1.7))
+    for row, noise in enumerate(noises):
+        of_noise = [result for result in results if result.settings.noise_name == noise]
+        best = of_noise[-1]
+        truth, tower = best.truth.trajectory, best.truth.tower
+        scene = figure.add_subplot(grid[row, 0], projection="3d")
+        draw_bars(scene, tower.axes, colors="#bbbbbb", linewidths=0.4)
+        scene.plot(*best.prior.position.T, color=COLOURS["none"], linewidth=1.0, label="Noisy")
+        scene.plot(*truth.position.T, color=COLOURS["truth"], linewidth=1.4, label="Truth")
+        adjusted = COLOURS[best.settings.odometry.method]
+        scene.plot(*best.corrected.position.T, color=adjusted, linewidth=1.0, label="Adjust")
+        frame_3d(scene, np.concatenate([tower.vertices, truth.position, best.prior.position]), -50, zoom=1.1)
+        scene.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.0), fontsize=10)
+
+        curve = figure.add_subplot(grid[row, 1])
+        _draw_errors(curve, {_with_numbers(result): result for result in of_noise})
+        curve.axhline(report["mean_m"], color=COLOURS["report"], linestyle="--", linewidth=1.2)
+        label = f"report: about {report['mean_m']} m, max {report['max_m']} m"
+        curve.axhspan(0, report["max_m"], color=COLOURS["report"], alpha=0.12, linewidth=0, label=label)
+        curve.set(ylabel="distance to the truth (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
+        curve.set_title(f"{flight} flight, {noise}, sensor {best.settings.sensor}, seed {best.settings.seed}")
+        curve.legend(loc="upper left", fontsize=10)
+    return figure
 
 
-def beside_report(rows: pd.DataFrame, shown: dict[str, dict[str, tuple[float, float]]]) -> pd.DataFrame:
-    """The corrected error of each run next to the range (low, high) that a figure of the report shows.
-
-    ``shown`` maps method → flight → range; runs that it does not name are left out, as are repeated ones.
-    """
-    ranges = [(flight, method, *span) for method, spans in shown.items() for flight, span in spans.items()]
-    report = pd.DataFrame(ranges, columns=["trajectory", "method", "report_low_m", "report_high_m"])
-    columns = ["trajectory", "noise", "method", "error_mean_m", "error_max_m", "error_final_m"]
-    first = rows.drop_duplicates(["trajectory", "noise", "method"])[columns]
-    beside = first.merge(report, on=["trajectory", "method"])
-    return beside.assign(within_report=beside["error_max_m"] <= beside["report_high_m"])
+def _with_numbers(result: Result) -> str:
+    """Name of a method with the mean and the largest of its error."""
+    error = position_error_m(result.corrected, result.truth.trajectory)
+    return f"{LABELS[result.settings.odometry.method]}: mean {error.mean():.3f} m, max {error.max():.3f} m"
 
 
-def time_ratio(times: pd.DataFrame, method: str, to: str) -> pd.DataFrame:
-    """Median milliseconds of a frame of two methods and their ratio, a row for each flight and noise."""
-    frames = times[times["stage"] == "frame"].drop_duplicates(["trajectory", "noise", "method"])
-    wide = frames.pivot_table(index=["trajectory", "noise"], columns="method", values="median_ms", sort=False)
-    return wide[[to, method]].assign(ratio=wide[method] / wide[to]).reset_index()
-
-
-def bend_table(bends: Mapping[str, tuple[ExperimentSettings, Bend]], axis: Array) -> pd.DataFrame:
-    """One row a run and slice of height: tilt, turn, offset on the vertical through ``axis``, blur and points."""
-    slices = [
-        pd.DataFrame(
-            {
-                **case_of(settings),
-                "height_m": fit.height_m,
-                "tilt_deg": fit.tilt_deg,
-                "yaw_deg": fit.yaw_deg,
-                "offset_m": np.linalg.norm(fit.offset_m(axis), axis=1),
-                "blur_m": fit.blur_m,
-                "points": fit.count,
-            }
-        )
-        for settings, fit in bends.values()
-    ]
-    return pd.concat(slices, ignore_index=True)
-
-
-def bend_summary(bends: Mapping[str, Bend], ate_m: Mapping[str, float], axis: Array) -> pd.DataFrame:
-    """One row a method: the numbers of `Bend.metrics`, and the error of the trajectory, ``ate_rmse_m``."""
-    return pd.DataFrame({name: {**fit.metrics(axis), "ate_rmse_m": ate_m[name]} for name, fit in bends.items()}).T
+def _draw_errors(panel: Axes, results: Mapping[str, Result], **look: Any) -> None:
+    """Draw the distance to the truth of some runs, by label, over the scans."""
+    for label, result in results.items():
+        error = position_error_m(result.corrected, result.truth.trajectory)
+        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label, **look)
+    panel.set(xlabel=f"ToF scan ({result.settings.tof.rate_hz:g} Hz)", xlim=(0, len(error) - 1))
 
 
 @style()
-def figure_errors(results: Sequence[Result]) -> Figure:
+def figure_cloud_errors(results: Sequence[Result]) -> Figure:
     """Rows of methods × columns of flights: the distance to the truth over the scans, raw and corrected.
 
     ``results`` hold one noise and sensor. The grey band is the range that the report's figure shows; the vertical axis
@@ -111,24 +85,23 @@ def figure_errors(results: Sequence[Result]) -> Figure:
     report = REPORT_CLOUD_ODOMETRY.get(settings.noise_name, {})
     figure = Figure(figsize=(5.4 * len(flights) + 0.4, 2.6 * len(methods) + 1.0))
     panels = figure.subplots(len(methods), len(flights), squeeze=False)
-    for row, method in enumerate(methods):
-        for panel, flight in zip(panels[row], flights, strict=True):
-            result = cases[method, flight]  # type: ignore[index]
-            raw = position_error_m(result.prior, result.truth.trajectory)
-            error = position_error_m(result.corrected, result.truth.trajectory)
-            shown = report.get(method, {}).get(flight)
-            if shown:
-                panel.axhspan(*shown, color=COLOURS["report"], alpha=0.18, linewidth=0)
-            panel.plot(raw, color=COLOURS["none"], linewidth=1.2)
-            panel.plot(error, color=COLOURS[method], linewidth=1.8)
-            top = max(error.max(), shown[1] if shown else 0.0, min(raw.max(), 1.0))
-            panel.set(xlim=(0, len(error) - 1), ylim=(0, 1.12 * top))
-            numbers = f"mean {error.mean():.2f} m, max {error.max():.2f} m"
-            panel.set_title(f"{LABELS[method]}, {FLIGHTS[flight]}: {numbers}", fontsize=11)
-            if flight == flights[0]:
-                panel.set_ylabel("error (m)")
-            if row == len(methods) - 1:
-                panel.set_xlabel(f"ToF scan ({settings.tof.rate_hz:g} Hz)")
+    for (row, column), panel in np.ndenumerate(panels):
+        method, flight = methods[row], flights[column]
+        result = cases[method, flight]  # type: ignore[index]
+        raw, error = (position_error_m(path, result.truth.trajectory) for path in (result.prior, result.corrected))
+        shown = report.get(method, {}).get(flight)
+        if shown:
+            panel.axhspan(*shown, color=COLOURS["report"], alpha=0.18, linewidth=0)
+        panel.plot(raw, color=COLOURS["none"], linewidth=1.2)
+        panel.plot(error, color=COLOURS[method], linewidth=1.8)
+        top = max(error.max(), shown[1] if shown else 0.0, min(raw.max(), 1.0))
+        panel.set(xlim=(0, len(error) - 1), ylim=(0, 1.12 * top))
+        numbers = f"mean {error.mean():.2f} m, max {error.max():.2f} m"
+        panel.set_title(f"{LABELS[method]}, {FLIGHTS[flight]}: {numbers}", fontsize=11)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("error (m)")
+    for panel in panels[-1]:
+        panel.set_xlabel(f"ToF scan ({settings.tof.rate_hz:g} Hz)")
     keys: dict[str, dict[str, Any]] = {"raw": {"color": COLOURS["none"]}}
     keys |= {LABELS[method]: {"color": COLOURS[method], "lw": 2} for method in methods}
     if report:
@@ -150,11 +123,10 @@ def figure_methods(rows: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(5.2 * len(groups) + 2.2, 0.42 * len(names) + 1.9))
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for panel, ((flight, noise), group) in zip(panels, groups, strict=True):
-        for row in group.to_dict("records"):
-            y = names.index((row["method"], row["map"]))
-            colour = COLOURS[row["method"]]
-            panel.plot([row["error_mean_m"], row["error_max_m"]], [y, y], color=colour, linewidth=3, alpha=0.45)
-            panel.plot(row["error_mean_m"], y, "o", color=colour, markersize=8)
+        place = [names.index(name) for name in zip(group["method"], group["map"], strict=True)]
+        colours = [COLOURS[name] for name in group["method"]]
+        panel.hlines(place, group["error_mean_m"], group["error_max_m"], colors=colours, linewidth=3, alpha=0.45)
+        panel.scatter(group["error_mean_m"], place, s=64, c=colours, zorder=3)
         panel.axvline(group["raw_ate_rmse_m"].iloc[0], color=COLOURS["none"], linestyle="--", linewidth=1.2)
         panel.set(xscale="log", xlabel="error (m): dot mean, bar to the largest", title=f"{flight}, {noise}")
         panel.set_xticks(*DECADES)
@@ -181,11 +153,8 @@ def figure_error_curves(results: Sequence[Result]) -> Figure:
         panel.plot(raw, color=COLOURS["truth"], linestyle=":", label="raw")
         for result in of_flight:
             method = result.settings.odometry.method
-            error = position_error_m(result.corrected, result.truth.trajectory)
-            dash = "--" if method in SEGMENT_METHODS else "-"
-            panel.plot(np.maximum(error, 1e-4), dash, color=COLOURS[method], lw=1.1, label=LABELS[method])
-        panel.set(yscale="log", xlim=(0, len(raw) - 1), title=f"{flight} flight", ylim=(5e-3, None))
-        panel.set_xlabel(f"ToF scan ({of_flight[0].settings.tof.rate_hz:g} Hz)")
+            _draw_errors(panel, {LABELS[method]: result}, lw=1.1, ls="--" if method in SEGMENT_METHODS else "-")
+        panel.set(yscale="log", title=f"{flight} flight", ylim=(5e-3, None))
         panel.set_yticks(*DECADES)
     panels[0].set_ylabel("error (m)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
@@ -205,15 +174,42 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     for frame, (label, (built, true)) in zip(frames, clouds.items(), strict=True):
         panels = frame.subplots(1, 2, sharey=True, width_ratios=wide)
         for across, panel in enumerate(panels):
-            draw_clouds(panel, built, true, across)
+            _draw_clouds(panel, built, true, across)
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
         panels[0].set_ylabel("z (m)")
         panels[0].set_title(label, loc="left")
-    draw_cloud_legend(figure)
+    _draw_cloud_legend(figure)
     return figure
 
 
-def draw_clouds(panel: Axes, built: Array, true: Array, across: int, size: float = 0.35) -> None:
+@style()
+def figure_slip(
+    results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int, reach_m: float = 2.2
+) -> Figure:
+    """The error over the scans (left) and, for each label, the built over the true cloud around where the drone was at
+    ``scan`` (right)."""
+    first = next(iter(results.values()))
+    drone = first.truth.trajectory.at(first.corrected.stamp_s).position[scan]
+    cloud = next(iter(clouds.values()))[1]
+    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * reach_m], axis=0)
+    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.2))
+    curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
+    _draw_errors(curve, results)
+    curve.axvline(scan, color=COLOURS["report"], linewidth=1.0)
+    for gap in first.settings.tof.blind_s:
+        curve.axvspan(*np.array(gap) * first.settings.tof.rate_hz, color=COLOURS["report"], alpha=0.2, lw=0)
+    curve.set(ylabel="error (m)", ylim=(0, 1.35 * curve.get_ylim()[1]))
+    curve.legend(loc="upper left", fontsize=10)
+    for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
+        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
+        _draw_clouds(panel, built[near], true[near], 0, size=2.0)
+        panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
+        panel.set(title=label, ylabel="z (m)")
+    _draw_cloud_legend(figure)
+    return figure
+
+
+def _draw_clouds(panel: Axes, built: Array, true: Array, across: int, size: float = 0.35) -> None:
     """The built cloud (green) over the true one (orange), seen along a horizontal axis."""
     for cloud, colour in ((true, COLOURS["true cloud"]), (built, COLOURS["built"])):
         shown = thinned(cloud, POINTS_MAX)
@@ -222,8 +218,8 @@ def draw_clouds(panel: Axes, built: Array, true: Array, across: int, size: float
     panel.grid(alpha=0.2)
 
 
-def draw_cloud_legend(figure: Figure) -> None:
-    """The legend of `draw_clouds`."""
+def _draw_cloud_legend(figure: Figure) -> None:
+    """The legend of `_draw_clouds`."""
     labels = {"built": "built at the estimated poses", "true cloud": "at the true poses"}
     looks = {label: {"color": COLOURS[name], "marker": "o", "ls": "", "ms": 6} for name, label in labels.items()}
     draw_legend(figure, looks)

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import FileMissingError, RecordingError, TopicError
+from steelnb.errors import (
+    FileMissingError,
+    RecordingError,
+    TopicError,
+)
 from steelnb.io.calibration import read_settings
 from steelnb.io.clouds import read_points
 from steelnb.io.scans import Decode, Parts

@@ -1,0 +1,216 @@
+"""Readers at their limits: memory that a small file asks for, pipes, names of any bytes, numbers of any size."""
+
+import bz2
+import json
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steelnb.errors import (
+    ExtrinsicsError,
+    FileContentError,
+    FileMissingError,
+    OutputError,
+    RecordingError,
+    SettingsError,
+)
+from steelnb.files import LINE_BYTES_MAX, reading, text_lines
+from steelnb.io import bag_files, read_cloud, read_flight, read_structure, read_trajectory, write_flight, write_tum
+from steelnb.io.bag_files import bounded
+from steelnb.io.bag_writer import check_target
+from steelnb.io.calibration import read_settings
+from steelnb.io.depth_folders import read_depth
+from steelnb.io.trajectories import stamps_of_names
+from steelnb.settings import parse_parameter, read_toml
+from steelnb.types import Trajectory
+from tests.io.samples import KINDS, Bagged, made_up, poses
+
+READERS = {
+    "a.ply": read_cloud, "a.xyz": read_cloud, "a.npy": read_cloud, "a.las": read_cloud, "a.bag": read_flight,
+    "a.mcap": read_flight, "a.db3": read_flight, "a.tum": read_trajectory, "a.json": read_structure,
+    "a.toml": read_toml, "a.png": read_depth,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pipe_is_refused_by_name_and_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(FileMissingError, match=rf"{name}: a pipe or a device; expected a"):
+        READERS[name](tmp_path / name)
+
+
+def test_whatever_a_library_raises_is_one_line_with_the_name(tmp_path: Path) -> None:
+    class Panic(BaseException):
+        """As those of libraries in Rust."""
+
+    for fault in (Panic("two\nlines"), MemoryError(), RecursionError("deep"), AssertionError(), OSError("no number")):
+        with (
+            pytest.raises(FileContentError, match=rf"^{tmp_path}/a: not a thing: \w[^\n]*$"),
+            reading(tmp_path / "a", "a thing"),
+        ):
+            raise fault
+    with pytest.raises(KeyboardInterrupt), reading(tmp_path / "a", "a thing"):
+        raise KeyboardInterrupt
+
+
+def test_a_line_without_an_end_is_not_held_in_memory(tmp_path: Path) -> None:
+    for name, begin in (("a.xyz", "1 2 3\n4 5 6\n"), ("a.tum", "1 0 0 0 0 0 0 1\n")):
+        (tmp_path / name).write_text(begin + "7" * (2 * LINE_BYTES_MAX))
+        with pytest.raises(FileContentError, match=f"a line of more than {LINE_BYTES_MAX} bytes"):
+            READERS[name](tmp_path / name)
+    (tmp_path / "long.txt").write_text(f"1 {'7' * (LINE_BYTES_MAX // 2)}\n" * 5)
+    assert sum(1 for _ in text_lines(tmp_path / "long.txt")) == 5
+
+
+def test_faces_of_a_ply_take_no_memory(tmp_path: Path) -> None:
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    faces = f"element face {10**12}\nproperty list uchar int vertex_indices\n"
+    (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}{faces}end_header\n0 0 0\n1 1 1\n")
+    assert len(read_cloud(tmp_path / "a.ply")) == 2
+
+
+@pytest.mark.parametrize(
+    "header", [b"ply\n\nformat ascii 1.0\nelement vertex 1\n", b"ply\nformat ascii 1.0\nelement vertex \xc2\xb2\n"]
+)
+def test_odd_headers_of_ply(tmp_path: Path, header: bytes) -> None:
+    (tmp_path / "a.ply").write_bytes(header + b"property float x\nend_header\n1\n")
+    with pytest.raises(FileContentError, match=r"a\.ply"):
+        read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("head", ["²\n", f"{'9' * 5000}\n", "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 0 1 1\n"])
+def test_odd_numbers_in_clouds(tmp_path: Path, head: str) -> None:
+    ending, more = (".pcd", "POINTS 1\nDATA binary\n123456789012") if "COUNT" in head else (".pts", "1 2 3\n4 5 6\n")
+    (tmp_path / f"a{ending}").write_text(head + more)
+    with pytest.raises(FileContentError, match=rf"a\{ending}"):
+        read_cloud(tmp_path / f"a{ending}")
+
+
+def test_a_large_picture_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 8192, 8192, 16, 0, 0, 0, 0))
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"")))
+    with pytest.raises(FileContentError, match="8192 × 8192 pixels; expected at most 8388608"):
+        read_depth(tmp_path / "a.png")
+
+
+def test_unpacking_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    import lz4.frame
+    from backports import zstd
+
+    monkeypatch.setattr(bag_files, "UNPACKED_MAX", 1 << 20)
+    ways = (
+        (bz2.compress, bz2.BZ2Decompressor), (lz4.frame.compress, lz4.frame.LZ4FrameDecompressor),
+        (zstd.compress, zstd.ZstdDecompressor),
+    )  # fmt: skip
+    for pack, make in ways:
+        packed = pack(b"a" * (1 << 19))
+        assert bounded(make)(packed) == b"a" * (1 << 19)
+        assert bounded(make)(packed + packed) == b"a" * (1 << 20)  # two frames
+        with pytest.raises(FileContentError, match="unpacks to more than 1 MB"):
+            bounded(make)(pack(b"a" * (1 << 24)))
+        with pytest.raises(ValueError, match="end early"):
+            bounded(make)(packed[:-5])
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.bag"])
+def test_bags_are_unpacked_within_the_bound(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rosbags import rosbag1, rosbag2
+
+    Bagged(tmp_path / name).clouds().odometry().write()
+    source = bag_files.bag_reader(1 if name == "a.bag" else 2)(tmp_path / name)
+    if name == "a.bag":
+        writer = rosbag1.Writer(tmp_path / "packed.bag")
+        writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+    else:
+        writer = rosbag2.Writer(tmp_path / "packed", version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+    store = bag_files.typestore(1 if name == "a.bag" else 2)
+    with source as reader, writer:
+        topics = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        for connection, stamp_ns, raw in reader.messages():
+            writer.write(topics[connection.topic], stamp_ns, raw)
+    packed = tmp_path / ("packed.bag" if name == "a.bag" else "packed")
+    assert len(list(read_flight(packed).scans)) == 5
+    monkeypatch.setattr(bag_files, "UNPACKED_MAX", 500)
+    with pytest.raises(FileContentError, match="unpacks to more than 0 MB"):
+        read_flight(packed)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stem", ["a#b?c%41 d", os.fsdecode(b"a\xffb")])
+def test_any_bytes_in_the_name_of_a_recording(tmp_path: Path, kind: str, stem: str) -> None:
+    path = tmp_path / stem / f"{stem}{Path(kind).suffix}"
+    write_flight(path, made_up())
+    flight = read_flight(path)
+    assert len(list(flight.scans)) == 6
+    flight.name.encode()
+    read_cloud_path = tmp_path / f"{stem}.xyz"
+    read_cloud_path.write_text("1 2 3\n4 5 6\n")
+    assert len(read_cloud(read_cloud_path)) == 2
+
+
+def test_a_truth_that_is_there_is_of_another_flight(tmp_path: Path) -> None:
+    write_tum(tmp_path / "a.truth.tum", poses(5))
+    with pytest.raises(OutputError, match=r"a\.truth\.tum: holds another flight's truth"):
+        check_target(tmp_path / "a.bag", True)
+
+
+def test_names_with_very_many_digits_count_the_files() -> None:
+    assert stamps_of_names(["9" * 200, "8" * 200]) is None
+    assert stamps_of_names(["1403636580838555648"]) == pytest.approx(1403636580.838555648)
+    assert stamps_of_names(["١٢٣٤٥٦٧٨٩٠١"]) is None
+
+
+def test_poses_beyond_every_map_are_left_out(tmp_path: Path) -> None:
+    far = poses(5).T_world_drone.copy()
+    far[2, 0, 3] = 1e300
+    write_tum(tmp_path / "a.tum", Trajectory(poses(5).stamp_s, far))
+    assert len(read_trajectory(tmp_path / "a.tum")) == 4
+    bag = Bagged(tmp_path / "a.bag").clouds()
+    for k, stamp in enumerate((0.0, 0.2, 0.4)):
+        bag.tf("odom", "base_link", poses(3).T_world_drone[k], stamp, "/tf")
+        turn = bag.rows[-1][3].transforms[0].transform.rotation
+        if k == 1:
+            turn.x = turn.y = 1e300
+    flight = read_flight(bag.write())
+    assert flight.skipped["tf that is no transform"] == 1
+    assert np.isfinite(flight.prior.T_world_drone).all()
+
+
+@pytest.mark.parametrize("values", ["1e300, 1e300, 0, 0", "0, 0, 0, 1e308"])
+def test_quaternions_of_any_size_in_settings(tmp_path: Path, values: str) -> None:
+    (tmp_path / "s.toml").write_text(f"[extrinsics]\nrotation_xyzw = [{values}]\n")
+    with pytest.raises(ExtrinsicsError, match="expected a quaternion of length 1"):
+        read_settings(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [f"x = {'[' * 3000}{']' * 3000}", f"{'.'.join('a' * 3000)} = 1", f"x = {'9' * 5000}", "x = 1\n" + "#" * (1 << 22)],
+)
+def test_toml_of_any_depth_and_size(tmp_path: Path, content: str) -> None:
+    (tmp_path / "s.toml").write_text(content)
+    for read in (read_toml, read_settings):
+        with pytest.raises(SettingsError, match=r"s\.toml") as caught:
+            read(tmp_path / "s.toml")
+        assert len(str(caught.value)) < 500
+    assert parse_parameter(f"x={'[' * 3000}")[0] == "x"
+
+
+def test_a_structure_of_any_depth(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps({"format": "steelnb structure"})[:-1] + ', "about": ' + "[" * 100_000)
+    with pytest.raises(FileContentError, match="not a structure in JSON"):
+        read_structure(tmp_path / "a.json")
+
+
+def test_no_pose_near_is_an_error_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "a.tum").write_text("1 1e300 0 0 0 0 0 1\n")
+    with pytest.raises(RecordingError, match="none of use"):
+        read_trajectory(tmp_path / "a.tum")
