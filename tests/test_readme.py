@@ -1,30 +1,45 @@
 import csv
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
+TABLES = ("README.md", "results/README.md", "results/claims/README.md")
+PAGES = (*TABLES, "benchmarks/README.md", "CONTRIBUTING.md")
+LINK = re.compile(r"""\]\(([^)#:\s]+)[^):]*\)|src="([^"]+)\"""")
 
 
-def test_the_tables_of_the_readme_are_those_of_the_results():
+def test_the_tables_are_those_of_the_results():
     done = subprocess.run(
         [sys.executable, ROOT / "scripts/readme-table", "--check"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
 
 
-def test_the_files_that_the_readme_links_are_there():
-    import re
+@pytest.mark.parametrize("page", PAGES)
+def test_the_files_that_a_page_links_are_there(page):
+    links = [one or other for one, other in LINK.findall((ROOT / page).read_text(encoding="utf-8"))]
+    assert links
+    assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
 
-    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(links) > 10
-    assert [link for link in links if not (ROOT / link).exists()] == []
+
+def test_every_benchmark_is_in_the_index():
+    text = (ROOT / "benchmarks/README.md").read_text(encoding="utf-8")
+    names = {path.name for path in (ROOT / "benchmarks").glob("*.*")} - {"README.md"}
+    assert {name for name in names if f"]({name})" not in text} == set()
 
 
-def test_every_claim_stands_in_the_readme_with_its_verdict():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = text.partition("<!-- claims -->")[2].partition("<!-- /claims -->")[0]
+def test_the_first_page_is_short():
+    assert (ROOT / "README.md").stat().st_size <= 5_000
+    assert (ROOT / "docs/_static/tower.webp").stat().st_size <= 2_000_000
+
+
+def test_every_claim_stands_in_its_table_with_its_verdict():
+    shown = (ROOT / "results/claims/README.md").read_text(encoding="utf-8")
     with (ROOT / "results/claims/table.csv").open(encoding="utf-8") as file:
         claims = list(csv.DictReader(file))
     lines = {line.split(" | ")[0].removeprefix("| "): line for line in shown.splitlines() if line.startswith("| ")}
@@ -39,19 +54,19 @@ def test_every_claim_stands_in_the_readme_with_its_verdict():
 def test_a_table_that_is_not_that_of_the_results_is_told(tmp_path):
     for name in ("scripts", "results"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("parts", "*.png", "*.glb"))
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shutil.copy(ROOT / "README.md", tmp_path)
     script = [sys.executable, tmp_path / "scripts/readme-table"]
-    (tmp_path / "README.md").write_text(text, encoding="utf-8")
     table = tmp_path / "results/claims/table.csv"
-    table.write_text(table.read_text(encoding="utf-8").replace("holds", "stands"), encoding="utf-8")
+    table.write_text(table.read_text(encoding="utf-8").replace("does not hold", "holds", 1), encoding="utf-8")
     told = subprocess.run([*script, "--check"], capture_output=True, text=True, check=False)
     assert told.returncode == 1
     assert "scripts/readme-table" in told.stderr
+    before = {name: (tmp_path / name).read_text(encoding="utf-8") for name in TABLES}
     subprocess.run(script, check=True)
-    fresh = (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert fresh != text
-    assert fresh.partition("<!-- claims -->")[0] == text.partition("<!-- claims -->")[0]
-    (tmp_path / "README.md").write_text(text.replace("<!-- /claims -->", ""), encoding="utf-8")
+    changed = {name for name in TABLES if (tmp_path / name).read_text(encoding="utf-8") != before[name]}
+    assert changed == {"README.md", "results/claims/README.md"}
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    (tmp_path / "README.md").write_text(text.replace("<!-- /table -->", ""), encoding="utf-8")
     told = subprocess.run(script, capture_output=True, text=True, check=False)
     assert told.returncode == 1
-    assert "<!-- claims -->" in told.stderr
+    assert "README.md: no <!-- table -->" in told.stderr

@@ -15,6 +15,7 @@ from workflow.execute import EXECUTED
 from workflow.task_notebooks import Plan, part_folder
 
 PLOTLY = "application/vnd.plotly.v1+json"
+INJECTED = "injected-parameters"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
@@ -46,11 +47,15 @@ def _cell(cell: Any, pages: Mapping[str, str]) -> Any:
         cell.source = re.sub(r"\[([^]]*)\]\(([^)\s]+)\)", lambda link: _link(link[1], link[2], pages), cell.source)
         return cell
     cell.metadata.pop("papermill", None)
+    if INJECTED in cell.metadata.get("tags", []):  # the folder of the run says nothing to a reader
+        cell.source = re.sub(r"^results_dir = .*\n?", "", cell.source, flags=re.MULTILINE)
     shown = [output for output in cell.get("outputs", []) if WIDGET not in output.get("data", {})]
     for output in shown:
         if PLOTLY in output.get("data", {}):
             figure = plotly.io.from_json(json.dumps(output.data[PLOTLY]))
-            output.data = {"text/html": plotly.io.to_html(figure, full_html=False, include_plotlyjs=False)}
+            shape = {"displaylogo": False, "responsive": True}  # as wide as the page, on a phone too
+            html = plotly.io.to_html(figure, config=shape, full_html=False, include_plotlyjs=False)
+            output.data = {"text/html": html}
     cell.outputs = shown
     return cell
 

@@ -41,6 +41,13 @@ def detect_lines(
     Returns `Lines` in the frame of the points, in the order found, strongest first; anchors are the means of their
     points. Raises `EmptyCloudError` (no points, or some not finite), `DegenerateCloudError` (fewer than two distinct
     points), `SettingsError`.
+
+    >>> import numpy as np
+    >>> post = np.linspace([0, 0, 0], [0, 0, 5], 100)
+    >>> beam = np.linspace([0.5, 0, 5], [3.5, 0, 5], 60)
+    >>> lines = detect_lines(np.concatenate([post, beam]), dx=0.1, min_votes=20)
+    >>> lines.count.tolist(), np.abs(lines.direction).round(3).tolist()
+    ([100, 60], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     """
     points, low, high = distinct_points(points)
     diagonal = float(np.linalg.norm(high - low))

@@ -41,6 +41,11 @@ def detect_segments(
 
     Returns `Segments` in the frame of the points; their ends are the extreme points projected on the fitted axis.
     Raises `EmptyCloudError`, `DegenerateCloudError`, `SettingsError` as `detect_lines`.
+
+    >>> import numpy as np
+    >>> two = [np.linspace([0, 0, 0], [0, 0, 2], 80), np.linspace([0, 0, 3], [0, 0, 4], 40)]  # in line, 1 m apart
+    >>> detect_segments(np.concatenate(two), dx=0.1, min_votes=20).length.round(3).tolist()
+    [2.0, 1.0]
     """
     dx = suggest_dx(points) if dx is None else dx
     lines = detect_lines(points, dx, min_votes, max_lines, granularity, skip_weak)

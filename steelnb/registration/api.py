@@ -56,6 +56,12 @@ def register(
 
     Raises `SettingsError`, `EmptyCloudError`, `DegenerateCloudError`. A registration that does not converge does not
     raise: see ``converged`` and ``reason`` of the result.
+
+    >>> import numpy as np
+    >>> target = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    >>> found = register(target - [0.02, 0.01, 0.03], target, "icp-3dof", max_correspondence_m=0.2)
+    >>> found.converged, found.T_target_source[:3, 3].round(4).tolist()
+    (True, [0.02, 0.01, 0.03])
     """
     error, default = _choice("method", method, METHODS)
     free = free_directions(default if dof is None else dof, gravity)

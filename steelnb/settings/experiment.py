@@ -36,6 +36,10 @@ class ExperimentSettings(Settings):
 
         ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
         `SettingsError`.
+
+        >>> settings = ExperimentSettings.preset("orbit", method="best", overrides={"tof.rate_hz": 10.0})
+        >>> settings.tof.rate_hz, settings.odometry.clouds.dof
+        (10.0, 'xyz_yaw')
         """
         settings = cls(
             sensor=sensor,

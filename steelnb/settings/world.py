@@ -133,6 +133,9 @@ class NoiseSettings(Settings):
 
         A name without a level takes the report's. ``constant-drift-per-axis`` reads the level as the step per axis, √3
         more in all. ``none`` is no noise. Raises `SettingsError`.
+
+        >>> NoiseSettings.parse("random-walk+yaw-random-walk:0.001")
+        NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001)
         """
         if not isinstance(text, str):
             raise SettingsError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
