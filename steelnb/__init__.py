@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
+    from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
@@ -28,6 +29,7 @@ _MODULES = {
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
+    "fusion.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
@@ -43,7 +45,7 @@ __all__ = [
     "OdometrySettings", "OdometryStep", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry",
     "Segments", "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
     "detect_segments", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth", "reconstruct",
-    "reconstruct_cloud", "register", "run", "write_flight", "write_structure",
+    "reconstruct_cloud", "register", "run", "smooth", "write_flight", "write_structure",
 ]  # fmt: skip
 
 

@@ -89,6 +89,7 @@ def run(
     ] = None,
     floor: Annotated[float | None, typer.Option(help="Height in metres below which points are the ground.")] = None,
     changed: Set = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars together at the end.")] = False,
     structure: Annotated[bool, typer.Option(help="Write structure.json: bars tied at joints.")] = True,
     viewer: Annotated[bool, typer.Option(help="Write recording.rrd, for `rerun FILE.rrd`.")] = True,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder; default: NAME_run here.")] = None,
@@ -98,7 +99,7 @@ def run(
     from steelnb.report.recording import recording_settings, run_recording
     from steelnb.settings import NoiseSettings
 
-    overrides = _overrides(changed)
+    overrides = _overrides(changed) | ({"smooth": True} if smooth else {})
     chosen, structural = recording_settings(
         odometry, sensor, seed=seed, range_max_m=range_max, floor_m=floor, overrides=overrides
     )

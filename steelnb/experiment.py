@@ -15,7 +15,7 @@ from steelnb.types import Estimate, Flight, Trajectory
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Result(Estimate):
     """The estimate of one run, with its settings, the truth and the numbers that compare both."""
 

@@ -208,7 +208,8 @@ class Estimate:
 
     ``prior`` and ``corrected`` are poses at the scans; ``points (N, 3)`` and ``segments`` are the map in the world
     frame. Per scan: ``matches (K,)`` pairs; ``reason``, why it corrected nothing, empty where it did; ``seconds`` maps
-    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update.
+    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update. ``unsmoothed`` is the reason
+    why the flight could not be smoothed, where that was asked for; else empty.
     """
 
     prior: Trajectory
@@ -219,6 +220,7 @@ class Estimate:
     reason: tuple[str, ...]
     seconds: Mapping[str, Array]
     update_s: Array
+    unsmoothed: str = ""
 
     @property
     def period_s(self) -> Array:

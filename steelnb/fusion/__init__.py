@@ -3,6 +3,7 @@
 from steelnb.fusion.association import associate
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.segment_map import SegmentMap
+from steelnb.fusion.smooth import smooth
 from steelnb.fusion.structure import Structure
 
-__all__ = ["SegmentMap", "Structure", "associate", "reconstruct", "reconstruct_cloud"]
+__all__ = ["SegmentMap", "Structure", "associate", "reconstruct", "reconstruct_cloud", "smooth"]

@@ -181,7 +181,7 @@ def _moved_bars(bars: Bars, step: Array) -> Bars:
     place, tilt = step[:, :2], step[:, 2:4]
     ends = [each + np.einsum("bk,bkx->bx", place + s * half * tilt, bars.across) for s, each in
             ((-1, old.start), (1, old.end))]  # fmt: skip
-    new = Segments(*ends, old.count, old.radius)
+    new = Segments(ends[0], ends[1], old.count, old.radius)
     first = bars.across[:, 0] - (bars.across[:, 0] * new.direction).sum(axis=1)[:, None] * new.direction
     first /= np.linalg.norm(first, axis=1)[:, None]
     across = np.stack([first, np.cross(new.direction, first)], axis=1)
@@ -221,8 +221,10 @@ def _gather(  # type: ignore[no-untyped-def]
                 continue
             sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
             # c: from the point to the sensor; x: from the start of the bar to the point
-            cx, cy, cz = -(r00 * sx + r01 * sy + r02 * sz), -(r10 * sx + r11 * sy + r12 * sz), -(
-                r20 * sx + r21 * sy + r22 * sz
+            cx, cy, cz = (
+                -(r00 * sx + r01 * sy + r02 * sz),
+                -(r10 * sx + r11 * sy + r12 * sz),
+                -(r20 * sx + r21 * sy + r22 * sz),
             )
             x, y, z = T[k, 0, 3] - cx - start[b, 0], T[k, 1, 3] - cy - start[b, 1], T[k, 2, 3] - cz - start[b, 2]
             dx, dy, dz = direction[b, 0], direction[b, 1], direction[b, 2]

@@ -1,4 +1,6 @@
-"""Smoothing of a whole flight: bars found with the corrected poses, poses and bars adjusted together, and again."""
+"""Smoothing of a whole flight: bars found with the corrected poses, poses and bars adjusted together, and again.
+
+Bars are found anew in the second round: at better poses there are more of them, and their sections are more exact."""
 
 from dataclasses import replace
 
@@ -8,10 +10,8 @@ from steelnb.errors import EmptyCloudError
 from steelnb.fusion import bundle
 from steelnb.fusion.reconstruct import MappedScans, find_bars, map_scans
 from steelnb.settings import StructureSettings
-from steelnb.types import Estimate, Flight, Segments, Trajectory
+from steelnb.types import Estimate, Flight, Trajectory
 
-ROUNDS = 2
-"""Bars are found anew in each round: at better poses there are more of them, and their sections are more exact."""
 COARSE, FINE = (8, 3), (1, 2)
 """One in how many pixels, and how many steps: first few points, then all."""
 BARS_MIN = 3
@@ -22,30 +22,28 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
 
     ``settings`` say what a bar is, as for `reconstruct`. The corrected poses become smooth, the first one the prior's,
     where drift begins; the map's points are those of all scans at them, its segments the bars, with their axes through
-    the centroids of their sections. A flight without bars comes back as it was, with the ``reason`` in ``smoothed``.
+    the centroids of their sections. A flight without bars comes back as it was, with the reason in ``unsmoothed``.
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
-    bars = None
-    for last in (k == ROUNDS - 1 for k in range(ROUNDS)):
+    for last in (False, True):
         try:
             scans = MappedScans(flight.scans, T, map_scans(flight.scans, T, settings, every=3), settings)
         except EmptyCloudError as fault:
-            return replace(estimate, smoothed=str(fault))
+            return replace(estimate, unsmoothed=str(fault))
         found, reason = find_bars(scans.voxels, settings, grids=1)
         for _ in range(2 if len(found) else 0):
             fitted, found = scans.refine(found)
         if not len(found) or np.isfinite(fitted.width).sum() < BARS_MIN:
-            return replace(estimate, smoothed=reason or "too few bars whose sections are known")
+            return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         state = bundle.start(T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
         for pixels, steps in (COARSE, FINE) if last else (COARSE,):
             seen = bundle.Observations.gathered(scans.bar_points(fitted.bars, 1, pixels), T)
             for _ in range(steps):
                 state = bundle.improve(state, seen, prior, stamp_s)
-        T, bars = state.T_world_sensor, state.bars
+        T = state.T_world_sensor
+    segments = state.bars.segments.take(np.isfinite(state.bars.flange))
     points = map_scans(flight.scans, T, settings, every=3).means()
-    known = np.isfinite(bars.flange)
-    segments = Segments(*(column[known] for column in vars(bars.segments).values()))
     corrected = Trajectory(stamp_s, T @ np.linalg.inv(mount))
-    return replace(estimate, corrected=corrected, points=points, segments=segments, smoothed="")
+    return replace(estimate, corrected=corrected, points=points, segments=segments, unsmoothed="")

@@ -49,6 +49,7 @@ def _pack(estimate: Estimate) -> Arrays:
         "stage": np.array(list(estimate.seconds), dtype=str),
         "seconds": np.array(list(estimate.seconds.values())),
         "update_s": estimate.update_s,
+        "unsmoothed": np.array(estimate.unsmoothed),
     }
 
 
@@ -62,4 +63,5 @@ def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
         reason=tuple(arrays["reason"].tolist()),
         seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
         update_s=arrays["update_s"],
+        unsmoothed=str(arrays["unsmoothed"]),
     )

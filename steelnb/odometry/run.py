@@ -2,11 +2,14 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from steelnb.errors import RecordingError
+from steelnb.fusion.smooth import smooth
 from steelnb.odometry.base import Odometry
+from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Trajectory
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
@@ -20,6 +23,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     flight : the scans, the drifting prior at their stamps and the mount of the sensor.
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not the odometry's.
+
+    Where the odometry's settings ask for it, the estimate is smoothed at the end (`steelnb.fusion.smooth`).
 
     Raises `RecordingError` where fewer scans can be read than the flight has poses.
     """
@@ -36,7 +41,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     if len(steps) < len(flight):
         raise RecordingError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one a pose")
     stages = steps[0].seconds if steps else ()
-    return Estimate(
+    estimate = Estimate(
         prior=flight.prior,
         corrected=Trajectory(flight.prior.stamp_s, np.array([s.T_world_drone for s in steps]).reshape(-1, 4, 4)),
         points=odometry.map_points(),
@@ -46,3 +51,15 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
         seconds={stage: np.array([s.seconds[stage] for s in steps]) for stage in stages},
         update_s=update_s,
     )
+    settings = getattr(odometry, "settings", None)
+    return _smoothed(flight, estimate, settings) if isinstance(settings, OdometrySettings) else estimate
+
+
+def _smoothed(flight: Flight, estimate: Estimate, settings: OdometrySettings) -> Estimate:
+    """The estimate smoothed if the settings ask for it; the stage ``smooth`` has an equal share of the time a scan."""
+    if not settings.smooth:
+        return estimate
+    begin, seen = time.perf_counter(), settings.preprocess
+    estimate = smooth(flight, estimate, StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m))
+    share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
+    return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})

@@ -179,6 +179,8 @@ def run_recording(
             figure.savefig(folder / f"{name}.png", dpi=150)
         stack.close()  # the .rrd file is whole before the folder is renamed
         files = sorted(file.name for file in folder.iterdir())
+    if estimate.unsmoothed:
+        notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
     summary = (*_summary(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
 

@@ -26,7 +26,7 @@ COLOURS = {
     "leg": BLACK, "ring": BLUE, "bracing": GREEN, "arm": VERMILION, "vertical": PURPLE, "orbit": SKY,
     "none": VERMILION, "average": BLUE, "least_squares": GREEN, "least_squares_yaw": "#44AA99", "icp": BLUE,
     "icp-3dof": SKY, "icp-3dof-dropped": "#882255", "icp-4dof": ORANGE, "gicp": "#117733", "gicp-4dof": "#999933",
-    "vgicp": "#AA4499", "best": PURPLE, "combined": "#332288",
+    "vgicp": "#AA4499", "best": PURPLE, "combined": "#332288", "smoothed": BLACK,
     "hough": VERMILION, "hough-once": "#882255", "hough-blocks": PURPLE, "ransac-lines": BLUE,
     "ransac-lines-uniform": SKY, "ransac-planes": GREY, "gmm": GREEN, "dbscan": ORANGE,
     "final": BLUE, "incremental": ORANGE,
@@ -45,6 +45,7 @@ LABELS = {
     "best": "best",
     "least_squares_yaw": "least squares with yaw",
     "combined": "combined",
+    "smoothed": "smoothed",
 }
 
 

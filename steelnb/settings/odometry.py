@@ -94,7 +94,8 @@ class OdometrySettings(Settings):
 
     ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
     prediction follows the rate of the drift, 0 for a drift that stands still; the priors are the standard deviations of
-    a correction from its prediction, None for none. Tables that a method does not use are None.
+    a correction from its prediction, None for none. ``smooth``: after the last scan, all poses and bars are adjusted
+    together (`steelnb.fusion.smooth`). Tables that a method does not use are None.
     """
 
     method: str
@@ -102,6 +103,7 @@ class OdometrySettings(Settings):
     drift_gain: Probability = 0.0
     prior_sigma_m: Positive | None = None
     prior_sigma_rad: Positive | None = None
+    smooth: bool = False
     preprocess: PreprocessSettings
     hough: HoughSettings | None = None
     fusion: FusionSettings | None = None
