@@ -1,0 +1,147 @@
+"""Smoothing: poses and bars adjusted together, on simulated flights and on a made-up problem with a known answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment
+from steelnb.fusion import bundle, sections, smooth
+from steelnb.metrics import score_trajectory
+from steelnb.settings import ExperimentSettings
+from steelnb.types import Flight, Segments, Trajectory
+
+NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
+
+
+@pytest.fixture(scope="module")
+def flown():
+    settings = ExperimentSettings.preset("orbit", NOISE, seed=11, duration_s=16.0, method="combined")
+    flight, truth = experiment.simulate(settings)
+    return flight, truth, experiment.estimate(settings, flight, truth)
+
+
+@pytest.fixture(scope="module")
+def smoothed(flown):
+    flight, _, estimate = flown
+    return smooth(flight, estimate)
+
+
+def test_it_halves_the_error_of_the_best_odometry(flown, smoothed):
+    _, truth, estimate = flown
+    before, after = (score_trajectory(each.corrected, truth.trajectory)["ate_rmse_m"] for each in (estimate, smoothed))
+    assert smoothed.unsmoothed == ""
+    assert after < 0.5 * before
+    assert after < 0.008
+
+
+def test_the_first_pose_is_the_prior_s_and_roll_and_pitch_stay(flown, smoothed):
+    flight, _, estimate = flown
+    np.testing.assert_allclose(smoothed.corrected.T_world_drone[0], flight.prior.T_world_drone[0], atol=1e-6)
+    np.testing.assert_allclose(
+        smoothed.corrected.T_world_drone[:, 2, :3], estimate.corrected.T_world_drone[:, 2, :3], atol=1e-9
+    )
+    assert len(smoothed.segments) > 20
+    assert len(smoothed.points) > 1000
+
+
+def test_the_odometry_s_settings_ask_for_it(flown, smoothed):
+    settings = ExperimentSettings.preset("orbit", NOISE, seed=11, duration_s=16.0, method="smoothed")
+    found = experiment.estimate(settings, *flown[:2])
+    apart = found.corrected.position - smoothed.corrected.position
+    assert np.linalg.norm(apart, axis=1).max() < 0.01  # the odometry's floor is another than the structure's
+    assert found.seconds["smooth"].sum() > 0
+
+
+def test_another_frame_gives_the_same_path(flown, smoothed):
+    flight, _, estimate = flown
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0, 0, 2.0]).as_matrix(), [30.0, -20.0, 0.0]
+    turned = [Trajectory(each.stamp_s, T @ each.T_world_drone) for each in (flight.prior, estimate.corrected)]
+    found = smooth(replace(flight, prior=turned[0]), replace(estimate, prior=turned[0], corrected=turned[1]))
+    back = (found.corrected.position - T[:3, 3]) @ T[:3, :3]
+    assert np.linalg.norm(back - smoothed.corrected.position, axis=1).max() < 0.015  # other voxels, a few other bars
+
+
+@pytest.mark.parametrize(("height_m", "says"), [(0.0, "ridges"), (-100.0, "without a return above the floor")])
+def test_a_flight_without_bars_comes_back_as_it_was(flown, height_m, says):
+    flight, _, estimate = flown
+    if height_m < 0:
+        low = flight.prior.T_world_drone + np.diag([0, 0, 0, 0.0])
+        low[:, 2, 3] += height_m
+        prior = Trajectory(flight.prior.stamp_s, low)
+        given = replace(estimate, corrected=prior)
+    else:  # a few returns alone
+        scans = [replace(scan, points=scan.points[:2, :2] * 0 + [2.0, 0.0, 1.0]) for scan in flight.scans]
+        flight, given, prior = replace(flight, scans=scans), estimate, flight.prior
+    found = smooth(Flight(flight.scans, prior, flight.T_drone_sensor), given)
+    assert says in found.unsmoothed
+    assert found.corrected is given.corrected
+
+
+def made_up(seed: int, noise_m: float):
+    """Four posts and two beams of angle sections about a sensor that slides past, points on their near faces."""
+    rng = np.random.default_rng(seed)
+    foot = np.array([(2, -1.5), (2, -0.5), (2.5, 0.5), (2, 1.5)])
+    posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]
+    ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
+    segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
+    across = sections.frames(segments.direction)
+    bars = bundle.Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
+    corner = sections.outlines(bars.turn, bars.flange)
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, 40), 0.2 * np.sin(np.arange(40) / 6)
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(40) / 9), [0, 0, 1])).as_matrix()
+
+    def scans():
+        for k, pose in enumerate(T):
+            found, of = [], []
+            for b in rng.integers(0, 6, 400).tolist():
+                axis = segments.start[b] + rng.uniform(0.05, 0.95) * (segments.end[b] - segments.start[b])
+                view = across[b] @ (pose[:3, 3] - axis)
+                cosine, sine = view / np.linalg.norm(view)
+                beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
+                # from far enough all lines of sight across the bar are parallel; close by, aim again
+                for _ in range(20):
+                    front, _ = sections.front_face(corner[b], cosine, sine, beside)
+                    point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
+                    view = across[b] @ (pose[:3, 3] - point)
+                    cosine, sine = view / np.linalg.norm(view)
+                if front < -1e8:
+                    continue
+                ray = point - pose[:3, 3]
+                found.append(point + noise_m * rng.standard_normal() * ray / np.linalg.norm(ray))
+                of.append(b)
+            yield k, np.array(found), np.array(of)
+
+    return T, bars, bundle.Observations.gathered(scans(), T)
+
+
+def test_a_made_up_flight_comes_back_to_the_truth():
+    """Poses and bars off by millimetres, sections by a degree; the prior's increments are noisy, its start exact."""
+    T, bars, seen = made_up(1, 0.002)
+    rng = np.random.default_rng(2)
+    stamp_s = 0.2 * np.arange(len(T))
+    prior = T.copy()
+    prior[1:, :3, 3] += np.cumsum(rng.normal(scale=0.001, size=(len(T) - 1, 3)), axis=0)
+    shifted = bars.segments.start + rng.normal(scale=0.004, size=(6, 3)), bars.segments.end
+    wrong = bundle.Bars(Segments(*shifted, bars.segments.count, bars.segments.radius), bars.across, bars.turn + 0.02,
+                        bars.flange + 0.002)  # fmt: skip
+    state = bundle.start(prior, prior, wrong)
+    for _ in range(8):
+        state = bundle.improve(state, seen, prior, stamp_s)
+    before, after = (np.linalg.norm((each - T)[:, :3, 3], axis=1).mean() for each in (prior, state.T_world_sensor))
+    assert after < 0.15 * before
+    assert np.abs(state.bars.flange - bars.flange).max() < 0.004
+    np.testing.assert_allclose(state.T_world_sensor[0], T[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.03])
+def test_the_range_noise_is_taken_from_the_residuals(noise_m):
+    T, bars, seen = made_up(3, noise_m)
+    state = bundle.start(T, T, bars)
+    for _ in range(3):
+        state = bundle.improve(state, seen, T, 0.2 * np.arange(len(T)))
+    sigma_m = np.maximum(bundle.SIGMA_M, bundle.SIGMA_SHARE * np.linalg.norm(seen.point, axis=1))
+    assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)
