@@ -28,6 +28,7 @@ from steelnb.io.trajectories import stamps_of_names
 from steelnb.settings import parse_parameter, read_toml
 from steelnb.types import Trajectory
 from tests.io.samples import KINDS, Bagged, made_up, poses
+from tests.io.test_clouds import by_laspy
 
 READERS = {
     "a.ply": read_cloud, "a.xyz": read_cloud, "a.npy": read_cloud, "a.las": read_cloud, "a.bag": read_flight,
@@ -88,6 +89,25 @@ def test_odd_numbers_in_clouds(tmp_path: Path, head: str) -> None:
     (tmp_path / f"a{ending}").write_text(head + more)
     with pytest.raises(FileContentError, match=rf"a\{ending}"):
         read_cloud(tmp_path / f"a{ending}")
+
+
+@pytest.mark.parametrize("form", [6, 7, 8])
+def test_later_chunks_of_a_laz_file_ask_for_no_memory(tmp_path: Path, form: int) -> None:
+    points, path = np.round(np.random.default_rng(0).uniform(-3, 3, (50_100, 3)), 3), tmp_path / "a.laz"
+    by_laspy(path, points, "1.4", form)
+    assert len(read_cloud(path)) == len(np.unique(points, axis=0))
+    whole = path.read_bytes()
+    start, record = *struct.unpack_from("<I", whole, 96), *struct.unpack_from("<H", whole, 105)
+    layers, (table,) = {6: 9, 7: 10, 8: 11}[form], struct.unpack_from("<q", whole, start)
+    head = start + 8 + record + 4
+    second = head + 4 * layers + sum(struct.unpack_from(f"<{layers}I", whole, head))
+    sizes = [head + 4 * (layers - 1), second + record + 4, second + record + 4 + 4 * (layers - 1)]
+    for place, number in (*((size, 2**31 - 1) for size in sizes), (table + 4, 1), (table + 4, 2**32 - 1)):
+        damaged = bytearray(whole)
+        struct.pack_into("<I", damaged, place, number)
+        path.write_bytes(damaged)
+        with pytest.raises(FileContentError, match=r"a\.laz: \d+ chunks listed at byte .*: cut short or damaged"):
+            read_cloud(path)
 
 
 def test_a_large_picture_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
