@@ -166,6 +166,8 @@ def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings(
         ('seeds = "1-99999999999999999999999"', ["at most 100,000"]),
         ('seeds = "1-100000"', ["800,000 runs", "at most 100,000"]),
         ("seeds = [-1]", ["seeds.0 = -1"]),
+        ("seeds = [9223372036854775808]", ["seeds.0 = 9223372036854775808"]),
+        ("duration_s = 1e300", ["duration_s = 1e+300", "14400"]),
         ("seeds = []", ["seeds = []"]),
         ('methods = ["icp", "icq"]', ["'icq'", "'icp-3dof'"]),
         ('trajectories = ["up"]', ["trajectories.0 = 'up'"]),
