@@ -1,16 +1,14 @@
 """steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
-``import steelnb`` imports nothing heavy: each public name is loaded when it is first used. A library of an extra that
-is missing is named with the command that installs it.
+``import steelnb`` imports nothing but `os`: each public name is loaded when it is first used. A library of an extra
+that is missing is named with the command that installs it.
 """
 
-import importlib
 import os
-from typing import TYPE_CHECKING, Any
 
-from steelnb.errors import MissingExtraError, SteelnbError
-
+TYPE_CHECKING = False  # type checkers take it for true; `typing` takes ten milliseconds, in which Ctrl-C is a traceback
 if TYPE_CHECKING:
+    from steelnb.errors import MissingExtraError, SteelnbError
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _MODULES = {
+    "errors": ("MissingExtraError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
@@ -78,7 +77,11 @@ def _keep_compiled_code() -> None:
 _keep_compiled_code()
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    import importlib
+
+    if name in _MODULES:
+        return importlib.import_module(f"steelnb.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'steelnb' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"steelnb.{_HOMES[name]}"), name)
