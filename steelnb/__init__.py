@@ -49,7 +49,8 @@ __all__ = [
 def _keep_compiled_code() -> None:
     """Give Numba a folder for compiled code where it finds none: a read-only install without a writable home.
 
-    The folder is the user's own and closed to others, since Numba runs what it finds there.
+    The folder is the user's own and closed to others, since Numba runs what it finds there. Matplotlib, which would
+    make one for each process and say so, keeps its list of fonts there too.
     """
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     while os.path.isabs(cache) and not os.path.isdir(cache):
@@ -72,6 +73,7 @@ def _keep_compiled_code() -> None:
         folder = tempfile.mkdtemp(prefix="steelnb-numba-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = folder
+    os.environ.setdefault("MPLCONFIGDIR", folder)
 
 
 _keep_compiled_code()

@@ -1,8 +1,10 @@
 """The commands for recordings as a user types them: their output, and one line and exit 2 for bad input."""
 
+import ctypes
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -259,29 +261,50 @@ sys.exit(main())
     assert list(place.iterdir()) == []
 
 
+def obey_permissions():
+    """Let root write where the permissions allow it alone, as every other user: without CAP_DAC_OVERRIDE."""
+    if os.getuid() == 0:
+        assert ctypes.CDLL(None, use_errno=True).prctl(24, 1, 0, 0, 0) == 0  # PR_CAPBSET_DROP
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
 def test_a_read_only_install_without_a_home_compiles_elsewhere(place):
-    """As another user, whose home is nowhere, in a container whose files it may not change."""
-    code = (
-        "import os\nreal, os.access = os.access, lambda *_: False\nimport steelnb\nos.access = real\n"
-        "import numba\nfrom steelnb.points import voxel_grid\nimport numpy as np\n"
-        "voxel_grid(np.zeros((2, 3)), 0.1)\nprint(os.environ['NUMBA_CACHE_DIR'])"
+    """As in a container whose files may not be changed, by a user whose home may not either."""
+    shutil.copytree(
+        Path(cli.__file__).parent, place / "install" / "steelnb", ignore=shutil.ignore_patterns("__pycache__")
     )
+    (place / "home").mkdir()
+    for folder in (place / "home", place / "install", *(f for f in (place / "install").rglob("*") if f.is_dir())):
+        folder.chmod(0o555)
+    code = (
+        "import os, sys\nassert not any(os.access(place, os.W_OK) for place in sys.argv[1:])\n"
+        "import steelnb, matplotlib\nfrom steelnb.points.voxel_kernels import pack\n"
+        "assert steelnb.__file__.startswith(sys.argv[1])\npack(1, 2, 3)\n"
+        "print(os.environ['NUMBA_CACHE_DIR'])\nprint(matplotlib.get_cachedir())"
+    )
+    own = place / f"steelnb-numba-{os.getuid()}"
+    given = {name: value for name, value in os.environ.items() if name not in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
+    given |= {"TMPDIR": str(place), "HOME": str(place / "home"), "PYTHONPATH": str(place / "install")}
+    given.pop("MPLCONFIGDIR", None)
     for kept in (True, False):
         if not kept:
-            (place / f"steelnb-numba-{os.getuid()}").rename(place / "away")
-            (place / f"steelnb-numba-{os.getuid()}").symlink_to(place / "away")  # somebody else's, maybe
-        given = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}
+            own.rename(place / "away")
+            own.symlink_to(place / "away")  # somebody else's, maybe
         done = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            env=given | {"TMPDIR": str(place)},
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.startswith(str(place / "steelnb-numba-"))
-        assert (done.stdout.strip() == str(place / f"steelnb-numba-{os.getuid()}")) is kept
-        assert Path(done.stdout.strip()).is_dir() is kept
+            [sys.executable, "-c", code, str(place / "install"), str(place / "home")],
+            cwd=place, env=given, capture_output=True, text=True, check=False, preexec_fn=obey_permissions,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+        compiled, drawn = map(Path, done.stdout.split())
+        assert compiled == drawn
+        assert (compiled == own) is kept
+        assert compiled.parent == place
+        assert compiled.name.startswith("steelnb-numba-")
+        assert compiled.is_dir() is kept
+        if kept:
+            assert compiled.stat().st_mode & 0o777 == 0o700
+            assert list(compiled.rglob("*.nbc")) != []
+    assert list((place / "install").rglob("__pycache__")) == []
 
 
 def test_help_names_the_tables_of_a_settings_file_and_loads_nothing_heavy():
