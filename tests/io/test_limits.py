@@ -21,6 +21,7 @@ from steelnb.errors import (
     OutputError,
     RecordingError,
     SettingsError,
+    SteelnbError,
 )
 from steelnb.files import LINE_BYTES_MAX, reading, text_lines
 from steelnb.io import (
@@ -284,6 +285,15 @@ def test_a_structure_of_any_depth(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps({"format": "steelnb structure"})[:-1] + ', "about": ' + "[" * 100_000)
     with pytest.raises(FileContentError, match="not a structure in JSON"):
         read_structure(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("key", ["format", "version", "units"])
+def test_a_message_about_a_long_value_in_a_structure_is_short(tmp_path: Path, key: str) -> None:
+    head = {"format": "steelnb structure", "version": 2, "units": {"length": "metre"}}
+    (tmp_path / "a.json").write_text(json.dumps(head | {key: "x" * 70_000}))
+    with pytest.raises(SteelnbError, match=f"{key} = ") as caught:
+        read_structure(tmp_path / "a.json")
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
 def test_no_pose_near_is_an_error_of_ours(tmp_path: Path) -> None:
