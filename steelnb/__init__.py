@@ -1,16 +1,14 @@
 """steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
-``import steelnb`` imports nothing heavy: each public name is loaded when it is first used. A library of an extra that
-is missing is named with the command that installs it.
+``import steelnb`` imports nothing but `os`: each public name is loaded when it is first used. A library of an extra
+that is missing is named with the command that installs it.
 """
 
-import importlib
 import os
-from typing import TYPE_CHECKING, Any
 
-from steelnb.errors import MissingExtraError, SteelnbError
-
+TYPE_CHECKING = False  # type checkers take it for true; `typing` takes ten milliseconds, in which Ctrl-C is a traceback
 if TYPE_CHECKING:
+    from steelnb.errors import MissingExtraError, SteelnbError
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
@@ -26,6 +24,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _MODULES = {
+    "errors": ("MissingExtraError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
@@ -52,7 +51,8 @@ __all__ = [
 def _keep_compiled_code() -> None:
     """Give Numba a folder for compiled code where it finds none: a read-only install without a writable home.
 
-    The folder is the user's own and closed to others, since Numba runs what it finds there.
+    The folder is the user's own and closed to others, since Numba runs what it finds there. Matplotlib, which would
+    make one for each process and say so, keeps its list of fonts there too.
     """
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     while os.path.isabs(cache) and not os.path.isdir(cache):
@@ -75,12 +75,17 @@ def _keep_compiled_code() -> None:
         folder = tempfile.mkdtemp(prefix="steelnb-numba-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = folder
+    os.environ.setdefault("MPLCONFIGDIR", folder)
 
 
 _keep_compiled_code()
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    import importlib
+
+    if name in _MODULES:
+        return importlib.import_module(f"steelnb.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'steelnb' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"steelnb.{_HOMES[name]}"), name)

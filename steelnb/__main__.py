@@ -3,10 +3,9 @@
 import os
 import signal
 import sys
-from typing import NoReturn
 
 
-def _leave(*_: object) -> NoReturn:
+def _leave(*_: object) -> None:
     os.write(2, b"steelnb: error: interrupted before anything was done\n")
     os._exit(130)
 

@@ -12,8 +12,7 @@ import typer
 from steelnb.errors import SettingsError
 
 LINE_PERIOD_S = 10.0
-DURATION_MIN_S, DURATION_MAX_S = 1.0, 14_400.0
-"""Four hours: poses and IMU samples are held in memory, scans are not."""
+DURATION_MIN_S = 1.0
 
 app = typer.Typer()
 Source = Annotated[
@@ -46,6 +45,7 @@ def record(
     from steelnb.io.bag_files import truth_path
     from steelnb.io.bag_writer import check_target, write_flight
     from steelnb.settings import ExperimentSettings
+    from steelnb.settings.base import DURATION_MAX_S
 
     if not DURATION_MIN_S <= duration <= DURATION_MAX_S:
         raise SettingsError(

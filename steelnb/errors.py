@@ -9,7 +9,15 @@ class SteelnbError(Exception):
 
 
 class SettingsError(SteelnbError):
-    """An unknown setting, a value of the wrong type, or one out of range."""
+    """An unknown setting, a value of the wrong type, or one out of range.
+
+    The message is cut at `CHARACTERS_MAX`, since a value may be a whole file.
+    """
+
+    CHARACTERS_MAX = 1000
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message[: self.CHARACTERS_MAX])
 
 
 class UnknownExperimentError(SteelnbError):

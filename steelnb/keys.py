@@ -82,13 +82,13 @@ def reachable(module_names: Iterable[str]) -> dict[str, Path]:
     return found
 
 
-def imported_names(source: str) -> list[str]:
-    """Dotted names of the package that Python code imports, and that its texts hold, sorted.
+def imported_names(tree: ast.AST) -> list[str]:
+    """Dotted names of the package that the code of a syntax tree imports, and that its texts hold, sorted.
 
     ``from steelnb.a import b`` gives ``steelnb.a.b``, whether or not ``b`` is a module.
     """
     names: set[str] = set()
-    waiting: list[ast.AST] = [ast.parse(source)]
+    waiting = [tree]
     while waiting:
         node = waiting.pop()
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
@@ -132,12 +132,12 @@ def _parse(path: Path) -> _Parsed:
 @functools.lru_cache(maxsize=1024)
 def _parse_version(path: Path, modified_ns: int, size: int) -> _Parsed:
     """Hash of the syntax tree of a file, and the names that it imports; read again when the file has changed."""
-    source = path.read_text(encoding="utf-8")
-    tree = ast.parse(source)
+    tree = ast.parse(path.read_bytes())
+    imports = imported_names(tree)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             del node.body[: ast.get_docstring(node, clean=False) is not None]
-    return _Parsed(digest(ast.dump(tree)), imported_names(source))
+    return _Parsed(digest(ast.dump(tree)), imports)
 
 
 def _data(path: Path) -> list[Any]:

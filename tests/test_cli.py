@@ -9,6 +9,8 @@ import pytest
 
 import steelnb
 from steelnb import cli
+from steelnb.io.clouds import write_ply
+from tests.lattice import lattice, scanned
 
 
 @pytest.fixture
@@ -65,3 +67,17 @@ def test_installed_command(project: Path) -> None:
     assert shown.returncode == 2
     assert shown.stderr.startswith("steelnb: error: nothing.ply")
     assert shown.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["segments.csv", "structure.json"])
+def test_a_folder_in_the_place_of_an_output_of_segment_keeps_the_earlier_ones(project: Path, name: str) -> None:
+    write_ply(project / "tower.ply", scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01))
+    (project / "out" / name / "mine").mkdir(parents=True)
+    (project / "out" / "segments.ply").write_text("earlier")
+    before = files(project)
+    command = [sys.executable, "-m", "steelnb.cli", "segment", "tower.ply", "-o", "out"]
+    shown = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False)
+    assert (shown.returncode, shown.stdout) == (2, "")
+    assert shown.stderr == f"steelnb: error: out/{name}: exists already; expected a new name, or a file to replace\n"
+    assert files(project) == before
+    assert (project / "out" / "segments.ply").read_text() == "earlier"

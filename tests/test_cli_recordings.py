@@ -1,15 +1,19 @@
 """The commands for recordings as a user types them: their output, and one line and exit 2 for bad input."""
 
+import ctypes
 import os
+import re
 import resource
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from steelnb import cli, experiment
-from steelnb.io import read_trajectory, read_truth, write_flight, write_tum
+from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_tum
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Trajectory
 
@@ -163,6 +167,66 @@ def test_where_files_may_not_grow_nothing_is_left(bag, place, arguments, limit):
     assert list(place.iterdir()) == []
 
 
+TOGETHER = """
+import sys, time
+from pathlib import Path
+from steelnb import cli, experiment, odometry
+def met(first):
+    def call(*given, **named):
+        Path(f"here-{sys.argv[1]}").touch()
+        while len(list(Path().glob("here-*"))) < 2:
+            time.sleep(0.01)
+        return first(*given, **named)
+    return call
+experiment.simulate_anew, odometry.run = met(experiment.simulate_anew), met(odometry.run)
+sys.exit(cli.main(sys.argv[2:]))
+"""
+"""A command that waits for another one just before its work, when both have checked what they will write."""
+
+
+def both(place: Path, *commands: list[str]) -> list[tuple[int, str]]:
+    """Exit codes and errors of two commands, each in a process, neither of which is done before the other has begun."""
+    given = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    started = [subprocess.Popen([sys.executable, "-c", TOGETHER, str(k), *c], **given) for k, c in enumerate(commands)]
+    errors = [process.communicate(timeout=300)[1] for process in started]
+    for file in place.glob("here-*"):
+        file.unlink()
+    return sorted((process.returncode, error) for process, error in zip(started, errors, strict=True))
+
+
+def test_of_two_recordings_to_one_name_one_is_whole_and_one_is_refused(place):
+    commands = [["record", "a.mcap", *SMALL, "--noise", "none", "--seed", seed] for seed in "45"]
+    (code, _), (refused, error) = both(place, *commands)
+    assert (code, refused) == (0, 2)
+    assert re.fullmatch(
+        r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or a file to replace\n", error
+    )
+    assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
+    prior, truth = read_flight("a.mcap").prior, read_truth("a.mcap")
+    np.testing.assert_allclose(prior.position, truth.at(prior.stamp_s).position, atol=1e-9)
+
+
+def test_of_two_runs_into_one_new_folder_the_files_are_those_of_one(bag, place):
+    options = ["--no-viewer", "--no-structure", "--noise", "random-walk:0.01"]
+    for seed in "45":
+        assert cli.main(["run", str(bag), "-o", seed, "--seed", seed, *options]) == 0
+    ended = both(place, *(["run", str(bag), "-o", "out", "--seed", seed, *options] for seed in "45"))
+    assert [code for code, _ in ended] == [0, 0], ended
+    assert sorted(file.name for file in place.iterdir()) == ["4", "5", "out"]
+    assert os.listdir(place / "4") != []
+    same = ["prior.tum", "corrected.tum", "map.ply", "trajectories.png"]
+    sources = {
+        seed
+        for seed in "45"
+        for name in same
+        if (place / "out" / name).read_bytes() == (place / seed / name).read_bytes()
+    }
+    assert len(sources) == 1
+    (seed,) = sources
+    assert sorted(os.listdir(place / "out")) == sorted(os.listdir(place / seed))
+    assert all((place / "out" / name).read_bytes() == (place / seed / name).read_bytes() for name in same)
+
+
 def test_ctrl_c_is_exit_130_and_leaves_nothing(bag, place, capfd, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -173,44 +237,74 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(bag, place, capfd, monkeypatch):
     assert list(place.iterdir()) == []
 
 
-@pytest.mark.parametrize("after_s", [0.06, 0.1, 0.15, 0.2])
-def test_ctrl_c_while_libraries_are_loaded_is_one_line(place, after_s):
-    """From the first import of `steelnb.__main__` on; before it, the interpreter itself is starting."""
-    code = (
-        "import signal, sys, threading, os, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from steelnb.__main__ import main\n"
-        f"threading.Thread(target=lambda: (time.sleep({after_s}), os.kill(os.getpid(), signal.SIGINT))).start()\n"
-        "sys.argv = ['steelnb', 'segment', '/dev/zero']\nsys.exit(main())\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=place, capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert done.returncode in (2, 130)
+@pytest.mark.parametrize("module", ["steelnb.errors", "steelnb.cli", "typer", "numpy", "numba", "matplotlib"])
+def test_ctrl_c_while_a_library_is_looked_for_is_one_line_and_exit_130(bag, place, module):
+    """In a process that is as the installed command makes it, from `steelnb.__main__` on."""
+    code = f"""
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which the caller of the tests may ignore
+class CtrlC:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            sys.meta_path.remove(self)
+            print("pressed", flush=True)
+            signal.raise_signal(signal.SIGINT)
+import steelnb
+sys.meta_path.insert(0, CtrlC())
+from steelnb.__main__ import main
+sys.exit(main())
+"""
+    command = [sys.executable, "-c", code, "run", str(bag), "-o", "out"]
+    done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.returncode) == ("pressed\n", 130)
+    assert re.fullmatch(r"steelnb: error: interrupted[^\n]*\n", done.stderr)
+    assert list(place.iterdir()) == []
 
 
+def obey_permissions():
+    """Let root write where the permissions allow it alone, as every other user: without CAP_DAC_OVERRIDE."""
+    if os.getuid() == 0:
+        assert ctypes.CDLL(None, use_errno=True).prctl(24, 1, 0, 0, 0) == 0  # PR_CAPBSET_DROP
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
 def test_a_read_only_install_without_a_home_compiles_elsewhere(place):
-    """As another user, whose home is nowhere, in a container whose files it may not change."""
-    code = (
-        "import os\nreal, os.access = os.access, lambda *_: False\nimport steelnb\nos.access = real\n"
-        "import numba\nfrom steelnb.points import voxel_grid\nimport numpy as np\n"
-        "voxel_grid(np.zeros((2, 3)), 0.1)\nprint(os.environ['NUMBA_CACHE_DIR'])"
+    """As in a container whose files may not be changed, by a user whose home may not either."""
+    shutil.copytree(
+        Path(cli.__file__).parent, place / "install" / "steelnb", ignore=shutil.ignore_patterns("__pycache__")
     )
+    (place / "home").mkdir()
+    for folder in (place / "home", place / "install", *(f for f in (place / "install").rglob("*") if f.is_dir())):
+        folder.chmod(0o555)
+    code = (
+        "import os, sys\nassert not any(os.access(place, os.W_OK) for place in sys.argv[1:])\n"
+        "import steelnb, matplotlib\nfrom steelnb.points.voxel_kernels import pack\n"
+        "assert steelnb.__file__.startswith(sys.argv[1])\npack(1, 2, 3)\n"
+        "print(os.environ['NUMBA_CACHE_DIR'])\nprint(matplotlib.get_cachedir())"
+    )
+    own = place / f"steelnb-numba-{os.getuid()}"
+    given = {name: value for name, value in os.environ.items() if name not in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
+    given |= {"TMPDIR": str(place), "HOME": str(place / "home"), "PYTHONPATH": str(place / "install")}
+    given.pop("MPLCONFIGDIR", None)
     for kept in (True, False):
         if not kept:
-            (place / f"steelnb-numba-{os.getuid()}").rename(place / "away")
-            (place / f"steelnb-numba-{os.getuid()}").symlink_to(place / "away")  # somebody else's, maybe
-        given = {name: value for name, value in os.environ.items() if name not in ("HOME", "NUMBA_CACHE_DIR")}
+            own.rename(place / "away")
+            own.symlink_to(place / "away")  # somebody else's, maybe
         done = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            env=given | {"TMPDIR": str(place)},
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stdout.startswith(str(place / "steelnb-numba-"))
-        assert (done.stdout.strip() == str(place / f"steelnb-numba-{os.getuid()}")) is kept
-        assert Path(done.stdout.strip()).is_dir() is kept
+            [sys.executable, "-c", code, str(place / "install"), str(place / "home")],
+            cwd=place, env=given, capture_output=True, text=True, check=False, preexec_fn=obey_permissions,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+        compiled, drawn = map(Path, done.stdout.split())
+        assert compiled == drawn
+        assert (compiled == own) is kept
+        assert compiled.parent == place
+        assert compiled.name.startswith("steelnb-numba-")
+        assert compiled.is_dir() is kept
+        if kept:
+            assert compiled.stat().st_mode & 0o777 == 0o700
+            assert list(compiled.rglob("*.nbc")) != []
+    assert list((place / "install").rglob("__pycache__")) == []
 
 
 def test_help_names_the_tables_of_a_settings_file_and_loads_nothing_heavy():

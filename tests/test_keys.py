@@ -1,5 +1,6 @@
 """Keys follow the code that runs: no comment, no docstring, no module that is not imported."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -75,4 +76,4 @@ def test_code_digest_follows_code_alone(package: Path, file: str, old: str, new:
 
 def test_names_come_from_imports_uses_and_texts() -> None:
     source = "import numpy\nfrom steelnb.a import b as c\nimport steelnb.d\nx = 'steelnb.f', 'steelnb is'\n"
-    assert keys.imported_names(source) == ["steelnb.a.b", "steelnb.d", "steelnb.f"]
+    assert keys.imported_names(ast.parse(source)) == ["steelnb.a.b", "steelnb.d", "steelnb.f"]

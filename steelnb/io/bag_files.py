@@ -10,7 +10,9 @@ message costs no more memory than it has bytes.
 import bz2
 import functools
 import os
+import shutil
 import struct
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -141,10 +143,27 @@ def bag_reader(ros: int) -> Any:
         from rosbags.rosbag2 import reader, storage_mcap
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+    class _BoundedZstd(zstd.ZstdFile):
+        """A compressed file, which rosbags unpacks to the temporary disk: half of the free space is left to others."""
+
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            self._left = self._bound = shutil.disk_usage(tempfile.gettempdir()).free // 2
+
+        def read(self, size: int | None = -1) -> bytes:
+            data: bytes = super().read(size)
+            self._left -= len(data)
+            if self._left < 0:
+                raise ValueError(
+                    f"it unpacks to more than {self._bound >> 20} MB, half of what is free in {tempfile.gettempdir()}; "
+                    "expected less, or TMPDIR on a larger disk"
+                )
+            return data
+
     by_lz4, by_zstd = bounded(lz4.frame.LZ4FrameDecompressor), bounded(zstd.ZstdDecompressor)
     rosbag1.reader.decompressors.update(bz2=bounded(bz2.BZ2Decompressor), lz4=by_lz4)
     storage_mcap.DECOMPRESSORS.update(lz4=by_lz4, zstd=by_zstd)
-    setattr(reader, "zstd", SimpleNamespace(decompress=by_zstd, open=zstd.open))  # noqa: B010
+    setattr(reader, "zstd", SimpleNamespace(decompress=by_zstd, open=_BoundedZstd))  # noqa: B010
 
     class AnyName(Sqlite3Reader):
         """rosbags puts the path into a URI, where #, ? and % have a meaning."""
@@ -158,7 +177,7 @@ def bag_reader(ros: int) -> Any:
 
 
 def bounded(make: Callable[[], Any]) -> Callable[..., bytes]:
-    """A function that unpacks bytes with a new decompressor, to `UNPACKED_MAX` bytes; more are a `FileContentError`."""
+    """A function that unpacks bytes with a new decompressor, to `UNPACKED_MAX` bytes; more are a ValueError."""
 
     def unpack(data: bytes, *_: Any) -> bytes:
         pieces, size = [], 0
@@ -167,9 +186,7 @@ def bounded(make: Callable[[], Any]) -> Callable[..., bytes]:
             pieces.append(decompressor.decompress(data, UNPACKED_MAX + 1 - size))
             size += len(pieces[-1])
             if size > UNPACKED_MAX:
-                raise FileContentError(
-                    f"a chunk or a message unpacks to more than {UNPACKED_MAX >> 20} MB; expected less"
-                )
+                raise ValueError(f"a chunk or a message unpacks to more than {UNPACKED_MAX >> 20} MB; expected less")
             if not decompressor.eof:
                 raise ValueError("compressed data end early")
             data = decompressor.unused_data or b""
@@ -197,7 +214,12 @@ def tally(skipped: Counter[str], kind: str) -> None:
 
 def _files(path: Path) -> list[Path]:
     """A file, a folder with metadata, or the files of a folder without."""
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
+    if not path.is_dir():
+        return [path]
+    if (path / "metadata.yaml").is_file():
+        for file in path.iterdir():  # which rosbags opens, and would wait for
+            with reading(file, "a file of a bag", folder=True):
+                pass
         return [path]
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in STORAGES)
     if not files:

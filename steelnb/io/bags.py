@@ -74,7 +74,7 @@ def read_bag_truth(path: Path, truth: str | None, settings: Path | None) -> Traj
         return None
     bag = Bag(path)
     if truth not in bag.types:
-        if not Path(truth).is_file():
+        if not Path(truth).exists():
             raise TopicError(f"{path}: no topic and no file {truth!r}: {bag.holds()}")
         return read_trajectory(truth)
     _one(bag, "truth", [], truth, bag.of_type(*POSES))
@@ -91,7 +91,7 @@ def choose_topics(bag: Bag, scans: str | None, poses: str | None, truth: str | N
         raise RecordingError(f"{bag.path}: no scans; expected a topic of PointCloud2 or depth images: {bag.holds()}")
     transforms = tuple(bag.of_type(*TRANSFORMS))
     prior = None
-    in_file = poses is not None and poses not in bag.types and Path(poses).is_file()
+    in_file = poses is not None and poses not in bag.types and Path(poses).exists()
     if not in_file and poses not in transforms:
         possible = bag.of_type(*POSES)
         prior = _one(bag, "poses", [topic for topic in possible if topic != truth], poses, possible)

@@ -87,7 +87,7 @@ def settings_file(path: Path, settings: Path | None) -> Path | None:
 def named_file(path: Path, name: str) -> Path:
     """A file that a user names, from here or from the folder. Raises `FileMissingError`."""
     for file in (Path(name), path / name):
-        if file.is_file():
+        if file.exists() and not file.is_dir():  # a pipe is refused by its name
             return file
     raise FileMissingError(f"{name}: no such file, here or in {path}; expected a trajectory")
 

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from steelnb.types import Array
 CHUNK = 1 << 20
 _HEADER_BYTES = 1 << 16
 _MOST_VLRS = 10_000
+_LAYERS = {128 + 6: (9, 30), 128 + 7: (10, 36), 128 + 8: (11, 38), 128 + 9: (10, 59), 128 + 10: (12, 67)}
+"""Compressed point formats in layers: how many, each extra byte being one more, and bytes of a point (LAS 1.4 R15)."""
 
 
 @dataclass(frozen=True)
@@ -216,16 +218,25 @@ def _refuse_damaged_las(path: Path) -> None:
         if table < 0:  # written by a program that could not go back: it stands at the end
             file.seek(-8, 2)
             table = int.from_bytes(file.read(8), "little", signed=True)
-        if form >= 128 + 6:  # the sizes of the first chunk's layers, which lazrs believes
-            file.seek(start + 8 + record + 4)
-            layers = np.frombuffer(file.read(36).ljust(36, b"\0"), "<u4").sum(dtype=np.int64)
-            if count and layers > size:
-                raise FileContentError(f"{path}: {size} bytes; expected {layers} for the layers of its first points")
         file.seek(min(max(table, 0), size))
         chunks = int.from_bytes(file.read(8)[4:], "little")
-    # The first point of each chunk stands there as it is.
-    if not start + 8 <= table <= size - 8 or chunks * record > size:
+        # The first point of each chunk stands there as it is.
+        whole = start + 8 <= table <= size - 8 and chunks * record <= size
+        if whole and form in _LAYERS:
+            whole = _end_of_chunks(file, start + 8, table, chunks, record, _LAYERS[form]) == table
+    if not whole:
         raise FileContentError(f"{path}: {chunks} chunks listed at byte {table} of {size}: cut short or damaged")
+
+
+def _end_of_chunks(file: BinaryIO, begin: int, end: int, chunks: int, record: int, kind: tuple[int, int]) -> int:
+    """Where the last chunk ends. A chunk is its first point, their number, the sizes of its layers, and these: lazrs
+    takes as much memory as the sizes ask for. ``kind``: number of layers, and bytes of a record without extra ones."""
+    layers = kind[0] + max(record - kind[1], 0)
+    while begin < end and chunks > 0:
+        file.seek(begin + record + 4)
+        begin = file.tell() + 4 * layers + int(np.frombuffer(file.read(4 * layers), "<u4").sum(dtype=np.int64))
+        chunks -= 1
+    return begin
 
 
 READERS = (

@@ -176,12 +176,12 @@ def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileCo
     raw = json.loads(text)
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else type(raw).__name__
-        raise FileContentError(f"{name}: format = {found!r}; expected {FORMAT!r}")
+        raise FileContentError(f"{name}: format = {found!r:.60}; expected {FORMAT!r}")
     if raw.get("version") != VERSION:
         older = "; version 1 is no longer read: write the file again" if raw.get("version") == 1 else ""
-        raise VersionError(f"{name}: version = {raw.get('version')!r}; expected {VERSION}{older}")
+        raise VersionError(f"{name}: version = {raw.get('version')!r:.60}; expected {VERSION}{older}")
     if raw.get("units") != {"length": "metre"}:
-        raise UnitsError(f"{name}: units = {raw.get('units')!r}; expected {{'length': 'metre'}}")
+        raise UnitsError(f"{name}: units = {raw.get('units')!r:.60}; expected {{'length': 'metre'}}")
     try:
         document = Document.model_validate_json(text)
     except ValidationError as fault:

@@ -11,7 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from steelnb.errors import SettingsError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+DURATION_MAX_S = 14_400.0
+"""Four hours: poses and IMU samples of a flight are held in memory."""
+Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+"""Tables of studies hold 64 bits."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 

@@ -1,10 +1,8 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field
-
-from steelnb.settings.base import Settings, overridden
+from steelnb.settings.base import Seed, Settings, overridden
 from steelnb.settings.odometry import OdometrySettings
 from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
 
@@ -14,7 +12,7 @@ class ExperimentSettings(Settings):
 
     sensor: str
     noise_name: str
-    seed: Annotated[int, Field(ge=0)]
+    seed: Seed
     tower: TowerSettings = TowerSettings()
     flight: FlightSettings
     tof: TofSettings

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
-from steelnb.settings.base import NotNegative, Positive, Probability, Settings, quoted
+from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, quoted
 from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
 from steelnb.types import Array
 
@@ -65,7 +65,7 @@ class FlightSettings(Settings):
     """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height."""
 
     trajectory: TrajectoryName = "vertical"
-    duration_s: Positive = 200.0
+    duration_s: Duration = 200.0
     standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
     height_min_m: Positive = 0.7
     height_max_m: Positive = 15.0

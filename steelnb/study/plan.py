@@ -14,7 +14,8 @@ from pydantic import Field, field_validator
 
 from steelnb.errors import SettingsError
 from steelnb.keys import code_digest, digest
-from steelnb.settings import ExperimentSettings, Positive, Settings, TrajectoryName, read_tables
+from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
+from steelnb.settings.base import Duration, Seed
 
 RUNS_MAX = 100_000
 """Largest study: its plan and table fit into 2 GB."""
@@ -33,12 +34,12 @@ class Block(Settings):
     without any return, in all flights of the block; each of ``overrides`` changes single settings.
     """
 
-    seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)]
+    seeds: Annotated[list[Seed], Field(min_length=1)]
     trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
     noises: Annotated[list[str], Field(min_length=1)]
     sensors: Annotated[list[str], Field(min_length=1)]
     methods: Annotated[list[str], Field(min_length=1)]
-    duration_s: Positive = 200.0
+    duration_s: Duration = 200.0
     blind_s: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
     overrides: Annotated[list[dict[str, Any]], Field(min_length=1)] = [{}]  # noqa: RUF012
 

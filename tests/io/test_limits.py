@@ -6,9 +6,13 @@ import os
 import struct
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import lz4.frame
 import numpy as np
 import pytest
+from backports import zstd
 
 from steelnb.errors import (
     ExtrinsicsError,
@@ -17,9 +21,19 @@ from steelnb.errors import (
     OutputError,
     RecordingError,
     SettingsError,
+    SteelnbError,
 )
 from steelnb.files import LINE_BYTES_MAX, reading, text_lines
-from steelnb.io import bag_files, read_cloud, read_flight, read_structure, read_trajectory, write_flight, write_tum
+from steelnb.io import (
+    bag_files,
+    read_cloud,
+    read_flight,
+    read_structure,
+    read_trajectory,
+    read_truth,
+    write_flight,
+    write_tum,
+)
 from steelnb.io.bag_files import bounded
 from steelnb.io.bag_writer import check_target
 from steelnb.io.calibration import read_settings
@@ -28,6 +42,8 @@ from steelnb.io.trajectories import stamps_of_names
 from steelnb.settings import parse_parameter, read_toml
 from steelnb.types import Trajectory
 from tests.io.samples import KINDS, Bagged, made_up, poses
+from tests.io.test_clouds import by_laspy
+from tests.io.test_folders import laid_out
 
 READERS = {
     "a.ply": read_cloud, "a.xyz": read_cloud, "a.npy": read_cloud, "a.las": read_cloud, "a.bag": read_flight,
@@ -90,6 +106,25 @@ def test_odd_numbers_in_clouds(tmp_path: Path, head: str) -> None:
         read_cloud(tmp_path / f"a{ending}")
 
 
+@pytest.mark.parametrize("form", [6, 7, 8])
+def test_later_chunks_of_a_laz_file_ask_for_no_memory(tmp_path: Path, form: int) -> None:
+    points, path = np.round(np.random.default_rng(0).uniform(-3, 3, (50_100, 3)), 3), tmp_path / "a.laz"
+    by_laspy(path, points, "1.4", form)
+    assert len(read_cloud(path)) == len(np.unique(points, axis=0))
+    whole = path.read_bytes()
+    start, record = *struct.unpack_from("<I", whole, 96), *struct.unpack_from("<H", whole, 105)
+    layers, (table,) = {6: 9, 7: 10, 8: 11}[form], struct.unpack_from("<q", whole, start)
+    head = start + 8 + record + 4
+    second = head + 4 * layers + sum(struct.unpack_from(f"<{layers}I", whole, head))
+    sizes = [head + 4 * (layers - 1), second + record + 4, second + record + 4 + 4 * (layers - 1)]
+    for place, number in (*((size, 2**31 - 1) for size in sizes), (table + 4, 1), (table + 4, 2**32 - 1)):
+        damaged = bytearray(whole)
+        struct.pack_into("<I", damaged, place, number)
+        path.write_bytes(damaged)
+        with pytest.raises(FileContentError, match=r"a\.laz: \d+ chunks listed at byte .*: cut short or damaged"):
+            read_cloud(path)
+
+
 def test_a_large_picture_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -101,9 +136,6 @@ def test_a_large_picture_is_refused_before_it_is_unpacked(tmp_path: Path) -> Non
 
 
 def test_unpacking_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    import lz4.frame
-    from backports import zstd
-
     monkeypatch.setattr(bag_files, "UNPACKED_MAX", 1 << 20)
     ways = (
         (bz2.compress, bz2.BZ2Decompressor), (lz4.frame.compress, lz4.frame.LZ4FrameDecompressor),
@@ -113,37 +145,82 @@ def test_unpacking_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         packed = pack(b"a" * (1 << 19))
         assert bounded(make)(packed) == b"a" * (1 << 19)
         assert bounded(make)(packed + packed) == b"a" * (1 << 20)  # two frames
-        with pytest.raises(FileContentError, match="unpacks to more than 1 MB"):
+        with pytest.raises(ValueError, match="unpacks to more than 1 MB"):
             bounded(make)(pack(b"a" * (1 << 24)))
         with pytest.raises(ValueError, match="end early"):
             bounded(make)(packed[:-5])
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.bag"])
-def test_bags_are_unpacked_within_the_bound(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def packed(path: Path, target: Path, mode: str = "") -> Path:
+    """The messages of a bag, compressed as ROS 1 does it, or as ROS 2's ``mode`` (STORAGE, FILE or MESSAGE) does."""
     from rosbags import rosbag1, rosbag2
 
-    Bagged(tmp_path / name).clouds().odometry().write()
-    source = bag_files.bag_reader(1 if name == "a.bag" else 2)(tmp_path / name)
-    if name == "a.bag":
-        writer = rosbag1.Writer(tmp_path / "packed.bag")
+    ros = 2 if mode else 1
+    store = bag_files.typestore(ros)
+    writer: Any
+    if ros == 1:
+        writer = rosbag1.Writer(target)
         writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
     else:
-        writer = rosbag2.Writer(tmp_path / "packed", version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
-        writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
-    store = bag_files.typestore(1 if name == "a.bag" else 2)
-    with source as reader, writer:
+        storage = rosbag2.StoragePlugin.SQLITE3 if mode != "STORAGE" else rosbag2.StoragePlugin.MCAP
+        writer = rosbag2.Writer(target, version=8, storage_plugin=storage)
+        writer.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
+    with bag_files.bag_reader(ros)(path) as reader, writer:
         topics = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
         for connection, stamp_ns, raw in reader.messages():
             writer.write(topics[connection.topic], stamp_ns, raw)
-    packed = tmp_path / ("packed.bag" if name == "a.bag" else "packed")
-    assert len(list(read_flight(packed).scans)) == 5
-    monkeypatch.setattr(bag_files, "UNPACKED_MAX", 500)
-    with pytest.raises(FileContentError, match="unpacks to more than 0 MB"):
-        read_flight(packed)
+    return target
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("name", "mode"), [("a.bag", ""), ("a.mcap", "STORAGE"), ("a.mcap", "MESSAGE")])
+def test_bags_are_unpacked_within_the_bound(
+    tmp_path: Path, name: str, mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Bagged(tmp_path / name).clouds().odometry().write()
+    path = packed(tmp_path / name, tmp_path / ("packed" if mode else "packed.bag"), mode)
+    assert len(list(read_flight(path).scans)) == 5
+    monkeypatch.setattr(bag_files, "UNPACKED_MAX", 100)
+    with pytest.raises(FileContentError, match=rf"^{path}: not a bag: a chunk or a message unpacks to more than 0 MB"):
+        read_flight(path)
+
+
+def test_compressed_files_leave_half_of_the_temporary_disk_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Bagged(tmp_path / "a.mcap").clouds().odometry().write()
+    path, disk = packed(tmp_path / "a.mcap", tmp_path / "packed", "FILE"), tmp_path / "disk"
+    disk.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(disk))
+    assert len(list(read_flight(path).scans)) == 5
+    (file,) = path.glob("*.zstd")
+    file.write_bytes(zstd.compress(b"\0" * (1 << 26)))
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1 << 22))
+    with pytest.raises(
+        FileContentError, match=rf"^{path}: .* unpacks to more than 2 MB, half of what is free in {disk}; expected less"
+    ):
+        read_flight(path)
+    assert list(disk.iterdir()) == []
+
+
+def test_pipes_for_poses_and_in_the_folder_of_a_bag(tmp_path: Path) -> None:
+    write_flight(tmp_path / "a.bag", made_up())
+    write_flight(tmp_path / "ros2", made_up())
+    folder = laid_out(tmp_path / "clouds", [f"{k}.npy" for k in range(5)])
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "a.bag", folder):
+        with pytest.raises(FileMissingError, match="pipe: a pipe or a device; expected a"):
+            read_flight(path, poses=str(tmp_path / "pipe"))
+        with pytest.raises(FileMissingError, match="pipe: a pipe or a device; expected a"):
+            read_truth(path, truth=str(tmp_path / "pipe"))
+    assert len(read_flight(tmp_path / "ros2")) == 6
+    (file,) = (tmp_path / "ros2").glob("*.mcap")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(FileMissingError, match=r"ros2\.mcap: a pipe or a device; expected a file of a bag"):
+        read_flight(tmp_path / "ros2")
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "folder"])
 @pytest.mark.parametrize("stem", ["a#b?c%41 d", os.fsdecode(b"a\xffb")])
 def test_any_bytes_in_the_name_of_a_recording(tmp_path: Path, kind: str, stem: str) -> None:
     path = tmp_path / stem / f"{stem}{Path(kind).suffix}"
@@ -208,6 +285,15 @@ def test_a_structure_of_any_depth(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps({"format": "steelnb structure"})[:-1] + ', "about": ' + "[" * 100_000)
     with pytest.raises(FileContentError, match="not a structure in JSON"):
         read_structure(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("key", ["format", "version", "units"])
+def test_a_message_about_a_long_value_in_a_structure_is_short(tmp_path: Path, key: str) -> None:
+    head = {"format": "steelnb structure", "version": 2, "units": {"length": "metre"}}
+    (tmp_path / "a.json").write_text(json.dumps(head | {key: "x" * 70_000}))
+    with pytest.raises(SteelnbError, match=f"{key} = ") as caught:
+        read_structure(tmp_path / "a.json")
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
 def test_no_pose_near_is_an_error_of_ours(tmp_path: Path) -> None:

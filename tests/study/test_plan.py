@@ -166,7 +166,12 @@ def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings(
         ('seeds = "1-99999999999999999999999"', ["at most 100,000"]),
         ('seeds = "1-100000"', ["800,000 runs", "at most 100,000"]),
         ("seeds = [-1]", ["seeds.0 = -1"]),
+        ("seeds = [9223372036854775808]", ["seeds.0 = 9223372036854775808"]),
+        ("duration_s = 1e300", ["duration_s = 1e+300", "14400"]),
         ("seeds = []", ["seeds = []"]),
+        (f'methods = ["{"[" * 5000}"]', ["method = '[[["]),
+        (f'noises = ["{"[" * 5000}"]', ["noise = '[[["]),
+        (f'overrides = [{{ "{"[" * 5000}" = 1 }}]', ["unknown setting '[[["]),
         ('methods = ["icp", "icq"]', ["'icq'", "'icp-3dof'"]),
         ('trajectories = ["up"]', ["trajectories.0 = 'up'"]),
         ('sensors = ["lidar"]', ["sensor = 'lidar'"]),
@@ -185,6 +190,7 @@ def test_bad_settings_of_a_study_are_one_line(tmp_path, text, words):
     with pytest.raises(SettingsError) as told:
         read_plan(tmp_path / "study.toml")
     assert "\n" not in str(told.value)
+    assert len(str(told.value)) <= 1000
     assert all(word in str(told.value) for word in words), told.value
 
 
