@@ -3,8 +3,7 @@
 Its readers are used apart from `AnyReader`, which compiles the definitions that a bag brings along: one that cannot be
 parsed would keep all others from being read. The standard types are the same everywhere.
 
-Points and depths are read where they lie. Sizes that do not fit are refused before anything is allocated, so a corrupt
-message costs no more memory than it has bytes.
+Points and depths are read where they lie; sizes that do not fit are refused before anything is allocated.
 """
 
 import bz2

@@ -278,11 +278,10 @@ def _summary(
         f"{100 * on_time:.1f} % on time",
     ]
     if "prior_ate_rmse_m" in numbers:
-        removed = numbers.get("drift_removed_percent")
-        share = f": {removed:.0f} % of the drift removed" if removed is not None else ""
+        prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
+        removed = f": {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
         lines.append(
-            f"error     {numbers['prior_ate_rmse_m']:.3f} m drifting, {numbers['corrected_ate_rmse_m']:.3f} m "
-            f"corrected (ATE, root mean square){share}"
+            f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (ATE, root mean square){removed}"
         )
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
     if built is not None:

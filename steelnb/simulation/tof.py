@@ -16,9 +16,9 @@ from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
 
 SCANS_AT_ONCE = 8
 EDGE_M = 0.1
+"""Neighbouring ranges further apart than this make a depth edge, where flying pixels live."""
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""
-"""Neighbouring ranges further apart than this make a depth edge, where flying pixels live."""
 GROUND_M = 60.0
 
 
