@@ -1,7 +1,7 @@
 """The style of all figures, with one table of colours and one of names, and drawing helpers shared by them."""
 
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,25 +12,34 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from steelnb.types import Array, Segments
 
-# Okabe and Ito's palette (2008), which the colour-blind can tell apart.
-BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PURPLE = (
+# Okabe and Ito's palette (2008), which the colour-blind can tell apart, and between its colours those that stay apart.
+BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
     "#000000", "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 )  # fmt: skip
-GREY, LIGHT_GREY = "#777777", "#b8b8b8"
-COLOURS = {
-    "truth": BLACK, "drifting": VERMILION, "corrected": BLUE, "report": GREY, "built": GREEN, "true cloud": ORANGE,
-    "leg": BLACK, "ring": BLUE, "bracing": GREEN, "arm": VERMILION, "vertical": PURPLE, "orbit": SKY,
-    "none": VERMILION, "average": BLUE, "least_squares": GREEN, "least_squares_yaw": "#44AA99", "icp": BLUE,
-    "icp-3dof": SKY, "icp-3dof-dropped": "#882255", "icp-4dof": ORANGE, "gicp": "#117733", "gicp-4dof": "#999933",
-    "vgicp": "#AA4499", "best": PURPLE, "combined": "#332288",
-    "hough": VERMILION, "hough-once": "#882255", "hough-blocks": PURPLE, "ransac-lines": BLUE,
-    "ransac-lines-uniform": SKY, "ransac-planes": GREY, "gmm": GREEN, "dbscan": ORANGE,
-    "final": BLUE, "incremental": ORANGE,
+INDIGO, MAGENTA, WINE, OLIVE, LIGHT_GREEN = "#332288", "#9E2A8F", "#882255", "#999933", "#8FCF9F"
+GREY, DARK_GREY, LIGHT_GREY = "#777777", "#555555", "#b8b8b8"
+VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
+METHODS = {
+    "none": VERMILION, "average": OLIVE, "least_squares": "#5A5A2A", "least_squares_yaw": "#DDCC77", "icp": SKY,
+    "icp-3dof": GREEN, "icp-3dof-dropped": LIGHT_GREEN, "icp-4dof": "#1C7A7A", "gicp": PINK, "gicp-4dof": WINE,
+    "vgicp": "#F4C2DA", "best": MAGENTA, "combined": INDIGO,
 }  # fmt: skip
+"""Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""
+DETECTORS = {
+    "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
+    "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
+}  # fmt: skip
+"""Methods of segmentation, which no figure shows beside odometries."""
+KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
+"""Members of the tower, and the flights around it."""
+COLOURS = {
+    **VERDICTS, **METHODS, **DETECTORS, **KINDS, "truth": BLACK, "report": GREY, "member": LIGHT_GREY,
+    "points": "#c8c8c8", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY,
+}  # fmt: skip
+"""One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {
     "none": "no correction",
     "average": "average (report's)",
@@ -46,6 +55,11 @@ LABELS = {
     "least_squares_yaw": "least squares with yaw",
     "combined": "combined",
 }
+
+
+REPORT_BAND: dict[str, Any] = {"facecolor": "#ececec", "edgecolor": "#cccccc", "hatch": "////", "linewidth": 0}
+BAR_M = 2.0
+"""Length of the bar that shows the scale of a perspective."""
 
 
 class Figure(matplotlib.figure.Figure):
@@ -94,9 +108,22 @@ def draw_legend(
     figure.legend(handles=handles, **options)
 
 
+def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:
+    """A legend of the figure from the labels in all of its panels, each once."""
+    found = [zip(*panel.get_legend_handles_labels(), strict=True) for panel in figure.axes]
+    handles: dict[Any, Any] = {label: handle for pairs in found for handle, label in pairs}
+    options: dict[str, Any] = {"loc": loc, **more}
+    figure.legend(list(handles.values()), list(handles), **options)
+
+
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
+
+
+def draw_report(panel: Axes, low: float, high: float, label: str) -> None:
+    """Hatch the range of values that a figure of the report shows."""
+    panel.axhspan(low, high, **REPORT_BAND, label=label, zorder=0)
 
 
 def draw_sample(
@@ -121,11 +148,6 @@ def draw_sample(
     return centre
 
 
-def draw_bars(axis, bars: Array, **look) -> None:  # type: ignore[no-untyped-def]
-    """Draw bars ``(M, 2, 3)`` into a 3D axis."""
-    axis.add_collection3d(Line3DCollection(bars, **look), autolim=False)
-
-
 def end_points(segments: Segments) -> Array:
     """Both ends of each segment ``(M, 2, 3)``."""
     return np.stack([segments.start, segments.end], axis=1)
@@ -134,21 +156,6 @@ def end_points(segments: Segments) -> Array:
 def thinned(points: Array, count: int) -> Array:
     """At most ``count`` of the points ``(N, 3)``, evenly over their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
-
-
-def frame_3d(axis, points: Array, azimuth_deg: float = -60, zoom: float = 1.25) -> None:  # type: ignore[no-untyped-def]
-    """Equal scales around ``points (N, 3)``, seen from 12° above without perspective; a tick every 4 m."""
-    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
-    axis.set_proj_type("ortho")
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axis.set_box_aspect(high - low, zoom=zoom)
-    axis.view_init(12, azimuth_deg)
-    for name, sides in zip("xyz", zip(low, high, strict=True), strict=True):
-        first = sides[0] if name != "y" else sides[0] + 1  # the first of y would lie on the last of x
-        getattr(axis, f"set_{name}ticks")(np.arange(4 * np.ceil(first / 4), sides[1] + 0.1, 4))
-        getattr(axis, f"set_{name}label")(f"{name} (m)", labelpad=-2 if name != "z" else -4)
-        getattr(axis, f"{name}axis").set_pane_color((1, 1, 1, 0))
-        axis.tick_params(axis=name, pad=-2)
 
 
 def project_perspective(points: Array, cloud: Array) -> Array:
@@ -164,3 +171,19 @@ def project_perspective(points: Array, cloud: Array) -> Array:
     distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
     flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
+
+
+def draw_bars(panel: Axes, bars: Array, cloud: Array, **look: Any) -> None:
+    """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
+    draw_lines(panel, project_perspective(bars, cloud), **look)
+
+
+def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = ()) -> None:
+    """Limits of a panel in which `project_perspective` shows ``cloud (N, 3)`` and ``more``, with a bar for the scale in
+    place of axes."""
+    flat = project_perspective(np.concatenate([cloud, *more]), cloud)
+    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
+    panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
+    panel.set_axis_off()
+    panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
+    panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
