@@ -23,8 +23,8 @@ from steelnb.report.style import (
     LABELS,
     Figure,
     draw_bars,
+    draw_paths,
     end_points,
-    frame_perspective,
     gather_legend,
     project_perspective,
     style,
@@ -131,7 +131,7 @@ def figure_scene(
     from plotly.subplots import make_subplots
 
     tracks, errors = tracks_and_errors(prior, corrected, truth)
-    colours = track_colours(method)
+    colours = {name: COLOURS[key] for name, key in track_keys(method).items()}
     low, high = corners(cloud, tracks)
     rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
     if not errors:
@@ -140,9 +140,8 @@ def figure_scene(
     traces = []
     if members is not None:
         low[2] = 0.0
-        traces.append(
-            _path(_apart(members[(members[:, :, 2] <= high[2]).all(axis=1)]), "true members", COLOURS["member"], 2)
-        )
+        members = members[(members[:, :, 2] <= high[2]).all(axis=1)]
+        traces.append(_path(_apart(members), "true members", COLOURS["member"], 2))
     marker = {"size": 1, "color": COLOURS["points"], "opacity": 0.5}
     traces.append(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker))
     traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["bars found"], 6))
@@ -190,9 +189,9 @@ def tracks_and_errors(
     return {"true": truth.position, **tracks}, errors
 
 
-def track_colours(method: str) -> dict[str, str]:
-    """The colour of each of `tracks_and_errors`, where a method corrected."""
-    return {"true": COLOURS["truth"], "drifting": COLOURS["none"], "corrected": COLOURS[method]}
+def track_keys(method: str) -> dict[str, str]:
+    """The key of the colour of each of `tracks_and_errors`, where a method corrected."""
+    return {"true": "truth", "drifting": "none", "corrected": method}
 
 
 def corners(cloud: Array, tracks: dict[str, Array]) -> tuple[Array, Array]:
@@ -223,24 +222,19 @@ def figure_flight(view: View) -> Figure:
     figure = Figure(figsize=(11, 5.6))
     scene, curve = figure.subplots(1, 2, width_ratios=(1, 1.2))
     tracks, errors = tracks_and_errors(*view.trajectories)
-    method, low_high = view.result.settings.odometry.method, corners(view.cloud, tracks)
-    colours, axes = track_colours(method), view.result.truth.tower.axes
-    axes = axes[(axes[:, :, 2] <= low_high[1][2]).all(axis=1)]
-    around = axes.reshape(-1, 3)
+    method, highest_m = view.result.settings.odometry.method, corners(view.cloud, tracks)[1][2]
+    axes = view.result.truth.tower.axes
+    axes = axes[(axes[:, :, 2] <= highest_m).all(axis=1)]
+    around, keys = axes.reshape(-1, 3), track_keys(method)
     draw_bars(scene, axes, around, colors=COLOURS["member"], linewidths=0.7, label="true members")
-    points = project_perspective(view.cloud[::4], around).T
-    scene.scatter(*points, s=0.6, color=COLOURS["points"], linewidths=0, label="cloud")
-    draw_bars(
-        scene, end_points(view.segments), around, colors=COLOURS["bars found"], linewidths=1.8, label="bars found"
-    )
-    for name, positions in tracks.items():
-        path = project_perspective(positions, around).T
-        scene.plot(*path, color=colours[name], linewidth=3.2 if name == "true" else 1.4)
+    x, y = project_perspective(view.cloud[::4], around).T
+    scene.scatter(x, y, s=0.6, color=COLOURS["points"], linewidths=0, label="cloud")
+    bars = end_points(view.segments)
+    draw_bars(scene, bars, around, colors=COLOURS["bars found"], linewidths=1.8, label="bars found")
+    draw_paths(scene, {keys[name]: at for name, at in tracks.items()}, around, {"truth": "true"})
     for name, (time_s, error) in errors.items():
-        label = f"{LABELS[method] if name == 'corrected' else name}: mean {error.mean():.3f} m"
-        curve.plot(time_s, error, color=colours[name], label=label)
-    curve.plot([], [], color=COLOURS["truth"], linewidth=3.2, label="true")
-    frame_perspective(scene, around, list(tracks.values()))
+        label = f"{LABELS[keys[name]]}: mean {error.mean():.3f} m"
+        curve.plot(time_s, error, color=COLOURS[keys[name]], label=label)
     curve.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, time_s[-1]))
     gather_legend(figure, ncols=3, markerscale=8)
     figure.suptitle(f"{caption([view.result])}, {LABELS[method]}")
@@ -309,11 +303,6 @@ class Panel:
 
     def _bundle(self) -> dict[str, Any]:
         view = self.view
-        picture = figure_scene(
-            *view.trajectories,
-            view.cloud,
-            view.segments,
-            view.result.truth.tower.axes,
-            view.result.settings.odometry.method,
-        )
+        members, method = view.result.truth.tower.axes, view.result.settings.odometry.method
+        picture = figure_scene(*view.trajectories, view.cloud, view.segments, members, method)
         return plotly_bundle(picture, view.summary)

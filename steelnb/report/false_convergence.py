@@ -14,7 +14,7 @@ from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import caption, case_of
-from steelnb.report.style import BLACK, GREY, Figure, draw_legend, style
+from steelnb.report.style import BLACK, COLOURS, GREY, Figure, draw_legend, style
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.study.row import WRONG_M
@@ -100,7 +100,7 @@ def figure_basins(
         grid = basin.assign(error_m=basin["error_m"].mask(basin["refused"])).pivot(index="z_m", columns="x_m")
         error, refused = grid["error_m"], grid["refused"].astype(float).replace(0.0, np.nan)
         image = panel.pcolormesh(error.columns, error.index, error, cmap="viridis", vmin=0, vmax=1.0, shading="nearest")
-        grey = ListedColormap(["#dddddd"])
+        grey = ListedColormap([COLOURS["refused"]])
         panel.pcolormesh(error.columns, error.index, refused, cmap=grey, shading="nearest")
         stayed = basin[basin["stayed"]]
         panel.plot(stayed["x_m"], stayed["z_m"], ".", color=BLACK, markersize=2.5)
@@ -118,13 +118,12 @@ def figure_basins(
     panels[0].set_ylabel("start off along z (m)")
     bar = figure.colorbar(image, ax=list(panels), shrink=0.75, extend="max")
     bar.set_label(f"error at the end (m); right below {RIGHT_M:g}")
-    keys: dict[str, dict[str, Any]] = {
-        "refused: the odometry keeps the prior": {"facecolor": "#dddddd", "edgecolor": "#dddddd"},
-        "stayed at its start: it trusts its prior": {
-            "color": BLACK, "marker": ".", "ls": "", "ms": 5,
-        },
+    dot: dict[str, Any] = {"color": BLACK, "marker": ".", "ls": "", "ms": 5}
+    keys = {
+        "refused: the odometry keeps the prior": {"facecolor": COLOURS["refused"]},
+        "stayed at its start: it trusts its prior": dot,
         "basin: all starts within converge to the truth": {"color": GREY, "ls": "--"},
-    }  # fmt: skip
+    }
     draw_legend(figure, keys, ncols=2)
     figure.suptitle(f"Scan {frame} of {caption(pd.DataFrame([case_of(settings)]))}")
     return figure

@@ -1,6 +1,6 @@
 """Notebooks 02 to 06: figures of odometries (3.2, 3.3, 3.5–3.10, 5.2, 5.3): errors, methods side by side, clouds."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,12 @@ from steelnb.report.style import (
     COLOURS,
     GREY,
     LABELS,
+    REPORT_BAND,
     Figure,
     draw_bars,
     draw_legend,
-    draw_report,
-    frame_perspective,
+    draw_paths,
     gather_legend,
-    project_perspective,
     style,
     thinned,
 )
@@ -35,13 +34,12 @@ DECADES = ([0.01, 0.03, 0.1, 0.3, 1, 3], ["0.01", "0.03", "0.1", "0.3", "1", "3"
 ERROR_MIN_M = 0.005
 """Where a logarithmic axis of errors begins, as errors do at zero."""
 REPORT_FIGURES = {
-    ("random-walk", "icp"): "3.7",
-    ("random-walk", "icp-3dof"): "3.8",
-    ("random-walk", "gicp"): "3.9",
-    ("random-walk+yaw-random-walk", "gicp"): "5.2, 5.3",
+    "random-walk": {"icp": "3.7", "icp-3dof": "3.8", "gicp": "3.9"},
+    "random-walk+yaw-random-walk": {"gicp": "5.2, 5.3"},
 }
-"""The report's figures of clouds, by noise and method."""
+"""The report's figures of clouds: noise → method → number."""
 SMOOTHED_S = 10.0
+Range = tuple[float, float]
 
 
 @style()
@@ -61,31 +59,24 @@ def figure_segment_errors(results: Sequence[Result]) -> Figure:
         last = of_noise[-1]
         scene, curve = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1], sharey=first)
         first = first or curve
-        _draw_paths(scene, last)
+        _draw_flight(scene, last)
         _draw_errors(curve, {_with_numbers(result): result for result in of_noise})
         label = f"report: up to {report['max_m']} m"
         _draw_report(curve, (0.0, report["max_m"]), (report["raw_final_m"],) * 2, label)
-        curve.axhline(
-            report["mean_m"], color=COLOURS["report"], ls="--", lw=1.2, label=f"report: about {report['mean_m']} m"
-        )
+        usual = f"report: about {report['mean_m']} m"
+        curve.axhline(report["mean_m"], color=COLOURS["report"], linestyle="--", linewidth=1.2, label=usual)
         curve.plot([], [], color=COLOURS["truth"], label="true path (left)")
         curve.set(ylabel="distance to the truth (m)", title=caption(of_noise), xlabel=_scans(last))
         curve.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=10)
     return figure
 
 
-def _draw_paths(panel: Axes, result: Result) -> None:
+def _draw_flight(panel: Axes, result: Result) -> None:
     """Draw the tower with the true, the drifting and the corrected path of a run, in perspective."""
     truth, tower = result.truth.trajectory, result.truth.tower
     draw_bars(panel, tower.axes, tower.vertices, colors=COLOURS["member"], linewidths=0.5)
-    paths = {
-        "truth": (truth, 3.2),
-        "none": (result.prior, 1.0),
-        result.settings.odometry.method: (result.corrected, 1.2),
-    }
-    for name, (path, width) in paths.items():
-        panel.plot(*project_perspective(path.position, tower.vertices).T, color=COLOURS[name], linewidth=width)
-    frame_perspective(panel, tower.vertices, [path.position for path, _ in paths.values()])
+    paths = {"truth": truth, "none": result.prior, result.settings.odometry.method: result.corrected}
+    draw_paths(panel, {name: path.position for name, path in paths.items()}, tower.vertices)
 
 
 def _with_numbers(result: Result) -> str:
@@ -98,21 +89,19 @@ def _scans(result: Result) -> str:
     return f"ToF scan ({result.settings.tof.rate_hz:g} Hz)"
 
 
-def _draw_errors(panel: Axes, results: Mapping[str, Result], **look: Any) -> None:
+def _draw_errors(panel: Axes, results: Mapping[str, Result]) -> None:
     """Draw the distance to the truth of some runs, by label, over the scans."""
     for label, result in results.items():
         error = position_error_m(result.corrected, result.truth.trajectory)
-        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label, **look)
+        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label)
     panel.set(xlim=(0, len(error) - 1))
 
 
-def _draw_report(
-    panel: Axes, shown: tuple[float, float] | None, raw_end: tuple[float, float] | None, label: str
-) -> None:
+def _draw_report(panel: Axes, shown: Range | None, raw_end: Range | None, label: str) -> None:
     """Draw what the report shows behind errors, whose axis turns logarithmic: the range of its corrected error as a
     band, and at the right edge that of the drift at its end."""
     if shown:
-        draw_report(panel, max(shown[0], 0.1 * ERROR_MIN_M), shown[1], label)
+        panel.axhspan(max(shown[0], 0.1 * ERROR_MIN_M), shown[1], **REPORT_BAND, label=label)
     if raw_end:
         look: dict[str, Any] = {"color": COLOURS["none"], "marker": "D", "ms": 7, "mec": "white", "clip_on": False}
         place = panel.get_xlim()[1]
@@ -167,9 +156,8 @@ def figure_methods(rows: pd.DataFrame) -> Figure:
         panel.axvline(group["raw_ate_rmse_m"].iloc[0], color=COLOURS["none"], linestyle="--", linewidth=1.2)
         panel.set(xscale="log", xlabel="error (m)", title=f"{flight}, {noise}")
         panel.set_xticks(*DECADES)
-        panel.set_xlim(
-            min(0.012, 0.8 * rows["error_mean_m"].min()), 1.3 * rows[["error_max_m", "raw_ate_rmse_m"]].max().max()
-        )
+        largest_m = rows[["error_max_m", "raw_ate_rmse_m"]].to_numpy().max()
+        panel.set_xlim(min(0.012, 0.8 * rows["error_mean_m"].min()), 1.3 * largest_m)
         panel.minorticks_off()
     panels[0].set_yticks(range(len(names)), [f"{LABELS[m]}\n{kind} map" for m, kind in names], fontsize=9)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
@@ -207,7 +195,9 @@ def figure_error_curves(results: Sequence[Result]) -> Figure:
             panel.plot(rms, color=COLOURS[method], linestyle="--" if method == "none" else "-", label=LABELS[method])
         panel.set_xlim(0, len(square) - 1)
         panel.set(xlabel=_scans(of_flight[0]), ylabel=f"error (m), RMS over {SMOOTHED_S:g} s")
-        panel.set(yscale="log", title=f"{flights[column]} flight, by {('segments', 'clouds')[row]}", ylim=(5e-3, None))
+        panel.set(
+            yscale="log", title=f"{flights[column]} flight, by {('segments', 'clouds')[row]}", ylim=(ERROR_MIN_M, None)
+        )
         panel.set_yticks(*DECADES)
         panel.label_outer()
     gather_legend(figure, ncols=4)
@@ -235,9 +225,9 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
             _draw_clouds(panel, built, true, method, across)
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
         panels[0].set_ylabel("z (m)")
-        shown = REPORT_FIGURES.get((result.settings.noise_name, method))
+        shown = REPORT_FIGURES.get(result.settings.noise_name, {}).get(method)
         frame.suptitle(LABELS[method] + (f" (report's {shown})" if shown else ""), fontsize=12)
-    _draw_cloud_legend(figure, clouds)
+    gather_legend(figure, ncols=len(clouds) + 1)
     return figure
 
 
@@ -260,13 +250,12 @@ def figure_slip(
         span = np.array(gap) * first.settings.tof.rate_hz
         curve.axvspan(*span, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
     curve.set(xlabel=_scans(first), ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
-    curve.legend(loc="upper left", fontsize=10)
     for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
         near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
         _draw_clouds(panel, built[near], true[near], results[label].settings.odometry.method, 0, size=2.0)
         panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
         panel.set(title=label, ylabel="z (m)")
-    _draw_cloud_legend(figure, [result.settings.odometry.method for result in results.values()])
+    gather_legend(figure, ncols=4)
     figure.suptitle(caption([first]))
     return figure
 
@@ -278,15 +267,10 @@ def _draw_clouds(panel: Axes, built: Array, true: Array, method: str, across: in
     colours = np.repeat([COLOURS[name] for name in clouds], [len(cloud) for cloud in clouds.values()])
     order = np.random.default_rng(0).permutation(len(points))  # neither cloud hides the other
     panel.scatter(points[order, across], points[order, 2], s=size, c=colours[order], linewidths=0, rasterized=True)
+    for name, label in {"truth": "at the true poses", method: f"at the poses of {LABELS[method]}"}.items():
+        panel.plot([], [], "o", color=COLOURS[name], label=label)
     panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)")
     panel.grid(alpha=0.2)
-
-
-def _draw_cloud_legend(figure: Figure, methods: Iterable[str]) -> None:
-    """The legend of `_draw_clouds`."""
-    labels = {"truth": "at the true poses"} | {name: f"at the poses of {LABELS[name]}" for name in methods}
-    looks = {label: {"color": COLOURS[name], "marker": "o", "ls": "", "ms": 6} for name, label in labels.items()}
-    draw_legend(figure, looks)
 
 
 @style()

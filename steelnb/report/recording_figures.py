@@ -7,7 +7,6 @@ from matplotlib.ticker import MaxNLocator
 from steelnb.report.style import BLUE, COLOURS, GREEN, LABELS, PINK, Figure, gather_legend, style, thinned
 from steelnb.types import Array, Scan, Trajectory
 
-DRIFTING = "drifting"
 AXES = {"x": BLUE, "y": PINK, "z": GREEN}
 POINTS_MAX = 40_000
 
@@ -57,7 +56,7 @@ def figure_recorded_errors(stamp_s: Array, prior_m: Array, corrected_m: Array, m
     figure = Figure(figsize=(9, 4.2))
     panel = figure.add_subplot()
     time_s = stamp_s - stamp_s[0]
-    named = ((DRIFTING, prior_m, COLOURS["none"]), (LABELS[method], corrected_m, COLOURS[method]))
+    named = (("drifting", prior_m, COLOURS["none"]), (LABELS[method], corrected_m, COLOURS[method]))
     for label, error, colour in named:
         rms = float(np.sqrt((error**2).mean()))
         panel.plot(time_s, error, color=colour, label=f"{label}: rms {rms:.3f} m, max {error.max():.3f} m")
@@ -72,7 +71,7 @@ def figure_recorded_trajectories(
     prior: Trajectory, corrected: Trajectory, truth: Trajectory | None, method: str, title: str
 ) -> Figure:
     """The path from above and from the side on which it is widest, at one scale, metres in the world frame."""
-    named = [(DRIFTING, prior, COLOURS["none"], 1.2), (LABELS[method], corrected, COLOURS[method], 1.3)]
+    named = [("drifting", prior, COLOURS["none"], 1.2), (LABELS[method], corrected, COLOURS[method], 1.3)]
     if truth is not None:
         named.insert(1, ("truth", truth, COLOURS["truth"], 3.6))  # wide: the corrected path lies on it
     everything = np.concatenate([path.position for _, path, _, _ in named])

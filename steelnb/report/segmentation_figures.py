@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from steelnb.report.batch import seeds_text
-from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, USUAL, Scene, Trial
+from steelnb.report.segmentation import CHOSEN, CLUTTER, FIXED, NOISE_M, REFERENCE, USUAL, Scene, Trial
 from steelnb.report.style import (
     BLACK,
     COLOURS,
@@ -44,6 +44,7 @@ CONDITIONS = {
 RECALL_MIN = 0.05
 """Below this recall, the precision and the errors of the segments are those of one or two."""
 UNDRAWN = f"recall below {RECALL_MIN:.0%}: no precision and no errors, which would be those of one or two segments"
+USUALLY = f"sensor starling2, range noise {100 * NOISE_M:g} cm, clutter {CLUTTER:.0%}"
 NUMBERS = {
     "recall": ("recall", 1.0),
     "precision": ("precision", 1.0),
@@ -83,21 +84,10 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
 
 
 def _caption(scenes: Iterable[Scene]) -> str:
-    """The scenes of some trials, and their conditions where these are all the same."""
+    """The scenes of some trials at the usual conditions."""
     scenes = list(dict.fromkeys(scenes))
-    seeds = seeds_text(scene.seed for scene in scenes)
     what = {"frame": "single frames", "sequence": "vertical flight", "tower": "both flights at once"}[scenes[0].name]
-    return f"{what}, {seeds}, sensor starling2, {_conditions()}"
-
-
-def _conditions(but: str = "") -> str:
-    """The usual conditions, but for one that is varied."""
-    texts = {
-        "noise_m": f"range noise {100 * USUAL['noise_m']:g} cm",
-        "clutter": f"clutter {USUAL['clutter']:.0%}",
-        "kept": f"{USUAL['kept']:.0%} of the points",
-    }
-    return ", ".join(text for name, text in texts.items() if name != but)
+    return f"{what}, {seeds_text(scene.seed for scene in scenes)}, {USUALLY}"
 
 
 def _draw_found(panel: Axes, trial: Trial) -> None:
@@ -155,9 +145,7 @@ def figure_conditions(cases: pd.DataFrame, seeds: Sequence[int]) -> Figure:
     panels[0, -1].set_xscale("log", base=2)
     panels[0, -1].set_xticks(ticks, [f"{value:.3g}" for value in ticks])
     gather_legend(figure, ncols=3)
-    figure.suptitle(
-        f"Single frames, {seeds_text(seeds)}, sensor starling2, else {_conditions()}\n({UNDRAWN})", fontsize=11
-    )
+    figure.suptitle(f"Single frames, {seeds_text(seeds)}, else {USUALLY}, all points\n({UNDRAWN})", fontsize=11)
     return figure
 
 
@@ -200,7 +188,7 @@ def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame, seeds: Sequence[int]
             image = _draw_map(panels[row, column], table, by, number, low)
         panels[1, column].set_xlabel("dx (cm)")
     figure.colorbar(image, ax=panels, shrink=0.6, label="recall or precision")
-    figure.suptitle(f"Hough, a frame of {seeds_text(seeds)}, sensor starling2, {_conditions('noise_m')}", fontsize=12)
+    figure.suptitle(f"Hough, a frame of {seeds_text(seeds)}, {USUALLY}", fontsize=12)
     return figure
 
 
@@ -253,5 +241,5 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     dot: dict[str, Any] = {"color": GREY, "marker": "o", "ls": "", "ms": 4}
     draw_legend(figure, {"a seed": dot, "mean, of times median": {"color": BLACK, "lw": 2.0}})
-    figure.suptitle(f"Single frames, {seeds_text(table['seed'])}, sensor starling2, {_conditions()}", fontsize=12)
+    figure.suptitle(f"Single frames, {seeds_text(table['seed'])}, {USUALLY}", fontsize=12)
     return figure

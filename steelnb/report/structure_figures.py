@@ -38,7 +38,6 @@ from steelnb.types import Array
 POSES = {"raw": "drifting poses", "corrected": "corrected poses", "true": "true poses"}
 AXES = {"middle of points": SKY, "section fitted": BLUE}
 MARKERS = {"final": "o", "incremental": "s"}
-MISSES = "#f1e4dc"
 TOWER_IN = 7.0
 OBSERVED_FROM = 100  # points
 
@@ -222,12 +221,12 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
         low, high = (0.0, 1.15 * max(high, limit)) if at_most else (min(low, limit) - 1, 101.0)
         panel.set(xlim=(-0.5, len(towers) - 0.5), ylim=(low, high), ylabel=unit)
         panel.set_title(f"{name}: {goal['side']} {limit:g} {unit}", fontsize=11)
-        panel.axhspan(*((limit, high) if at_most else (low, limit)), color=MISSES, zorder=0)
+        panel.axhspan(*((limit, high) if at_most else (low, limit)), color=COLOURS["misses"], zorder=0)
         panel.set_xticks(range(len(towers)), towers)
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
     keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": DARK_GREY, "lw": 1.2, "ls": "--"}}
-    draw_legend(figure, keys | {"misses the goal": {"facecolor": MISSES}})
+    draw_legend(figure, keys | {"misses the goal": {"facecolor": COLOURS["misses"]}})
     figure.suptitle(f"{caption(table.drop(columns='tower'))}, poses corrected by {LABELS[table['odometry'].iloc[0]]}")
     return figure
 

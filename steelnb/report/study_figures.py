@@ -10,18 +10,7 @@ from matplotlib.axes import Axes
 
 from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
 from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, ONLY_WHEN, USUAL, Claim, Verdict
-from steelnb.report.style import (
-    COLOURS,
-    DARK_GREY,
-    GREY,
-    LABELS,
-    REPORT_BAND,
-    Figure,
-    draw_legend,
-    draw_report,
-    draw_sample,
-    style,
-)
+from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, draw_sample, style
 from steelnb.types import Array
 
 PERCENTILES = (10, 50, 90)
@@ -67,10 +56,8 @@ def figure_accuracy(table: pd.DataFrame, goal_m: float, worst_m: float) -> Figur
     for k, (key, values) in enumerate(groups):
         case, method = map(str, cast(tuple, key))
         mean = draw_sample(panel, k, 100 * values.to_numpy(), COLOURS[method], width=0.45, alpha=0.8)
-        missed = mean > 100 * goal_m
-        text = f"{mean:.1f}\nmisses\nthe goal" if missed else f"{mean:.1f}"
-        weight = "bold" if missed else "normal"
-        panel.annotate(text, (k + 0.27, mean), va="center", fontsize=10, bbox=WHITE, weight=weight)
+        text = f"{mean:.1f}" + ("\nmisses\nthe goal" if mean > 100 * goal_m else "")
+        panel.annotate(text, (k + 0.27, mean), va="center", fontsize=10, bbox=WHITE)
         short = case.replace("+yaw-random-walk", "\n+ yaw walk").replace(", blind", ",\nblind")
         labels.append(f"{short}\n{LABELS[method]}")
     seeds = {"color": GREY, "marker": "o", "ls": ""}
@@ -98,20 +85,21 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
     cases = list(dict.fromkeys(zip(runs["noise"], runs["trajectory"], strict=True))) or [("", "")]
     figure = Figure(figsize=(1.0 + 2.5 * max(len(cases), 2), 1.6 + 2.0 * len(methods)))
     grid = figure.subplots(len(methods), len(cases), sharex=True, sharey=True, squeeze=False)
-    lowest, of_report = 0.1, False
+    of_report = False
     for row, method in enumerate(methods):
         for column, (noise, trajectory) in enumerate(cases):
             panel = grid[row, column]
             case = (runs["noise"] == noise) & (runs["trajectory"] == trajectory) & (runs["method"] == method)
-            lowest = min(lowest, _draw_bands(panel, runs[case & (runs["status"] == "ok")], method))
+            _draw_bands(panel, runs[case & (runs["status"] == "ok")], method)
             panel.set(xlabel="time (s)", ylabel=f"{LABELS[method]}\nerror (m)")
             panel.label_outer()
             if row == 0:
                 panel.set_title(f"{trajectory}\n{noise.replace('+yaw-random-walk', ' + yaw')}", fontsize=11)
-    grid[0, 0].set(yscale="log", ylim=(0.8 * lowest, 10.0))
+    grid[0, 0].set_yscale("log")
+    lowest_m = grid[0, 0].get_ylim()[0]
     grid[0, 0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     for (row, column), panel in np.ndenumerate(grid):
-        of_report |= _draw_report(panel, *cases[column], methods[row], lowest)
+        of_report |= _draw_report(panel, *cases[column], methods[row], lowest_m)
     keys: dict[str, dict[str, Any]] = {LABELS["none"]: {"color": COLOURS["none"], "ls": "--"}}
     keys |= {LABELS[method]: {"color": COLOURS[method]} for method in methods}
     keys["10–90 % of the seeds"] = {"facecolor": GREY, "alpha": 0.3}
@@ -123,31 +111,27 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
     return figure
 
 
-def _draw_bands(panel: Axes, runs: pd.DataFrame, method: str) -> float:
-    """Draw both errors of some runs; the lowest median is given back."""
+def _draw_bands(panel: Axes, runs: pd.DataFrame, method: str) -> None:
+    """Draw both errors of some runs."""
     if runs.empty:
         panel.text(0.5, 0.5, "not run", transform=panel.transAxes, ha="center", va="center", color=GREY)
-        return float("inf")
-    lowest = []
+        return
     looks = (("curve_raw_m", COLOURS["none"], "--", 0.13), ("curve_error_m", COLOURS[method], "-", 0.3))
     for name, colour, dashes, alpha in looks:
         time, (low, median, high) = percentile_bands(runs, name)
         shown = time > 0  # at the start the error is zero, which has no logarithm
         panel.fill_between(time[shown], low[shown], high[shown], color=colour, alpha=alpha, linewidth=0)
         panel.plot(time[shown], median[shown], color=colour, linestyle=dashes)
-        lowest.append(float(np.nanmin(low[shown])))
     panel.set_xlim(0, time[-1])
-    return min(lowest)
 
 
-def _draw_report(panel: Axes, noise: str, trajectory: str, method: str, lowest: float) -> bool:
-    """The range of the report's corrected error, where it shows one, from no less than a tenth of the ``lowest`` error
-    that is drawn; True then."""
+def _draw_report(panel: Axes, noise: str, trajectory: str, method: str, lowest_m: float) -> bool:
+    """The range of the report's corrected error down to ``lowest_m``, where it shows one; True then."""
     found = REPORT_CLOUD_ODOMETRY.get(noise, {}).get(method, {}).get(trajectory)
     if method == "average" and noise in REPORT_CLOUD_ODOMETRY and trajectory in REPORT_SEGMENT_ODOMETRY:
         found = (0.0, REPORT_SEGMENT_ODOMETRY[trajectory]["max_m"])
     if found:
-        draw_report(panel, max(found[0], 0.1 * lowest), found[1], "")
+        panel.axhspan(max(found[0], lowest_m), found[1], **REPORT_BAND)
     return found is not None
 
 
@@ -195,7 +179,7 @@ def _draw_claim(panel: Axes, verdict: Verdict) -> None:
     right = first - reach if claim.comparison == "below" else first + reach
     end = last if claim.comparison == "between" else right
     panel.axvspan(first, end, color=COLOURS["right"], alpha=0.1, linewidth=0)
-    panel.axvline(first, color=DARK_GREY, linewidth=0.9, zorder=0)
+    panel.axvline(first, color=GREY, linewidth=0.9, zorder=0)
     for y, cell in enumerate(rows):
         mark, name = MARKS[HOLDS if cell["holds"] else FAILS]
         panel.plot([cell["low"], cell["high"]], [y, y], color=COLOURS[name])

@@ -23,10 +23,20 @@ INDIGO, MAGENTA, WINE, OLIVE, LIGHT_GREEN = "#332288", "#9E2A8F", "#882255", "#9
 GREY, DARK_GREY, LIGHT_GREY = "#777777", "#555555", "#b8b8b8"
 VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
 METHODS = {
-    "none": VERMILION, "average": OLIVE, "least_squares": "#5A5A2A", "least_squares_yaw": "#DDCC77", "icp": SKY,
-    "icp-3dof": GREEN, "icp-3dof-dropped": LIGHT_GREEN, "icp-4dof": "#1C7A7A", "gicp": PINK, "gicp-4dof": WINE,
-    "vgicp": "#F4C2DA", "best": MAGENTA, "combined": INDIGO,
-}  # fmt: skip
+    "none": ("no correction", VERMILION),
+    "average": ("average (report's)", OLIVE),
+    "least_squares": ("least squares", "#5A5A2A"),
+    "icp": ("ICP", SKY),
+    "icp-3dof": ("3-DoF ICP", GREEN),
+    "icp-3dof-dropped": ("3-DoF ICP, rotation dropped", LIGHT_GREEN),
+    "icp-4dof": ("4-DoF ICP", "#1C7A7A"),
+    "gicp": ("GICP", PINK),
+    "gicp-4dof": ("4-DoF GICP", WINE),
+    "vgicp": ("VGICP", "#F4C2DA"),
+    "best": ("best", MAGENTA),
+    "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
+    "combined": ("combined", INDIGO),
+}
 """Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""
 DETECTORS = {
     "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
@@ -36,28 +46,14 @@ DETECTORS = {
 KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
 """Members of the tower, and the flights around it."""
 COLOURS = {
-    **VERDICTS, **METHODS, **DETECTORS, **KINDS, "truth": BLACK, "report": GREY, "member": LIGHT_GREY,
-    "points": "#c8c8c8", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY,
+    **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS,
+    "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
+    "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "misses": "#f1e4dc", "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
-LABELS = {
-    "none": "no correction",
-    "average": "average (report's)",
-    "least_squares": "least squares",
-    "icp": "ICP",
-    "icp-3dof": "3-DoF ICP",
-    "icp-3dof-dropped": "3-DoF ICP, rotation dropped",
-    "icp-4dof": "4-DoF ICP",
-    "gicp": "GICP",
-    "gicp-4dof": "4-DoF GICP",
-    "vgicp": "VGICP",
-    "best": "best",
-    "least_squares_yaw": "least squares with yaw",
-    "combined": "combined",
-}
-
-
+LABELS = {name: label for name, (label, _) in METHODS.items()}
 REPORT_BAND: dict[str, Any] = {"facecolor": "#ececec", "edgecolor": "#cccccc", "hatch": "////", "linewidth": 0}
+"""Look of a range of values that a figure of the report shows."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
@@ -121,11 +117,6 @@ def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
 
 
-def draw_report(panel: Axes, low: float, high: float, label: str) -> None:
-    """Hatch the range of values that a figure of the report shows."""
-    panel.axhspan(low, high, **REPORT_BAND, label=label, zorder=0)
-
-
 def draw_sample(
     panel: Axes,
     place: float,
@@ -176,6 +167,15 @@ def project_perspective(points: Array, cloud: Array) -> Array:
 def draw_bars(panel: Axes, bars: Array, cloud: Array, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
     draw_lines(panel, project_perspective(bars, cloud), **look)
+
+
+def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, labels: Mapping[str, str] | None = None) -> None:
+    """Draw positions ``(N, 3)`` by name of their colour into a panel as `project_perspective` shows them, the truth
+    wide below the others, with `frame_perspective` around them."""
+    for name, positions in paths.items():
+        x, y = project_perspective(positions, cloud).T
+        panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=(labels or {}).get(name))
+    frame_perspective(panel, cloud, list(paths.values()))
 
 
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = ()) -> None:

@@ -14,9 +14,8 @@ from steelnb.report.style import (
     Figure,
     draw_bars,
     draw_lines,
-    frame_perspective,
+    draw_paths,
     gather_legend,
-    project_perspective,
     style,
 )
 from steelnb.settings import NoiseSettings
@@ -24,8 +23,7 @@ from steelnb.simulation import Tower, Truth
 from steelnb.types import Array, Flight, Trajectory
 
 RATE_HZ = 125.0
-SHOWN = 8
-"""Seeds whose drift is drawn by itself."""
+SEEDS_DRAWN = 8
 
 
 def flight_table(flights: dict[str, tuple[Flight, Truth]]) -> pd.DataFrame:
@@ -113,10 +111,8 @@ def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
         draw_bars(scene, bars, tower.vertices, **look)
         for across, side in enumerate(sides):
             draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
-    for name, flight in flights.items():
-        path = project_perspective(flight.position, tower.vertices)
-        scene.plot(*path.T, color=COLOURS[name], linewidth=1.3, label=f"{name} flight")
-    frame_perspective(scene, tower.vertices, [flight.position for flight in flights.values()])
+    paths = {name: flight.position for name, flight in flights.items()}
+    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in flights})
     for across, side in enumerate(sides):
         reach = np.abs(tower.axes[..., across]).max() + 0.3
         side.set(xlim=(-reach, reach), ylim=(-0.3, tower.settings.height_m + 0.5), aspect="equal")
@@ -140,17 +136,15 @@ def figure_drift(curves: Mapping[str, tuple[Array, Array]], claim: str) -> Figur
         scale = np.degrees(1.0) if yaw else 1.0
         minutes = stamp / 60
         thin = slice(None, None, max(1, len(stamp) // 500))
-        panel.plot(minutes[thin], scale * errors[:SHOWN, thin].T, color=GREY, linewidth=0.7, alpha=0.8)
-        panel.plot([], [], color=GREY, linewidth=0.9, label=f"{len(errors[:SHOWN])} single seeds")
+        panel.plot(minutes[thin], scale * errors[:SEEDS_DRAWN, thin].T, color=GREY, linewidth=0.7, alpha=0.8)
+        panel.plot([], [], color=GREY, linewidth=0.9, label=f"{len(errors[:SEEDS_DRAWN])} single seeds")
         rms = scale * np.sqrt((errors**2).mean(axis=0))
         panel.plot(minutes[thin], rms[thin], color=BLUE, label=f"RMS of {len(errors)} seeds")
         panel.plot(
             minutes[thin], scale * expected_drift(name, stamp[thin]), "--", color=COLOURS["truth"], label="expected"
         )
         if name == claim:
-            panel.plot(
-                3, 1.0, "*", color=COLOURS["report"], markersize=16, mec="white", zorder=5, label="report: about 1 m"
-            )
+            panel.plot(3, 1.0, "*", color=COLOURS["report"], ms=16, mec="white", zorder=5, label="report: about 1 m")
         panel.set(title=name, xlabel="time (min)", ylabel="heading error (°)" if yaw else "position error (m)")
         panel.set_ylim(bottom=0)
         panel.legend(loc="upper left", fontsize=9)
