@@ -120,7 +120,7 @@ def figure_basins(
     bar.set_label(f"error at the end (m); right below {RIGHT_M:g}")
     dot: dict[str, Any] = {"color": BLACK, "marker": ".", "ls": "", "ms": 5}
     keys = {
-        "refused: the odometry keeps the prior": {"facecolor": COLOURS["refused"]},
+        "refused: the odometry keeps the prior": {"fc": COLOURS["refused"]},
         "stayed at its start: it trusts its prior": dot,
         "basin: all starts within converge to the truth": {"color": GREY, "ls": "--"},
     }

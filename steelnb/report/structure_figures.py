@@ -226,7 +226,7 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
     keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": DARK_GREY, "lw": 1.2, "ls": "--"}}
-    draw_legend(figure, keys | {"misses the goal": {"facecolor": COLOURS["misses"]}})
+    draw_legend(figure, keys | {"misses the goal": {"fc": COLOURS["misses"]}})
     figure.suptitle(f"{caption(table.drop(columns='tower'))}, poses corrected by {LABELS[table['odometry'].iloc[0]]}")
     return figure
 

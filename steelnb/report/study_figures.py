@@ -102,7 +102,7 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
         of_report |= _draw_report(panel, *cases[column], methods[row], lowest_m)
     keys: dict[str, dict[str, Any]] = {LABELS["none"]: {"color": COLOURS["none"], "ls": "--"}}
     keys |= {LABELS[method]: {"color": COLOURS[method]} for method in methods}
-    keys["10–90 % of the seeds"] = {"facecolor": GREY, "alpha": 0.3}
+    keys["10–90 % of the seeds"] = {"fc": GREY, "alpha": 0.3}
     if of_report:
         keys["the report's one seed"] = REPORT_BAND
     draw_legend(figure, keys, ncols=4 if len(cases) > 3 else 3 if len(cases) > 2 else 2, fontsize=10)
@@ -165,7 +165,7 @@ def figure_claims(verdicts: Sequence[Verdict]) -> Figure:
     keys: dict[str, dict[str, Any]] = {
         word: {"marker": mark, "color": COLOURS[name], "ls": ""} for word, (mark, name) in MARKS.items()
     }
-    draw_legend(figure, keys | {"as claimed": {"facecolor": COLOURS["right"], "alpha": 0.15}}, "outside upper center")
+    draw_legend(figure, keys | {"as claimed": {"fc": COLOURS["right"], "alpha": 0.15}}, "outside upper center")
     return figure
 
 

@@ -52,8 +52,8 @@ COLOURS = {
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in METHODS.items()}
-REPORT_BAND: dict[str, Any] = {"facecolor": "#ececec", "edgecolor": "#cccccc", "hatch": "////", "linewidth": 0}
-"""Look of a range of values that a figure of the report shows."""
+REPORT_BAND: dict[str, Any] = {"fc": "#ececec", "ec": "#cccccc", "hatch": "////", "linewidth": 0, "zorder": 0}
+"""Look of a range of values that a figure of the report shows, behind everything else."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
@@ -95,9 +95,9 @@ def draw_legend(
     loc: str = "outside lower center",
     **more: Any,
 ) -> None:
-    """A legend of the figure from label → properties of a line, or of a patch where they have a ``facecolor``."""
+    """A legend of the figure from label → properties of a line, or of a patch where they have an ``fc``."""
     handles = [
-        Patch(label=label, **look) if "facecolor" in look else Line2D([], [], label=label, **look)
+        Patch(label=label, **look) if "fc" in look else Line2D([], [], label=label, **look)
         for label, look in keys.items()
     ]
     options: dict[str, Any] = {"loc": loc, "ncols": len(keys), **more}

@@ -197,6 +197,8 @@ def test_a_mean_that_misses_its_goal_says_so_and_a_far_goal_does_not_squeeze_the
 def test_the_range_of_the_report_stands_behind_what_it_shows_alone():
     def ranges(**case):
         (panel,) = figure_error_bands(curves(**case), [case["method"]]).axes
+        seeds = min(band.get_zorder() for band in panel.collections)
+        assert all(patch.get_zorder() < seeds for patch in panel.patches), "behind the band of the seeds"
         return [patch.get_extents().transformed(panel.transData.inverted()).intervaly for patch in panel.patches]
 
     ((low, high),) = ranges(method="gicp", noise="constant-drift")
