@@ -1,10 +1,12 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from steelnb import experiment
 from steelnb.report import batch, odometry_figures, structure_figures, world
+from steelnb.report.style import LABELS
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight
 
@@ -77,7 +79,7 @@ def test_drift_curves_agree_with_their_expectation():
 
 def test_figures_show_every_curve_with_units(runs):
     figure = odometry_figures.figure_segment_errors(runs)
-    panels = [axis for axis in figure.axes if axis.name == "rectilinear"]
+    panels = [axis for axis in figure.axes if axis.get_ylabel()]
     assert len(panels) == 2
     for panel, three in zip(panels, (runs[:3], runs[3:]), strict=True):
         lines = [line for line in panel.lines if len(line.get_ydata()) == 80]
@@ -89,8 +91,26 @@ def test_figures_show_every_curve_with_units(runs):
         true, wrong, right = (len(lines.get_segments()) for lines in panel.collections)
         assert (true, wrong + right) == (len(run.truth.tower.members), len(run.segments))
         assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
+    for panel, run in zip(odometry_figures.figure_cloud_errors(runs[:3]).axes, runs[:3], strict=True):
+        low, high = panel.get_ylim()
+        assert (low, high) == (0.005, 6.0), "all panels have one scale"
+        assert max(line.get_ydata().max() for line in panel.lines) < high, "nothing leaves the panel"
+        names = {line.get_label() for line in panel.lines}
+        assert {"no correction", LABELS[run.settings.odometry.method]} <= names
+    for panel in odometry_figures.figure_error_curves(runs[1:3]).axes[:1]:
+        assert [line.get_label() for line in panel.lines] == [LABELS[run.settings.odometry.method] for run in runs[:3]]
     flown = {"vertical": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
+
+
+def test_the_caption_of_a_figure_names_flights_noise_sensor_and_seeds(runs):
+    s = runs[0].settings
+    flight = f"{s.flight.trajectory} flight, "
+    assert batch.caption(runs[:2]) == f"{flight}{s.noise_name}, sensor {s.sensor}, seed {s.seed}"
+    table = batch.table(runs)
+    more = pd.concat([table, table.assign(seed=-1, tower="light")])
+    assert batch.caption(more[["trajectory", "seed"]]) == f"{flight}2 seeds"
+    assert batch.caption(more[-1:]).endswith("tower light, sensor " + s.sensor + ", seed -1")
 
 
 def test_scans_cast_anew_are_those_of_the_simulation_to_the_bit() -> None:

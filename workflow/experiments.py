@@ -1,5 +1,6 @@
 """`notebooks/experiments.toml`: experiments, their parts and the key of each part, checked before anything runs."""
 
+import ast
 import itertools
 import re
 import tempfile
@@ -66,7 +67,7 @@ class Part:
         code = re.sub(r"(?m)^\s*[%!].*$", "", "\n".join(text for kind, text, _ in cells if kind == "code"))
         inputs = {name: file_digest(self.root / name) for name in self.experiment.inputs}
         try:
-            names = imported_names(code)
+            names = imported_names(ast.parse(code))
         except SyntaxError as fault:
             raise SettingsError(f"{self.notebook}: no Python: {fault}") from None
         return digest(cells, self.parameters, inputs, code_digest(names), environment_digest(self.root))

@@ -97,6 +97,21 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
     }
 
 
+def caption(cases: pd.DataFrame | Sequence[experiment.Result]) -> str:
+    """The flights, noises, sensors and towers of some runs, or of rows of a table with these columns, and its seeds:
+    ``orbit, vertical flight, random-walk, sensor report, seed 1``; more seeds than one are counted."""
+    rows = cases if isinstance(cases, pd.DataFrame) else pd.DataFrame([case_of(result.settings) for result in cases])
+    named = {"trajectory": "{} flight", "noise": "{}", "tower": "tower {}", "sensor": "sensor {}"}
+    parts = [text.format(", ".join(rows[name].unique())) for name, text in named.items() if name in rows]
+    return ", ".join([*parts, seeds_text(rows["seed"])])
+
+
+def seeds_text(seeds: Iterable[int]) -> str:
+    """The only one of some seeds, or their number."""
+    different = set(seeds)
+    return f"seed {different.pop()}" if len(different) == 1 else f"{len(different)} seeds"
+
+
 def map_kind(settings: ExperimentSettings) -> str:
     """The map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which forgets), or
     ``bars``."""

@@ -1,7 +1,4 @@
-"""Notebook 00: a short flight for any choice of settings, a panel to choose them with, and a scene to turn around.
-
-A flight and its scans take most of the time, and do not depend on drift and method: they are made once and kept.
-"""
+"""Notebook 00: a short flight for any choice of settings, which are chosen in a panel, and a scene to turn around."""
 
 import functools
 import json
@@ -17,15 +14,20 @@ from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.tube import MIN_VOTES, tube_radius
 from steelnb.metrics import position_error_m
-from steelnb.report.batch import at_level
-from steelnb.report.style import COLOURS, LABELS, Figure, draw_bars, end_points, frame_3d, style, thinned
-from steelnb.settings import (
-    METHODS,
-    SENSORS,
-    TRAJECTORIES,
-    ExperimentSettings,
-    TrajectoryName,
+from steelnb.report.batch import at_level, caption
+from steelnb.report.style import (
+    COLOURS,
+    LABELS,
+    Figure,
+    draw_bars,
+    draw_paths,
+    end_points,
+    gather_legend,
+    project_perspective,
+    style,
+    thinned,
 )
+from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings, TrajectoryName
 from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
 
@@ -38,8 +40,6 @@ POINTS_MAX = 20_000
 NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
 HEIGHT_PX = 860
 PLOTLY_TYPE = "application/vnd.plotly.v1+json"
-CLOUD, MEMBERS = "#8a94a6", "#c4c4c4"
-TRACKS = {"true": COLOURS["truth"], "drifting": COLOURS["drifting"], "corrected": COLOURS["corrected"]}
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
 """The corrected trajectory lies on the true one where all is well: one thin, one wide shows both."""
 CAMERA = {"eye": {"x": 0.8, "y": -1.5, "z": 0.5}, "projection": {"type": "orthographic"}}
@@ -110,16 +110,19 @@ def figure_scene(
     cloud: Array,
     segments: Segments,
     members: Array | None = None,
+    method: str = "best",
 ) -> "PlotlyFigure":
     """The scene above the error curve, interactive; what the legend names can be switched off by a click on it.
 
     ``cloud (N, 3)`` are the scans at the corrected poses, ``segments`` the bars found in them, ``members``
-    ``(M, 2, 3)`` the true ones, all in the world frame; errors are those at the stamps of ``truth``.
+    ``(M, 2, 3)`` the true ones, all in the world frame; errors are those at the stamps of ``truth``. The corrected
+    trajectory has the colour of the ``method``.
     """
     from plotly.graph_objects import Scatter, Scatter3d
     from plotly.subplots import make_subplots
 
     tracks, errors = tracks_and_errors(prior, corrected, truth)
+    colours = {name: COLOURS[key] for name, key in track_keys(method).items()}
     low, high = corners(cloud, tracks)
     rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
     if not errors:
@@ -128,14 +131,15 @@ def figure_scene(
     traces = []
     if members is not None:
         low[2] = 0.0
-        traces.append(_path(_apart(members[(members[:, :, 2] <= high[2]).all(axis=1)]), "true members", MEMBERS, 2))
-    marker = {"size": 1, "color": CLOUD, "opacity": 0.5}
+        members = members[(members[:, :, 2] <= high[2]).all(axis=1)]
+        traces.append(_path(_apart(members), "true members", COLOURS["member"], 2))
+    marker = {"size": 1, "color": COLOURS["points"], "opacity": 0.5}
     traces.append(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker))
-    traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["least_squares"], 6))
-    traces += [_path(at, name, TRACKS[name], WIDTHS[name], legendgroup=name) for name, at in tracks.items()]
+    traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["bars found"], 6))
+    traces += [_path(at, name, colours[name], WIDTHS[name], legendgroup=name) for name, at in tracks.items()]
     figure.add_traces(traces, rows=1, cols=1)
     for name, (time_s, error) in errors.items():
-        line = {"color": TRACKS[name], "width": 2}
+        line = {"color": colours[name], "width": 2}
         curve = Scatter(x=time_s, y=error, name=name, legendgroup=name, showlegend=False, line=line)
         figure.add_trace(curve, row=2, col=1)
     axes = {
@@ -176,6 +180,11 @@ def tracks_and_errors(
     return {"true": truth.position, **tracks}, errors
 
 
+def track_keys(method: str) -> dict[str, str]:
+    """The key of the colour of each of `tracks_and_errors`, where a method corrected."""
+    return {"true": "truth", "drifting": "none", "corrected": method}
+
+
 def corners(cloud: Array, tracks: dict[str, Array]) -> tuple[Array, Array]:
     """Lowest and highest corner ``(3,)`` around a cloud and trajectories, in whole metres."""
     points = np.concatenate([cloud, *tracks.values()])
@@ -201,29 +210,25 @@ def _path(points: Array, name: str, colour: str, width: float, **more: Any) -> "
 @style()
 def figure_flight(view: View) -> Figure:
     """The scene on paper: cloud, bars and trajectories on the left, the error curve on the right."""
-    figure = Figure(figsize=(11, 4.8))
-    grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.5))
-    scene, curve = figure.add_subplot(grid[0], projection="3d"), figure.add_subplot(grid[1])
+    figure = Figure(figsize=(11, 5.6))
+    scene, curve = figure.subplots(1, 2, width_ratios=(1, 1.2))
     tracks, errors = tracks_and_errors(*view.trajectories)
-    low, high = corners(view.cloud, tracks)
-    low[2] = 0.0
+    method, highest_m = view.result.settings.odometry.method, corners(view.cloud, tracks)[1][2]
     axes = view.result.truth.tower.axes
-    draw_bars(scene, axes[(axes[:, :, 2] <= high[2]).all(axis=1)], colors=MEMBERS, linewidths=0.5)
-    scene.scatter(*view.cloud[::4].T, s=0.4, color=CLOUD, linewidths=0)
-    draw_bars(scene, end_points(view.segments), colors=COLOURS["least_squares"], linewidths=1.6)
-    for name, positions in tracks.items():
-        scene.plot(*positions.T, color=TRACKS[name], linewidth=2.8 if name == "true" else 1.4, label=name)
+    axes = axes[(axes[:, :, 2] <= highest_m).all(axis=1)]
+    around, keys = axes.reshape(-1, 3), track_keys(method)
+    draw_bars(scene, axes, around, colors=COLOURS["member"], linewidths=0.7, label="true members")
+    x, y = project_perspective(view.cloud[::4], around).T
+    scene.scatter(x, y, s=0.6, color=COLOURS["points"], linewidths=0, label="cloud")
+    bars = end_points(view.segments)
+    draw_bars(scene, bars, around, colors=COLOURS["bars found"], linewidths=1.8, label="bars found")
+    draw_paths(scene, {keys[name]: at for name, at in tracks.items()}, around, {"truth": "true"})
     for name, (time_s, error) in errors.items():
-        curve.plot(time_s, error, color=TRACKS[name], label=f"{name}: mean {error.mean():.3f} m")
-    frame_3d(scene, np.stack([low, high]), -60, zoom=0.88)
-    scene.set_yticks([tick for tick in scene.get_yticks() if tick < high[1] - 0.5])  # the last would lie on 0 of z
-    scene.plot([], [], color=COLOURS["least_squares"], label="bars found")
-    scene.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.05), fontsize=10)
+        label = f"{LABELS[keys[name]]}: mean {error.mean():.3f} m"
+        curve.plot(time_s, error, color=COLOURS[keys[name]], label=label)
     curve.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, time_s[-1]))
-    curve.set_ylim(0, 1.3 * curve.get_ylim()[1])
-    s = view.result.settings
-    curve.set_title(f"{s.flight.trajectory}, {s.noise_name}, sensor {s.sensor}, {LABELS[s.odometry.method]}")
-    curve.legend(loc="upper left", fontsize=10)
+    gather_legend(figure, ncols=3, markerscale=8)
+    figure.suptitle(f"{caption([view.result])}, {LABELS[method]}")
     return figure
 
 
@@ -289,5 +294,6 @@ class Panel:
 
     def _bundle(self) -> dict[str, Any]:
         view = self.view
-        picture = figure_scene(*view.trajectories, view.cloud, view.segments, view.result.truth.tower.axes)
+        members, method = view.result.truth.tower.axes, view.result.settings.odometry.method
+        picture = figure_scene(*view.trajectories, view.cloud, view.segments, members, method)
         return plotly_bundle(picture, view.summary)

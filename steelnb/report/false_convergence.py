@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,8 @@ from steelnb.experiment import Result
 from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
-from steelnb.report.batch import case_of
-from steelnb.report.style import Figure, draw_legend, style
+from steelnb.report.batch import caption, case_of
+from steelnb.report.style import BLACK, COLOURS, GREY, Figure, draw_legend, style
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.study.row import WRONG_M
@@ -84,39 +85,47 @@ def basin_table(basins: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 @style()
-def figure_basins(basins: Mapping[str, pd.DataFrame], table: pd.DataFrame) -> Figure:
-    """The final error of each start beside the true pose, a panel for each registration, with its `basin_table`.
+def figure_basins(
+    basins: Mapping[str, pd.DataFrame], table: pd.DataFrame, settings: ExperimentSettings, frame: int
+) -> Figure:
+    """The final error of each start beside the true pose, a panel for each registration, with its `basin_table`;
+    ``settings`` and ``frame`` name the scan.
 
-    Dark is right, light ended elsewhere or, where it is as light as its start is far, stayed; grey is refused by the
-    odometry. The dashed circle is the largest within which every start converged to the truth.
+    Dark is right, light ended elsewhere or, with a dot, stayed, since the registration trusts its prior; grey is
+    refused by the odometry. The dashed circle is the largest within which every start converged to the truth.
     """
-    figure = Figure(figsize=(4.0 * len(basins) + 0.9, 5.0))
+    figure = Figure(figsize=(4.0 * len(basins) + 0.9, 5.8))
     panels = figure.subplots(1, len(basins), squeeze=False, sharey=True)[0]
     for panel, (label, basin) in zip(panels, basins.items(), strict=True):
         grid = basin.assign(error_m=basin["error_m"].mask(basin["refused"])).pivot(index="z_m", columns="x_m")
         error, refused = grid["error_m"], grid["refused"].astype(float).replace(0.0, np.nan)
         image = panel.pcolormesh(error.columns, error.index, error, cmap="viridis", vmin=0, vmax=1.0, shading="nearest")
-        grey = ListedColormap(["#dddddd"])
+        grey = ListedColormap([COLOURS["refused"]])
         panel.pcolormesh(error.columns, error.index, refused, cmap=grey, shading="nearest")
+        stayed = basin[basin["stayed"]]
+        panel.plot(stayed["x_m"], stayed["z_m"], ".", color=BLACK, markersize=2.5)
         numbers = table.loc[label].to_dict()
         radius = numbers["radius_m"]
         panel.add_patch(Circle((0, 0), radius, fill=False, color="white", linestyle="--", linewidth=1.8))
         panel.plot(0, 0, "+", color="white", markersize=9)
         panel.set(aspect="equal", xlabel="start off along x (m)")
         panel.set_title(
-            f"{label}: radius {radius:.2f} m\nwrong {numbers['wrong_share']:.0%} "
-            f"(stayed {numbers['stayed_share']:.0%})\nrefused {numbers['refused_share']:.0%}",
+            f"{label}: radius {radius:.2f} m\nlocked onto something else {numbers['locked_share']:.0%},\n"
+            f"stayed {numbers['stayed_share']:.0%}, refused {numbers['refused_share']:.0%}",
             fontsize=11,
         )
         panel.grid(False)
     panels[0].set_ylabel("start off along z (m)")
     bar = figure.colorbar(image, ax=list(panels), shrink=0.75, extend="max")
     bar.set_label(f"error at the end (m); right below {RIGHT_M:g}")
+    dot: dict[str, Any] = {"color": BLACK, "marker": ".", "ls": "", "ms": 5}
     keys = {
-        "refused: the odometry keeps the prior": {"facecolor": "#dddddd", "edgecolor": "#dddddd"},
-        "basin: all starts within converge to the truth": {"color": "#888888", "ls": "--"},
+        "refused: the odometry keeps the prior": {"fc": COLOURS["refused"]},
+        "stayed at its start: it trusts its prior": dot,
+        "basin: all starts within converge to the truth": {"color": GREY, "ls": "--"},
     }
-    draw_legend(figure, keys)
+    draw_legend(figure, keys, ncols=2)
+    figure.suptitle(f"Scan {frame} of {caption(pd.DataFrame([case_of(settings)]))}")
     return figure
 
 

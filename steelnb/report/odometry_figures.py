@@ -6,55 +6,77 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator
 
 from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
-from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY
-from steelnb.report.style import COLOURS, LABELS, Figure, draw_bars, draw_legend, frame_3d, style, thinned
+from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
+from steelnb.report.style import (
+    BLACK,
+    COLOURS,
+    GREY,
+    LABELS,
+    REPORT_BAND,
+    Figure,
+    draw_bars,
+    draw_legend,
+    draw_paths,
+    gather_legend,
+    style,
+    thinned,
+)
 from steelnb.settings import SEGMENT_METHODS
 from steelnb.types import Array
 
 POINTS_MAX = 60_000
-FLIGHTS = {"orbit": "around", "vertical": "vertical"}
-"""The report's names of the flights, in the order of its columns."""
 DECADES = ([0.01, 0.03, 0.1, 0.3, 1, 3], ["0.01", "0.03", "0.1", "0.3", "1", "3"])
 """Ticks of a logarithmic axis of errors in metres."""
+ERROR_MIN_M = 0.005
+"""Where a logarithmic axis of errors begins, as errors do at zero."""
+REPORT_FIGURES = {
+    "random-walk": {"icp": "3.7", "icp-3dof": "3.8", "gicp": "3.9"},
+    "random-walk+yaw-random-walk": {"gicp": "5.2, 5.3"},
+}
+"""The report's figures of clouds: noise → method → number."""
+SMOOTHED_S = 10.0
+Range = tuple[float, float]
 
 
 @style()
 def figure_segment_errors(results: Sequence[Result]) -> Figure:
     """A row for each noise: the trajectories (left), the distance to the truth with and without correction (right).
 
-    ``results`` hold one flight under any noises, each with the correction ``none`` among others. The dashed line and
-    the grey band are the report's usual and largest corrected error.
+    ``results`` hold one flight under any noises, each with the correction ``none`` among others. Trajectories are the
+    true one, the drifting one and that of the last correction.
     """
     noises = list(dict.fromkeys(result.settings.noise_name for result in results))
-    flight = results[0].settings.flight.trajectory
-    report = REPORT_SEGMENT_ODOMETRY[flight]
-    figure = Figure(figsize=(11, 4.6 * len(noises)))
-    grid = figure.add_gridspec(len(noises), 2, width_ratios=(1, 1.7))
+    report = REPORT_SEGMENT_ODOMETRY[results[0].settings.flight.trajectory]
+    figure = Figure(figsize=(12.5, 4.4 * len(noises)))
+    grid = figure.add_gridspec(len(noises), 2, width_ratios=(1, 2.4))
+    first = None
     for row, noise in enumerate(noises):
         of_noise = [result for result in results if result.settings.noise_name == noise]
-        best = of_noise[-1]
-        truth, tower = best.truth.trajectory, best.truth.tower
-        scene = figure.add_subplot(grid[row, 0], projection="3d")
-        draw_bars(scene, tower.axes, colors="#bbbbbb", linewidths=0.4)
-        scene.plot(*best.prior.position.T, color=COLOURS["none"], linewidth=1.0, label="Noisy")
-        scene.plot(*truth.position.T, color=COLOURS["truth"], linewidth=1.4, label="Truth")
-        adjusted = COLOURS[best.settings.odometry.method]
-        scene.plot(*best.corrected.position.T, color=adjusted, linewidth=1.0, label="Adjust")
-        frame_3d(scene, np.concatenate([tower.vertices, truth.position, best.prior.position]), -50, zoom=1.1)
-        scene.legend(loc="upper left", bbox_to_anchor=(-0.15, 1.0), fontsize=10)
-
-        curve = figure.add_subplot(grid[row, 1])
+        last = of_noise[-1]
+        scene, curve = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1], sharey=first)
+        first = first or curve
+        _draw_flight(scene, last)
         _draw_errors(curve, {_with_numbers(result): result for result in of_noise})
-        curve.axhline(report["mean_m"], color=COLOURS["report"], linestyle="--", linewidth=1.2)
-        label = f"report: about {report['mean_m']} m, max {report['max_m']} m"
-        curve.axhspan(0, report["max_m"], color=COLOURS["report"], alpha=0.12, linewidth=0, label=label)
-        curve.set(ylabel="distance to the truth (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
-        curve.set_title(f"{flight} flight, {noise}, sensor {best.settings.sensor}, seed {best.settings.seed}")
-        curve.legend(loc="upper left", fontsize=10)
+        label = f"report: up to {report['max_m']} m"
+        _draw_report(curve, (0.0, report["max_m"]), (report["raw_final_m"],) * 2, label)
+        usual = f"report: about {report['mean_m']} m"
+        curve.axhline(report["mean_m"], color=COLOURS["report"], linestyle="--", linewidth=1.2, label=usual)
+        curve.plot([], [], color=COLOURS["truth"], label="true path (left)")
+        curve.set(ylabel="distance to the truth (m)", title=caption(of_noise), xlabel=_scans(last))
+        curve.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=10)
     return figure
+
+
+def _draw_flight(panel: Axes, result: Result) -> None:
+    """Draw the tower with the true, the drifting and the corrected path of a run, in perspective."""
+    truth, tower = result.truth.trajectory, result.truth.tower
+    draw_bars(panel, tower.axes, tower.vertices, colors=COLOURS["member"], linewidths=0.5)
+    paths = {"truth": truth, "none": result.prior, result.settings.odometry.method: result.corrected}
+    draw_paths(panel, {name: path.position for name, path in paths.items()}, tower.vertices)
 
 
 def _with_numbers(result: Result) -> str:
@@ -63,51 +85,55 @@ def _with_numbers(result: Result) -> str:
     return f"{LABELS[result.settings.odometry.method]}: mean {error.mean():.3f} m, max {error.max():.3f} m"
 
 
-def _draw_errors(panel: Axes, results: Mapping[str, Result], **look: Any) -> None:
+def _scans(result: Result) -> str:
+    return f"ToF scan ({result.settings.tof.rate_hz:g} Hz)"
+
+
+def _draw_errors(panel: Axes, results: Mapping[str, Result]) -> None:
     """Draw the distance to the truth of some runs, by label, over the scans."""
     for label, result in results.items():
         error = position_error_m(result.corrected, result.truth.trajectory)
-        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label, **look)
-    panel.set(xlabel=f"ToF scan ({result.settings.tof.rate_hz:g} Hz)", xlim=(0, len(error) - 1))
+        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label)
+    panel.set(xlim=(0, len(error) - 1))
+
+
+def _draw_report(panel: Axes, shown: Range | None, raw_end: Range | None, label: str) -> None:
+    """Draw what the report shows behind errors, whose axis turns logarithmic: the range of its corrected error as a
+    band, and at the right edge that of the drift at its end."""
+    if shown:
+        panel.axhspan(max(shown[0], 0.1 * ERROR_MIN_M), shown[1], **REPORT_BAND, label=label)
+    if raw_end:
+        look: dict[str, Any] = {"color": COLOURS["none"], "marker": "D", "ms": 7, "mec": "white", "clip_on": False}
+        place = panel.get_xlim()[1]
+        panel.plot([place, place], raw_end, lw=2.5, zorder=5, label="report: drift at the end", **look)
+    panel.set(yscale="log")
+    panel.set_yticks(*DECADES)
+    panel.minorticks_off()
+    panel.set_ylim(ERROR_MIN_M, 6.0)
 
 
 @style()
 def figure_cloud_errors(results: Sequence[Result]) -> Figure:
-    """Rows of methods × columns of flights: the distance to the truth over the scans, raw and corrected.
-
-    ``results`` hold one noise and sensor. The grey band is the range that the report's figure shows; the vertical axis
-    ends a little above what is corrected, so the raw drift may leave the panel.
-    """
-    cases = {(result.settings.odometry.method, result.settings.flight.trajectory): result for result in results}
-    methods = list(dict.fromkeys(str(method) for method, _ in cases))
-    flights = [name for name in FLIGHTS if any(name == flight for _, flight in cases)]
-    settings = results[0].settings
-    report = REPORT_CLOUD_ODOMETRY.get(settings.noise_name, {})
+    """Rows of methods × columns of flights, all with the same axes: the distance to the truth over the scans, raw and
+    corrected. ``results`` hold one noise and sensor. The grey band is the range that the report's figure shows."""
+    cases = {(str(result.settings.odometry.method), result.settings.flight.trajectory): result for result in results}
+    methods, flights = (list(dict.fromkeys(names)) for names in zip(*cases, strict=True))
+    report = REPORT_CLOUD_ODOMETRY.get(results[0].settings.noise_name, {})
     figure = Figure(figsize=(5.4 * len(flights) + 0.4, 2.6 * len(methods) + 1.0))
-    panels = figure.subplots(len(methods), len(flights), squeeze=False)
+    panels = figure.subplots(len(methods), len(flights), squeeze=False, sharex="col", sharey=True)
     for (row, column), panel in np.ndenumerate(panels):
         method, flight = methods[row], flights[column]
         result = cases[method, flight]  # type: ignore[index]
         raw, error = (position_error_m(path, result.truth.trajectory) for path in (result.prior, result.corrected))
-        shown = report.get(method, {}).get(flight)
-        if shown:
-            panel.axhspan(*shown, color=COLOURS["report"], alpha=0.18, linewidth=0)
-        panel.plot(raw, color=COLOURS["none"], linewidth=1.2)
-        panel.plot(error, color=COLOURS[method], linewidth=1.8)
-        top = max(error.max(), shown[1] if shown else 0.0, min(raw.max(), 1.0))
-        panel.set(xlim=(0, len(error) - 1), ylim=(0, 1.12 * top))
-        numbers = f"mean {error.mean():.2f} m, max {error.max():.2f} m"
-        panel.set_title(f"{LABELS[method]}, {FLIGHTS[flight]}: {numbers}", fontsize=11)
-    for panel in panels[:, 0]:
-        panel.set_ylabel("error (m)")
-    for panel in panels[-1]:
-        panel.set_xlabel(f"ToF scan ({settings.tof.rate_hz:g} Hz)")
-    keys: dict[str, dict[str, Any]] = {"raw": {"color": COLOURS["none"]}}
-    keys |= {LABELS[method]: {"color": COLOURS[method], "lw": 2} for method in methods}
-    if report:
-        keys["report's figure"] = {"facecolor": COLOURS["report"], "edgecolor": COLOURS["report"], "alpha": 0.3}
-    draw_legend(figure, keys)
-    figure.suptitle(f"{settings.noise_name}, sensor {settings.sensor}, seed {settings.seed}", fontsize=13)
+        panel.plot(raw, color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
+        panel.plot(error, color=COLOURS[method], linewidth=1.8, label=LABELS[method])
+        panel.set(xlim=(0, len(error) - 1), ylabel="error (m)", xlabel=_scans(result))
+        shown, raw_end = (report.get(name, {}).get(flight) for name in (method, "none"))
+        _draw_report(panel, shown, raw_end, "report: corrected error")
+        panel.set_title(f"{LABELS[method]}, {flight}: mean {error.mean():.2f} m, max {error.max():.2f} m", fontsize=11)
+        panel.label_outer()
+    gather_legend(figure, ncols=3)
+    figure.suptitle(caption(results))
     return figure
 
 
@@ -120,7 +146,7 @@ def figure_methods(rows: pd.DataFrame) -> Figure:
     groups = list(rows.groupby(["trajectory", "noise"], sort=False))
     kinds = dict.fromkeys(zip(rows["method"], rows["map"], strict=True))
     names = sorted(kinds, key=lambda name: list(LABELS).index(name[0]))
-    figure = Figure(figsize=(5.2 * len(groups) + 2.2, 0.42 * len(names) + 1.9))
+    figure = Figure(figsize=(5.2 * len(groups) + 2.2, 0.42 * len(names) + 2.2))
     panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
     for panel, ((flight, noise), group) in zip(panels, groups, strict=True):
         place = [names.index(name) for name in zip(group["method"], group["map"], strict=True)]
@@ -128,57 +154,80 @@ def figure_methods(rows: pd.DataFrame) -> Figure:
         panel.hlines(place, group["error_mean_m"], group["error_max_m"], colors=colours, linewidth=3, alpha=0.45)
         panel.scatter(group["error_mean_m"], place, s=64, c=colours, zorder=3)
         panel.axvline(group["raw_ate_rmse_m"].iloc[0], color=COLOURS["none"], linestyle="--", linewidth=1.2)
-        panel.set(xscale="log", xlabel="error (m): dot mean, bar to the largest", title=f"{flight}, {noise}")
+        panel.set(xscale="log", xlabel="error (m)", title=f"{flight}, {noise}")
         panel.set_xticks(*DECADES)
-        panel.set_xlim(min(0.012, 0.8 * rows["error_mean_m"].min()), 1.3 * rows["error_max_m"].max())
+        largest_m = rows[["error_max_m", "raw_ate_rmse_m"]].to_numpy().max()
+        panel.set_xlim(min(0.012, 0.8 * rows["error_mean_m"].min()), 1.3 * largest_m)
         panel.minorticks_off()
     panels[0].set_yticks(range(len(names)), [f"{LABELS[m]}\n{kind} map" for m, kind in names], fontsize=9)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
-    draw_legend(figure, {"raw drift (RMS)": {"color": COLOURS["none"], "ls": "--"}})
+    keys: dict[str, dict[str, Any]] = {
+        "mean": {"color": GREY, "marker": "o", "ls": "", "ms": 8},
+        "up to the largest": {"color": GREY, "lw": 3, "alpha": 0.45},
+        "drift without correction, RMS": {"color": COLOURS["none"], "ls": "--"},
+    }
+    draw_legend(figure, keys)
+    figure.suptitle(caption(rows))
     return figure
 
 
 @style()
 def figure_error_curves(results: Sequence[Result]) -> Figure:
-    """The error of every method over the scans, a panel for each flight, dashed for corrections by segments.
+    """The error of every method over the scans as a running root mean square: a column for each flight, corrections by
+    segments above, by clouds below, and ``combined``, by both, in both rows.
 
-    Logarithmic, since methods differ tenfold.
+    Logarithmic, since methods differ tenfold; all panels have the same axes.
     """
     flights = list(dict.fromkeys(result.settings.flight.trajectory for result in results))
-    figure = Figure(figsize=(5.6 * len(flights) + 0.4, 5.4))
-    panels = figure.subplots(1, len(flights), squeeze=False, sharey=True)[0]
-    for panel, flight in zip(panels, flights, strict=True):
-        of_flight = [result for result in results if result.settings.flight.trajectory == flight]
-        raw = position_error_m(of_flight[0].prior, of_flight[0].truth.trajectory)
-        panel.plot(raw, color=COLOURS["truth"], linestyle=":", label="raw")
+    figure = Figure(figsize=(5.6 * len(flights) + 0.4, 8.0))
+    panels = figure.subplots(2, len(flights), squeeze=False, sharex="col", sharey=True)
+    for (row, column), panel in np.ndenumerate(panels):
+        of_flight = [result for result in results if result.settings.flight.trajectory == flights[column]]
+        shown = {"none": of_flight[0].prior}
         for result in of_flight:
             method = result.settings.odometry.method
-            _draw_errors(panel, {LABELS[method]: result}, lw=1.1, ls="--" if method in SEGMENT_METHODS else "-")
-        panel.set(yscale="log", title=f"{flight} flight", ylim=(5e-3, None))
+            if method == "combined" or (method in SEGMENT_METHODS) == (row == 0):
+                shown[method] = result.corrected
+        for method, path in shown.items():
+            square = pd.Series(position_error_m(path, of_flight[0].truth.trajectory) ** 2)
+            window = round(SMOOTHED_S * of_flight[0].settings.tof.rate_hz)
+            rms = np.sqrt(square.rolling(window, center=True, min_periods=1).mean())
+            panel.plot(rms, color=COLOURS[method], linestyle="--" if method == "none" else "-", label=LABELS[method])
+        panel.set_xlim(0, len(square) - 1)
+        panel.set(xlabel=_scans(of_flight[0]), ylabel=f"error (m), RMS over {SMOOTHED_S:g} s")
+        panel.set(
+            yscale="log", title=f"{flights[column]} flight, by {('segments', 'clouds')[row]}", ylim=(ERROR_MIN_M, None)
+        )
         panel.set_yticks(*DECADES)
-    panels[0].set_ylabel("error (m)")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+        panel.label_outer()
+    gather_legend(figure, ncols=4)
+    figure.suptitle(caption(results))
     return figure
 
 
 @style()
-def figure_comparison(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
-    """Built (green) over true cloud (orange) from the front and from the side, for each label."""
+def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result) -> Figure:
+    """The cloud built with each method, in its colour, and the true one (black), from the front and from the side.
+
+    ``result`` is that of any of the methods: it names the flight. Points of both clouds lie in turn above each other.
+    """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
     low, high = np.quantile(everything, [0.0005, 0.9995], axis=0)
     low, high = low - 0.4, high + 0.4
     wide = (high - low)[:2]
     scale = min(6.0 / (high - low)[2], (14.0 / len(clouds) - 0.9) / wide.sum(), 5.0 / wide.sum())
-    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 1.5))
+    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.0))
+    figure.suptitle(caption([result]))
     frames = figure.subfigures(1, len(clouds), squeeze=False)[0]
-    for frame, (label, (built, true)) in zip(frames, clouds.items(), strict=True):
+    for frame, (method, (built, true)) in zip(frames, clouds.items(), strict=True):
         panels = frame.subplots(1, 2, sharey=True, width_ratios=wide)
         for across, panel in enumerate(panels):
-            _draw_clouds(panel, built, true, across)
+            _draw_clouds(panel, built, true, method, across)
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
         panels[0].set_ylabel("z (m)")
-        panels[0].set_title(label, loc="left")
-    _draw_cloud_legend(figure)
+        shown = REPORT_FIGURES.get(result.settings.noise_name, {}).get(method)
+        frame.suptitle(LABELS[method] + (f" (report's {shown})" if shown else ""), fontsize=12)
+    gather_legend(figure, ncols=len(clouds) + 1)
     return figure
 
 
@@ -186,56 +235,63 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
 def figure_slip(
     results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int, reach_m: float = 2.2
 ) -> Figure:
-    """The error over the scans (left) and, for each label, the built over the true cloud around where the drone was at
+    """The error over the scans (left) and, for each label, the built and the true cloud around where the drone was at
     ``scan`` (right)."""
     first = next(iter(results.values()))
     drone = first.truth.trajectory.at(first.corrected.stamp_s).position[scan]
     cloud = next(iter(clouds.values()))[1]
     centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * reach_m], axis=0)
-    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.2))
+    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.6))
     curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
     _draw_errors(curve, results)
-    curve.axvline(scan, color=COLOURS["report"], linewidth=1.0)
-    for gap in first.settings.tof.blind_s:
-        curve.axvspan(*np.array(gap) * first.settings.tof.rate_hz, color=COLOURS["report"], alpha=0.2, lw=0)
-    curve.set(ylabel="error (m)", ylim=(0, 1.35 * curve.get_ylim()[1]))
-    curve.legend(loc="upper left", fontsize=10)
+    curve.axvline(scan, color=BLACK, linewidth=1.0, linestyle=":", label="largest slip")
+    for k, gap in enumerate(first.settings.tof.blind_s):
+        label = "no sight of the tower" if k == 0 else None
+        span = np.array(gap) * first.settings.tof.rate_hz
+        curve.axvspan(*span, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
+    curve.set(xlabel=_scans(first), ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
     for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
         near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
-        _draw_clouds(panel, built[near], true[near], 0, size=2.0)
+        _draw_clouds(panel, built[near], true[near], results[label].settings.odometry.method, 0, size=2.0)
         panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
         panel.set(title=label, ylabel="z (m)")
-    _draw_cloud_legend(figure)
+    gather_legend(figure, ncols=4)
+    figure.suptitle(caption([first]))
     return figure
 
 
-def _draw_clouds(panel: Axes, built: Array, true: Array, across: int, size: float = 0.35) -> None:
-    """The built cloud (green) over the true one (orange), seen along a horizontal axis."""
-    for cloud, colour in ((true, COLOURS["true cloud"]), (built, COLOURS["built"])):
-        shown = thinned(cloud, POINTS_MAX)
-        panel.scatter(shown[:, across], shown[:, 2], s=size, c=colour, linewidths=0, rasterized=True)
+def _draw_clouds(panel: Axes, built: Array, true: Array, method: str, across: int, size: float = 0.35) -> None:
+    """The cloud built with a method and the true one, seen along a horizontal axis, their points mixed."""
+    clouds = {"truth": thinned(true, POINTS_MAX), method: thinned(built, POINTS_MAX)}
+    points = np.concatenate(list(clouds.values()))
+    colours = np.repeat([COLOURS[name] for name in clouds], [len(cloud) for cloud in clouds.values()])
+    order = np.random.default_rng(0).permutation(len(points))  # neither cloud hides the other
+    panel.scatter(points[order, across], points[order, 2], s=size, c=colours[order], linewidths=0, rasterized=True)
+    for name, label in {"truth": "at the true poses", method: f"at the poses of {LABELS[method]}"}.items():
+        panel.plot([], [], "o", color=COLOURS[name], label=label)
     panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)")
     panel.grid(alpha=0.2)
 
 
-def _draw_cloud_legend(figure: Figure) -> None:
-    """The legend of `_draw_clouds`."""
-    labels = {"built": "built at the estimated poses", "true cloud": "at the true poses"}
-    looks = {label: {"color": COLOURS[name], "marker": "o", "ls": "", "ms": 6} for name, label in labels.items()}
-    draw_legend(figure, looks)
-
-
 @style()
-def figure_bend(bends: Mapping[str, Bend], axis: Array) -> Figure:
-    """Tilt, turn and offset of each method's cloud against height; the offset is that of a vertical ``axis``."""
-    figure = Figure(figsize=(11, 5.2))
+def figure_bend(bends: Mapping[str, Bend], axis: Array, result: Result) -> Figure:
+    """Tilt, turn and offset of each method's cloud against height, logarithmic; the offset is that of a vertical
+    ``axis``, the turn linear below 0.1°. ``result`` names the flight."""
+    figure = Figure(figsize=(11, 5.6))
     panels = figure.subplots(1, 3, sharey=True)
     for method, fit in bends.items():
         offset = np.linalg.norm(fit.offset_m(axis), axis=1)
         for panel, values in zip(panels, (fit.tilt_deg, fit.yaw_deg, offset), strict=True):
             panel.plot(values, fit.height_m, "o-", color=COLOURS[method], markersize=4, label=LABELS[method])
-    panels[0].set(xlabel="tilt of the vertical (°)", ylabel="height (m)", xlim=(0, None), ylim=(0, None))
+    panels[0].set(xlabel="tilt of the vertical (°)", ylabel="height (m)", xscale="log", ylim=(0, None))
     panels[1].set(xlabel="turn about the vertical (°)")
-    panels[2].set(xlabel="offset (m)", xlim=(0, None))
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(bends))
+    panels[1].set_xscale("symlog", linthresh=0.1)
+    panels[2].set(xlabel="offset (m)", xscale="log")
+    for panel in panels:
+        panel.minorticks_off()
+        panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    for panel in panels[[0, 2]]:
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    gather_legend(figure, ncols=len(bends))
+    figure.suptitle(caption([result]))
     return figure

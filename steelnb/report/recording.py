@@ -279,10 +279,8 @@ def _summary(
     ]
     if "prior_ate_rmse_m" in numbers:
         prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
-        removed = f": {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
-        lines.append(
-            f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (ATE, root mean square){removed}"
-        )
+        removed = f", {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
+        lines.append(f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (root mean square){removed}")
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
     if built is not None:
         found = f"{len(built)} bars, {len(built.joint)} joints" if len(built) else f"empty: {built.reason}"

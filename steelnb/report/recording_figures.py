@@ -4,11 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from steelnb.report.style import COLOURS, LABELS, Figure, style, thinned
+from steelnb.report.style import BLUE, COLOURS, GREEN, LABELS, PINK, Figure, gather_legend, style, thinned
 from steelnb.types import Array, Scan, Trajectory
 
-DRIFTING = "drifting"
-AXES = {"x": COLOURS["none"], "y": COLOURS["least_squares"], "z": COLOURS["average"]}
+AXES = {"x": BLUE, "y": PINK, "z": GREEN}
 POINTS_MAX = 40_000
 
 
@@ -27,11 +26,11 @@ def figure_scan(scan: Scan, poses: Trajectory, truth: Trajectory | None, title: 
         path.plot(poses.stamp_s - begin_s, poses.position[:, axis], color=colour, label=name)
         if truth is not None:
             path.plot(truth.stamp_s - begin_s, truth.position[:, axis], "--", color=colour, linewidth=1.0)
-    path.axvline(scan.stamp_s - begin_s, color=COLOURS["report"], linestyle=":")
+    path.axvline(scan.stamp_s - begin_s, color=COLOURS["truth"], linestyle=":", label="time of the scan")
     path.set(xlabel="time (s)", ylabel="position (m)", title="poses as recorded")
     if truth is not None:
-        path.plot([], [], "--", color=COLOURS["report"], label="truth")
-    figure.legend(*path.get_legend_handles_labels(), loc="outside lower right", ncols=4)
+        path.plot([], [], "--", color=COLOURS["truth"], linewidth=1.0, label="truth")
+    gather_legend(figure, "outside lower right", ncols=5)
     figure.suptitle(title, fontsize=12)
     return figure
 
@@ -57,7 +56,7 @@ def figure_recorded_errors(stamp_s: Array, prior_m: Array, corrected_m: Array, m
     figure = Figure(figsize=(9, 4.2))
     panel = figure.add_subplot()
     time_s = stamp_s - stamp_s[0]
-    named = ((DRIFTING, prior_m, COLOURS["none"]), (LABELS[method], corrected_m, _colour(method)))
+    named = (("drifting", prior_m, COLOURS["none"]), (LABELS[method], corrected_m, COLOURS[method]))
     for label, error, colour in named:
         rms = float(np.sqrt((error**2).mean()))
         panel.plot(time_s, error, color=colour, label=f"{label}: rms {rms:.3f} m, max {error.max():.3f} m")
@@ -72,9 +71,9 @@ def figure_recorded_trajectories(
     prior: Trajectory, corrected: Trajectory, truth: Trajectory | None, method: str, title: str
 ) -> Figure:
     """The path from above and from the side on which it is widest, at one scale, metres in the world frame."""
-    named = [(DRIFTING, prior, COLOURS["none"], 1.2), (LABELS[method], corrected, _colour(method), 1.4)]
+    named = [("drifting", prior, COLOURS["none"], 1.2), (LABELS[method], corrected, COLOURS[method], 1.3)]
     if truth is not None:
-        named.insert(1, ("truth", truth, COLOURS["truth"], 1.6))
+        named.insert(1, ("truth", truth, COLOURS["truth"], 3.6))  # wide: the corrected path lies on it
     everything = np.concatenate([path.position for _, path, _, _ in named])
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.06 * max(float((high - low).max()), 0.1)
@@ -94,10 +93,6 @@ def figure_recorded_trajectories(
         for axis in (panel.xaxis, panel.yaxis):
             most = int(1.4 * inches * np.ptp(axis.get_view_interval()))
             axis.set_major_locator(MaxNLocator(max(1, min(8, most)), steps=[1, 2, 5, 10]))
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    gather_legend(figure, ncols=4)
     figure.suptitle(title, fontsize=12)
     return figure
-
-
-def _colour(method: str) -> str:
-    return COLOURS["report"] if method == "none" else COLOURS[method]

@@ -1,24 +1,24 @@
 """Figures of notebooks 07 and 13: segments found by each method, curves over conditions, maps over tuning, seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, USUAL, Trial
+from steelnb.report.batch import seeds_text
+from steelnb.report.segmentation import CHOSEN, CLUTTER, FIXED, NOISE_M, REFERENCE, USUAL, Scene, Trial
 from steelnb.report.style import (
     BLACK,
-    BLUE,
     COLOURS,
-    GREEN,
     GREY,
-    VERMILION,
     Figure,
     draw_legend,
     draw_lines,
     draw_sample,
     end_points,
+    gather_legend,
     style,
     thinned,
 )
@@ -35,7 +35,6 @@ MARKS = {
     "dbscan": ("X", "DBSCAN"),
 }
 """Marker and name of each method, in the order of the figures: told apart also without colour."""
-RIGHT, WRONG, MISSED, POINTS = GREEN, VERMILION, BLUE, "#c8c8c8"
 DASHES = (0, (2, 1.5))
 CONDITIONS = {
     "noise_m": ("range noise (cm)", 100.0),
@@ -43,7 +42,9 @@ CONDITIONS = {
     "kept": ("points kept (%)", 100.0),
 }
 RECALL_MIN = 0.05
-"""Below this, the errors of the segments that are right are those of one or two."""
+"""Below this recall, the precision and the errors of the segments are those of one or two."""
+UNDRAWN = f"recall below {RECALL_MIN:.0%}: no precision and no errors, which would be those of one or two segments"
+USUALLY = f"sensor starling2, range noise {100 * NOISE_M:g} cm, clutter {CLUTTER:.0%}"
 NUMBERS = {
     "recall": ("recall", 1.0),
     "precision": ("precision", 1.0),
@@ -72,26 +73,34 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
     for panel in panels.ravel()[len(trials) :]:
         panel.set_axis_off()
     keys = {
-        "right segment": {"color": RIGHT, "lw": 2},
-        "wrong segment": {"color": WRONG, "lw": 2},
-        "observed bar missed": {"color": MISSED, "lw": 1.4, "ls": DASHES},
-        "points": {"color": POINTS, "marker": "o", "ls": "", "ms": 4},
+        "right segment": {"color": COLOURS["right"], "lw": 2},
+        "wrong segment": {"color": COLOURS["wrong"], "lw": 2},
+        "observed bar missed": {"color": COLOURS["missed"], "lw": 1.4, "ls": DASHES},
+        "points": {"color": COLOURS["points"], "marker": "o", "ls": "", "ms": 4},
     }
     draw_legend(figure, keys)
+    figure.suptitle(_caption([trial.scene for trial in trials]))
     return figure
+
+
+def _caption(scenes: Iterable[Scene]) -> str:
+    """The scenes of some trials at the usual conditions."""
+    scenes = list(dict.fromkeys(scenes))
+    what = {"frame": "single frames", "sequence": "vertical flight", "tower": "both flights at once"}[scenes[0].name]
+    return f"{what}, {seeds_text(scene.seed for scene in scenes)}, {USUALLY}"
 
 
 def _draw_found(panel: Axes, trial: Trial) -> None:
     scene, score = trial.scene, trial.score
     flat = _project(scene.points, scene.across)
     shown = thinned(flat, 20_000)
-    panel.scatter(shown[:, 0], shown[:, 1], s=0.7, c=POINTS, linewidths=0, rasterized=True)
+    panel.scatter(shown[:, 0], shown[:, 1], s=0.7, c=COLOURS["points"], linewidths=0, rasterized=True)
     missed = _project(scene.members.axes[scene.members.observed() & ~score.found], scene.across)
-    draw_lines(panel, missed, colors=MISSED, lw=1.3, linestyles=[DASHES], zorder=3, capstyle="butt")
+    draw_lines(panel, missed, colors=COLOURS["missed"], lw=1.3, linestyles=[DASHES], zorder=3, capstyle="butt")
     bars = _project(end_points(trial.segments), scene.across)
-    draw_lines(panel, bars[score.right], colors=RIGHT, lw=1.5)
-    draw_lines(panel, bars[~score.right], colors=WRONG, lw=1.5)
-    numbers = f"precision {score.precision:.2f}" if len(score.right) else "no segment"
+    draw_lines(panel, bars[score.right], colors=COLOURS["right"], lw=1.5)
+    draw_lines(panel, bars[~score.right], colors=COLOURS["wrong"], lw=1.5)
+    numbers = f"{np.count_nonzero(score.right)} of {len(score.right)} right" if len(score.right) else "no segment"
     panel.set_title(f"{MARKS[trial.method][1]}\nrecall {score.recall:.2f}\n{numbers}", fontsize=10)
     panel.set_aspect("equal")
     low, high = flat.min(axis=0) - 0.1, flat.max(axis=0) + 0.1
@@ -104,11 +113,11 @@ def _project(points: Array, across: Array) -> Array:
 
 
 @style()
-def figure_conditions(cases: pd.DataFrame) -> Figure:
+def figure_conditions(cases: pd.DataFrame, seeds: Sequence[int]) -> Figure:
     """Recall, precision, angle and offset (rows) over noise, clutter and density (columns), a curve a method.
 
-    ``cases`` is `segmentation.over_cases`; each column of panels takes the cases that differ from `USUAL` in one
-    condition only. Errors of a method that finds next to nothing say nothing, and are left out.
+    ``cases`` is `segmentation.over_cases` of these seeds; each column of panels takes the cases that differ from
+    `USUAL` in one condition only. Precision and errors of a method that finds next to nothing are left out.
     """
     methods = [name for name in MARKS if name in set(cases["method"])]
     figure = Figure(figsize=(10.5, 10.5))
@@ -122,10 +131,12 @@ def figure_conditions(cases: pd.DataFrame) -> Figure:
                 marker, label = MARKS[method]
                 curve = chosen[chosen["method"] == method].sort_values(condition)
                 x, y = scale * curve[condition], factor * curve[number]
-                if number not in ("recall", "precision"):
+                if number != "recall":
                     y = y.where(curve["recall"] >= RECALL_MIN)
                 panel.plot(x, y, color=COLOURS[method], marker=marker, markersize=5, label=label)
-            panel.axvline(scale * USUAL[condition], color=GREY, lw=0.8, ls=":", zorder=0)
+            panel.axvline(
+                scale * USUAL[condition], color=GREY, lw=1.2, ls=":", zorder=0, label="value in the other columns"
+            )
             panel.set(xlabel=words, ylabel=unit)
             panel.label_outer()
     for row, number in enumerate(NUMBERS):
@@ -133,8 +144,8 @@ def figure_conditions(cases: pd.DataFrame) -> Figure:
     ticks = 100 * np.sort(cases["kept"].unique())
     panels[0, -1].set_xscale("log", base=2)
     panels[0, -1].set_xticks(ticks, [f"{value:.3g}" for value in ticks])
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    gather_legend(figure, ncols=3)
+    figure.suptitle(f"Single frames, {seeds_text(seeds)}, else {USUALLY}, all points\n({UNDRAWN})", fontsize=11)
     return figure
 
 
@@ -152,19 +163,22 @@ def figure_sequence(trials: Sequence[Trial]) -> Figure:
         for method, own in frames.groupby("method", sort=False):
             marker, label = MARKS[str(method)]
             dash = "-" if len(own) == len(scenes) else ""
-            panel.plot(own["frame"], own[number], dash, color=COLOURS[str(method)], marker=marker, ms=5, label=label)
+            shown = own[number] if number == "recall" else own[number].where(own["recall"] >= RECALL_MIN)
+            panel.plot(own["frame"], shown, dash, color=COLOURS[str(method)], marker=marker, ms=5, label=label)
         panel.set(ylabel=number, ylim=(-0.03, 1.03))
     bottom.plot([scene.members.observed().sum() for scene in scenes], color=BLACK, marker=".")
     bottom.set(ylabel="bars observed", xlabel="frame", ylim=(0, None), xlim=(-0.5, len(scenes) - 0.5))
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    gather_legend(figure, ncols=3)
+    figure.suptitle(f"{_caption(scenes)}\n({UNDRAWN})", fontsize=11)
     return figure
 
 
 @style()
-def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame) -> Figure:
+def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame, seeds: Sequence[int]) -> Figure:
     """Maps of recall and precision over dx: by least number of votes (left) and by range noise (right).
 
-    Both are `segmentation.tuning_map`. Beside the fixed dx stand the two rules that need no tuning, with their dx.
+    Both are `segmentation.tuning_map` of a frame of each of these seeds. Beside the fixed dx stand the two rules that
+    need no tuning, with their dx.
     """
     figure = Figure(figsize=(12.0, 8.6))
     panels = figure.subplots(2, 2, squeeze=False)
@@ -174,6 +188,7 @@ def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame) -> Figure:
             image = _draw_map(panels[row, column], table, by, number, low)
         panels[1, column].set_xlabel("dx (cm)")
     figure.colorbar(image, ax=panels, shrink=0.6, label="recall or precision")
+    figure.suptitle(f"Hough, a frame of {seeds_text(seeds)}, {USUALLY}", fontsize=12)
     return figure
 
 
@@ -192,7 +207,8 @@ def _draw_map(panel: Axes, table: pd.DataFrame, by: str, number: str, low: float
     names = [f"{100 * dx:g}" for dx in grid.columns] + ["from\npoints", "diag.\n/ 64"]
     panel.set_xticks(range(len(names)), names, fontsize=9)
     panel.set_yticks(range(len(grid)), [f"{100 * v:g}" if by == "noise_m" else f"{v}" for v in grid.index])
-    panel.set(title=number, ylabel="range noise (cm)" if by == "noise_m" else by)
+    words, fixed = ("range noise (cm)", "15 votes") if by == "noise_m" else ("least votes", "2 cm of noise")
+    panel.set(title=f"{number} by {words.removesuffix(' (cm)')} (at {fixed})", ylabel=words)
     panel.grid(False)
     return image
 
@@ -205,7 +221,7 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
     """
     methods = [name for name in MARKS if name in set(table["method"])]
     columns = {"recall": table, "precision": table, "median_ms": timing}
-    figure = Figure(figsize=(11.0, 0.75 * len(methods) + 1.2))
+    figure = Figure(figsize=(11.0, 0.75 * len(methods) + 2.0))
     panels = figure.subplots(1, len(columns), sharey=True)
     for panel, (number, rows) in zip(panels, columns.items(), strict=True):
         middle = np.median if number == "median_ms" else np.mean
@@ -223,4 +239,7 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
     panels[2].xaxis.set_minor_formatter(lambda value, _: "")
     panels[0].set_yticks(range(len(methods)), [MARKS[name][1] for name in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
+    dot: dict[str, Any] = {"color": GREY, "marker": "o", "ls": "", "ms": 4}
+    draw_legend(figure, {"a seed": dot, "mean, of times median": {"color": BLACK, "lw": 2.0}})
+    figure.suptitle(f"Single frames, {seeds_text(table['seed'])}, {USUALLY}", fontsize=12)
     return figure

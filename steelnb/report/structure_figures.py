@@ -13,46 +13,40 @@ from numpy.typing import NDArray
 
 from steelnb.experiment import Result
 from steelnb.metrics import score_segments
-from steelnb.report.structure_tables import Rebuilt
+from steelnb.report.batch import caption
+from steelnb.report.structure_tables import Rebuilt, StructureFlight
 from steelnb.report.style import (
     BLACK,
     BLUE,
     COLOURS,
-    GREEN,
+    DARK_GREY,
     GREY,
     LABELS,
-    LIGHT_GREY,
-    VERMILION,
+    SKY,
     Figure,
+    draw_bars,
     draw_legend,
-    draw_lines,
     draw_sample,
     end_points,
+    frame_perspective,
     project_perspective,
     style,
 )
 from steelnb.simulation import Tower
 from steelnb.types import Array
 
-RIGHT, WRONG, TRUE, JOINT = GREEN, VERMILION, LIGHT_GREY, "#222222"
-POSES = {
-    "raw": (VERMILION, "drifting poses"),
-    "corrected": (BLUE, "corrected poses"),
-    "true": (GREEN, "true poses"),
-}
-AXES = {"middle of points": VERMILION, "section fitted": BLUE}
+POSES = {"raw": "drifting poses", "corrected": "corrected poses", "true": "true poses"}
+AXES = {"middle of points": SKY, "section fitted": BLUE}
 MARKERS = {"final": "o", "incremental": "s"}
 TOWER_IN = 7.0
 OBSERVED_FROM = 100  # points
-BAR_M = 2.0
-"""Length of the bar that shows the scale."""
 
 
 @style()
 def figure_maps(results: Sequence[Result]) -> Figure:
     """All segments of each run's map over the true members (grey), a panel a run, in perspective.
 
-    Segments within 5° and 10 cm of a true member along half their length are green, the others red.
+    Segments within 5° and 10 cm of a true member along half their length are right, the others wrong.
     """
     tower = results[0].truth.tower
     figure, panels = _panels(tower, len(results))
@@ -62,6 +56,7 @@ def figure_maps(results: Sequence[Result]) -> Figure:
         counts = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
         panel.set_title(f"{LABELS[result.settings.odometry.method]}\n{counts}", fontsize=11)
     draw_legend(figure, _keys("segment"))
+    figure.suptitle(caption(results))
     return figure
 
 
@@ -69,7 +64,7 @@ def figure_maps(results: Sequence[Result]) -> Figure:
 def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
     """The structure of each run, a panel a run, over the true members (grey), in perspective.
 
-    Bars within 5° and 10 cm of a member along half their length are green, others red; joints are dots.
+    Bars within 5° and 10 cm of a member along half their length are right, others wrong; joints are dots.
     """
     tower = runs[0].source.result.truth.tower
     figure, panels = _panels(tower, len(runs))
@@ -77,13 +72,14 @@ def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
         right, joints = run.score.member >= 0, run.structure.joint
         _draw_judged(panel, tower, end_points(run.structure.segments), right)
         at = project_perspective(joints, tower.vertices)
-        panel.plot(at[:, 0], at[:, 1], "o", color=JOINT, markersize=2.4, zorder=4)
+        panel.plot(at[:, 0], at[:, 1], "o", color=BLACK, markersize=2.4, zorder=4)
         panel.set_title(
-            f"{POSES[run.poses][1]}, {run.method}\n{np.count_nonzero(right)} bars on a member, "
+            f"{POSES[run.poses]}, {run.method}\n{np.count_nonzero(right)} bars on a member, "
             f"{np.count_nonzero(~right)} not;\n{len(joints)} joints; recall {run.score.metrics['recall']:.0%}",
             fontsize=11,
         )
-    draw_legend(figure, _keys("bar") | {"joint": {"color": JOINT, "marker": "o", "ls": "", "ms": 4}})
+    draw_legend(figure, _keys("bar") | {"joint": {"color": BLACK, "marker": "o", "ls": "", "ms": 4}})
+    figure.suptitle(_caption(runs[0].source))
     return figure
 
 
@@ -99,89 +95,92 @@ def figure_errors(runs: Sequence[Rebuilt]) -> Figure:
     for panel, run in zip(panels, runs, strict=True):
         right, bars, truth = run.score.member >= 0, end_points(run.structure.segments), run.source.reference
         shades = colours(scale(100 * run.score.offset_m[right]))
-        _draw(panel, tower, truth.axes[truth.observed & ~run.score.found], colors=GREY, linewidths=2.6, zorder=2)
-        _draw(panel, tower, bars[right], colors=shades, linewidths=2.0, zorder=3)
-        _draw(panel, tower, bars[~right], colors=BLACK, linewidths=1.3, linestyles="--", zorder=4)
+        missed = truth.axes[truth.observed & ~run.score.found]
+        draw_bars(panel, missed, tower.vertices, colors=GREY, linewidths=2.6, zorder=2)
+        draw_bars(panel, bars[right], tower.vertices, colors=shades, linewidths=2.0, zorder=3)
+        draw_bars(panel, bars[~right], tower.vertices, colors=BLACK, linewidths=1.3, linestyles="--", zorder=4)
         median, p90 = (100 * run.score.metrics[f"offset_{name}_m"] for name in ("median", "p90"))
-        panel.set_title(f"{POSES[run.poses][1]}\nmedian {median:.1f} cm, p90 {p90:.1f} cm")
+        panel.set_title(f"{POSES[run.poses]}\nmedian {median:.1f} cm, p90 {p90:.1f} cm")
     figure.colorbar(
         ScalarMappable(scale, colours), ax=list(panels), shrink=0.6, pad=0.02, extend="max",
         label="distance of a bar's axis to the true axis (cm)",
     )  # fmt: skip
     keys = {
-        "true member": {"color": TRUE, "lw": 1},
+        "true member": {"color": COLOURS["member"], "lw": 1},
         "observed, not found": {"color": GREY, "lw": 2.6},
         "bar on no member": {"color": BLACK, "lw": 1.5, "ls": "--"},
     }
     draw_legend(figure, keys, ncols=3 if len(runs) > 1 else 2)
+    figure.suptitle(_caption(runs[0].source, ",\n"))
     return figure
 
 
+def _caption(source: StructureFlight, end: str = ", ") -> str:
+    """The flight, the tower and the method that corrected the poses of a structure."""
+    method = LABELS[source.result.settings.odometry.method]
+    return f"{caption([source.result])}{end}tower {source.tower}, poses corrected by {method}"
+
+
 def _panels(tower: Tower, count: int) -> tuple[Figure, list[Axes]]:
-    """Panels side by side, each with the true members in grey and a bar of two metres."""
-    flat = project_perspective(tower.vertices, tower.vertices)
-    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
-    scale = TOWER_IN / (high - low)
-    figure = Figure(figsize=(count * max((right - left) * scale + 0.3, 3.7) + 0.8, TOWER_IN + 1.5))
+    """Panels side by side, each with the true members in grey."""
+    width, height = np.ptp(project_perspective(tower.vertices, tower.vertices), axis=0)
+    figure = Figure(figsize=(count * max(width * TOWER_IN / height + 0.3, 3.7) + 0.8, TOWER_IN + 1.8))
     panels = list(figure.subplots(1, count, squeeze=False)[0])
     for panel in panels:
-        _draw(panel, tower, tower.axes, colors=TRUE, linewidths=0.8, zorder=1)
-        panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
-        panel.set_axis_off()
-        panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
-        panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
+        draw_bars(panel, tower.axes, tower.vertices, colors=COLOURS["member"], linewidths=0.8, zorder=1)
+        frame_perspective(panel, tower.vertices)
     return figure, panels
-
-
-def _draw(panel: Axes, tower: Tower, bars: Array, **look: Any) -> None:
-    """Add bars ``(M, 2, 3)`` to a panel, seen in perspective."""
-    draw_lines(panel, project_perspective(bars, tower.vertices), **look)
 
 
 def _draw_judged(panel: Axes, tower: Tower, bars: Array, right: NDArray[np.bool_]) -> None:
     """Add bars ``(M, 2, 3)``, those ``right (M,)`` over the wrong ones."""
-    _draw(panel, tower, bars[~right], colors=WRONG, linewidths=1.3, zorder=2)
-    _draw(panel, tower, bars[right], colors=RIGHT, linewidths=1.5, zorder=3)
+    draw_bars(panel, bars[~right], tower.vertices, colors=COLOURS["wrong"], linewidths=1.3, zorder=2)
+    draw_bars(panel, bars[right], tower.vertices, colors=COLOURS["right"], linewidths=1.5, zorder=3)
 
 
 def _keys(name: str) -> dict[str, dict[str, Any]]:
     """Legend of `_draw_judged`."""
-    shades = {f"{name} on a member": RIGHT, "on none": WRONG, "true member": TRUE}
-    return {label: {"color": shade, "lw": 2} for label, shade in shades.items()}
+    labels = {f"{name} on a member": "right", "on none": "wrong", "true member": "member"}
+    return {label: {"color": COLOURS[key], "lw": 2} for label, key in labels.items()}
 
 
 @style()
-def figure_recall(table: pd.DataFrame) -> Figure:
-    """Recall against the points seen of a member, a line for each poses and method, from `recall_by_points`."""
-    figure = Figure(figsize=(7.6, 4.9))
+def figure_recall(table: pd.DataFrame, source: StructureFlight) -> Figure:
+    """Recall against the points seen of a member, a line for each poses and method, from `recall_by_points`.
+
+    Lines have the colour of the method that corrected the poses of ``source``, or of none.
+    """
+    methods = {"raw": "none", "corrected": source.result.settings.odometry.method, "true": "truth"}
+    figure = Figure(figsize=(8.2, 5.6))
     panel = figure.add_subplot()
     table = table.assign(middle=np.sqrt(table["points_from"] * table["points_to"]))
     for (poses, method), rows in table.groupby(["poses", "method"], sort=False):
-        colour, label = POSES[str(poses)]
+        colour = COLOURS[methods[str(poses)]]
         true, final = poses == "true", method == "final"
         panel.plot(
             rows["middle"], 100 * rows["recall"], color=colour, linestyle="-" if final else "--",
             marker=MARKERS[str(method)], markersize=9 if true else 5, mfc="none" if true else None,
-            zorder=2 if true else 3, label=f"{label}, {method}",
+            zorder=2 if true else 3, label=f"{POSES[str(poses)]}, {method}",
         )  # fmt: skip
-    grey: dict[str, Any] = {"fontsize": 10, "color": "#555555"}
+    grey: dict[str, Any] = {"fontsize": 10, "color": DARK_GREY}
     for row in table.drop_duplicates("middle").itertuples():
         panel.annotate(str(row.members), (row.middle, 107), ha="center", va="center", **grey)
     panel.annotate("members:", (0, 107), (-6, 0), ("axes fraction", "data"), "offset points", ha="right",
                    va="center", annotation_clip=False, **grey)  # fmt: skip
-    panel.axvline(OBSERVED_FROM, color="#555555", linestyle=":", linewidth=1.2)
+    panel.axvline(OBSERVED_FROM, color=DARK_GREY, linestyle=":", linewidth=1.2)
     panel.annotate("observed\nfrom here on", (OBSERVED_FROM, 86), (4, 0), textcoords="offset points", **grey)
     panel.set(xscale="log", xlabel="points seen of a member in the flight")
     panel.set(ylabel="members found (%)", ylim=(0, 112), yticks=range(0, 101, 20))
     figure.legend(loc="outside lower center", ncols=2, fontsize=10)
+    figure.suptitle(_caption(source, ",\n"))
     return figure
 
 
 @style()
-def figure_near_side(bias: pd.DataFrame) -> Figure:
+def figure_near_side(bias: pd.DataFrame, source: StructureFlight) -> Figure:
     """Distance by which bars lie nearer to the sensor than the true axes (`structure_tables.near_side`), a dot a bar.
 
-    Columns are the kinds of member, with the width of their flanges; lines are medians.
+    Columns are the kinds of member, with the width of their flanges; lines are medians. ``source`` names the flight.
     """
     kinds = bias.groupby("kind")["section_m"].first().sort_values(ascending=False)
     figure = Figure(figsize=(7.6, 4.9))
@@ -198,6 +197,7 @@ def figure_near_side(bias: pd.DataFrame) -> Figure:
     panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {axis: {"color": shade, "marker": "o", "ls": ""} for axis, shade in AXES.items()}
     draw_legend(figure, keys | {"median (cm, above)": {"color": BLACK, "lw": 2.0}})
+    figure.suptitle(f"{caption([source.result])},\ntower {source.tower}, true poses")
     return figure
 
 
@@ -216,17 +216,18 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
             values = factor * own[goal["goal"]].to_numpy()
             draw_sample(panel, place, values, COLOURS[str(method)], MARKERS[str(method)], markersize=4.5)
         limit, at_most = factor * goal["limit"], goal["side"] == "at most"
-        panel.axhline(limit, color="#555555", linestyle="--", linewidth=1.2)
+        panel.axhline(limit, color=DARK_GREY, linestyle="--", linewidth=1.2)
         low, high = panel.get_ylim()
         low, high = (0.0, 1.15 * max(high, limit)) if at_most else (min(low, limit) - 1, 101.0)
         panel.set(xlim=(-0.5, len(towers) - 0.5), ylim=(low, high), ylabel=unit)
         panel.set_title(f"{name}: {goal['side']} {limit:g} {unit}", fontsize=11)
-        panel.axhspan(*((limit, high) if at_most else (low, limit)), color="#f1e4dc", zorder=0)
+        panel.axhspan(*((limit, high) if at_most else (low, limit)), color=COLOURS["misses"], zorder=0)
         panel.set_xticks(range(len(towers)), towers)
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
-    keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": "#555555", "lw": 1.2, "ls": "--"}}
-    draw_legend(figure, keys)
+    keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": DARK_GREY, "lw": 1.2, "ls": "--"}}
+    draw_legend(figure, keys | {"misses the goal": {"fc": COLOURS["misses"]}})
+    figure.suptitle(f"{caption(table.drop(columns='tower'))}, poses corrected by {LABELS[table['odometry'].iloc[0]]}")
     return figure
 
 

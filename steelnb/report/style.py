@@ -1,7 +1,7 @@
 """The style of all figures, with one table of colours and one of names, and drawing helpers shared by them."""
 
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,41 +12,51 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from steelnb.types import Array, Segments
 
-# Okabe and Ito's palette (2008), which the colour-blind can tell apart.
-BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PURPLE = (
+# Okabe and Ito's palette (2008), which the colour-blind can tell apart, and between its colours those that stay apart.
+BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
     "#000000", "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 )  # fmt: skip
-GREY, LIGHT_GREY = "#777777", "#b8b8b8"
-COLOURS = {
-    "truth": BLACK, "drifting": VERMILION, "corrected": BLUE, "report": GREY, "built": GREEN, "true cloud": ORANGE,
-    "leg": BLACK, "ring": BLUE, "bracing": GREEN, "arm": VERMILION, "vertical": PURPLE, "orbit": SKY,
-    "none": VERMILION, "average": BLUE, "least_squares": GREEN, "least_squares_yaw": "#44AA99", "icp": BLUE,
-    "icp-3dof": SKY, "icp-3dof-dropped": "#882255", "icp-4dof": ORANGE, "gicp": "#117733", "gicp-4dof": "#999933",
-    "vgicp": "#AA4499", "best": PURPLE, "combined": "#332288", "smoothed": BLACK,
-    "hough": VERMILION, "hough-once": "#882255", "hough-blocks": PURPLE, "ransac-lines": BLUE,
-    "ransac-lines-uniform": SKY, "ransac-planes": GREY, "gmm": GREEN, "dbscan": ORANGE,
-    "final": BLUE, "incremental": ORANGE,
-}  # fmt: skip
-LABELS = {
-    "none": "no correction",
-    "average": "average (report's)",
-    "least_squares": "least squares",
-    "icp": "ICP",
-    "icp-3dof": "3-DoF ICP",
-    "icp-3dof-dropped": "3-DoF ICP, rotation dropped",
-    "icp-4dof": "4-DoF ICP",
-    "gicp": "GICP",
-    "gicp-4dof": "4-DoF GICP",
-    "vgicp": "VGICP",
-    "best": "best",
-    "least_squares_yaw": "least squares with yaw",
-    "combined": "combined",
-    "smoothed": "smoothed",
+INDIGO, MAGENTA, WINE, OLIVE, LIGHT_GREEN = "#332288", "#9E2A8F", "#882255", "#999933", "#8FCF9F"
+GREY, DARK_GREY, LIGHT_GREY = "#777777", "#555555", "#b8b8b8"
+VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
+METHODS = {
+    "none": ("no correction", VERMILION),
+    "average": ("average (report's)", OLIVE),
+    "least_squares": ("least squares", "#5A5A2A"),
+    "icp": ("ICP", SKY),
+    "icp-3dof": ("3-DoF ICP", GREEN),
+    "icp-3dof-dropped": ("3-DoF ICP, rotation dropped", LIGHT_GREEN),
+    "icp-4dof": ("4-DoF ICP", "#1C7A7A"),
+    "gicp": ("GICP", PINK),
+    "gicp-4dof": ("4-DoF GICP", WINE),
+    "vgicp": ("VGICP", "#F4C2DA"),
+    "best": ("best", MAGENTA),
+    "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
+    "combined": ("combined", INDIGO),
+    "smoothed": ("smoothed", "#661100"),
 }
+"""Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""
+DETECTORS = {
+    "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
+    "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
+}  # fmt: skip
+"""Methods of segmentation, which no figure shows beside odometries."""
+KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
+"""Members of the tower, and the flights around it."""
+COLOURS = {
+    **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS,
+    "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
+    "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "misses": "#f1e4dc", "refused": "#dddddd",
+}  # fmt: skip
+"""One colour for each name in every figure; a figure takes its colours from here alone."""
+LABELS = {name: label for name, (label, _) in METHODS.items()}
+REPORT_BAND: dict[str, Any] = {"fc": "#ececec", "ec": "#cccccc", "hatch": "////", "linewidth": 0, "zorder": 0}
+"""Look of a range of values that a figure of the report shows, behind everything else."""
+BAR_M = 2.0
+"""Length of the bar that shows the scale of a perspective."""
 
 
 class Figure(matplotlib.figure.Figure):
@@ -86,13 +96,21 @@ def draw_legend(
     loc: str = "outside lower center",
     **more: Any,
 ) -> None:
-    """A legend of the figure from label → properties of a line, or of a patch where they have a ``facecolor``."""
+    """A legend of the figure from label → properties of a line, or of a patch where they have an ``fc``."""
     handles = [
-        Patch(label=label, **look) if "facecolor" in look else Line2D([], [], label=label, **look)
+        Patch(label=label, **look) if "fc" in look else Line2D([], [], label=label, **look)
         for label, look in keys.items()
     ]
     options: dict[str, Any] = {"loc": loc, "ncols": len(keys), **more}
     figure.legend(handles=handles, **options)
+
+
+def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:
+    """A legend of the figure from the labels in all of its panels, each once."""
+    found = [zip(*panel.get_legend_handles_labels(), strict=True) for panel in figure.axes]
+    handles: dict[Any, Any] = {label: handle for pairs in found for handle, label in pairs}
+    options: dict[str, Any] = {"loc": loc, **more}
+    figure.legend(list(handles.values()), list(handles), **options)
 
 
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
@@ -122,11 +140,6 @@ def draw_sample(
     return centre
 
 
-def draw_bars(axis, bars: Array, **look) -> None:  # type: ignore[no-untyped-def]
-    """Draw bars ``(M, 2, 3)`` into a 3D axis."""
-    axis.add_collection3d(Line3DCollection(bars, **look), autolim=False)
-
-
 def end_points(segments: Segments) -> Array:
     """Both ends of each segment ``(M, 2, 3)``."""
     return np.stack([segments.start, segments.end], axis=1)
@@ -135,21 +148,6 @@ def end_points(segments: Segments) -> Array:
 def thinned(points: Array, count: int) -> Array:
     """At most ``count`` of the points ``(N, 3)``, evenly over their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
-
-
-def frame_3d(axis, points: Array, azimuth_deg: float = -60, zoom: float = 1.25) -> None:  # type: ignore[no-untyped-def]
-    """Equal scales around ``points (N, 3)``, seen from 12° above without perspective; a tick every 4 m."""
-    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
-    axis.set_proj_type("ortho")
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axis.set_box_aspect(high - low, zoom=zoom)
-    axis.view_init(12, azimuth_deg)
-    for name, sides in zip("xyz", zip(low, high, strict=True), strict=True):
-        first = sides[0] if name != "y" else sides[0] + 1  # the first of y would lie on the last of x
-        getattr(axis, f"set_{name}ticks")(np.arange(4 * np.ceil(first / 4), sides[1] + 0.1, 4))
-        getattr(axis, f"set_{name}label")(f"{name} (m)", labelpad=-2 if name != "z" else -4)
-        getattr(axis, f"{name}axis").set_pane_color((1, 1, 1, 0))
-        axis.tick_params(axis=name, pad=-2)
 
 
 def project_perspective(points: Array, cloud: Array) -> Array:
@@ -165,3 +163,28 @@ def project_perspective(points: Array, cloud: Array) -> Array:
     distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
     flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
+
+
+def draw_bars(panel: Axes, bars: Array, cloud: Array, **look: Any) -> None:
+    """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
+    draw_lines(panel, project_perspective(bars, cloud), **look)
+
+
+def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, labels: Mapping[str, str] | None = None) -> None:
+    """Draw positions ``(N, 3)`` by name of their colour into a panel as `project_perspective` shows them, the truth
+    wide below the others, with `frame_perspective` around them."""
+    for name, positions in paths.items():
+        x, y = project_perspective(positions, cloud).T
+        panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=(labels or {}).get(name))
+    frame_perspective(panel, cloud, list(paths.values()))
+
+
+def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = ()) -> None:
+    """Limits of a panel in which `project_perspective` shows ``cloud (N, 3)`` and ``more``, with a bar for the scale in
+    place of axes."""
+    flat = project_perspective(np.concatenate([cloud, *more]), cloud)
+    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
+    panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
+    panel.set_axis_off()
+    panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
+    panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)

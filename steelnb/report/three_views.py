@@ -10,10 +10,9 @@ from matplotlib.ticker import MaxNLocator
 from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
 from steelnb.report.style import (
-    BLUE,
-    GREEN,
+    COLOURS,
     LIGHT_GREY,
-    VERMILION,
+    PINK,
     Figure,
     draw_legend,
     draw_lines,
@@ -24,28 +23,27 @@ from steelnb.report.style import (
 )
 from steelnb.types import Array, Segments
 
-GROUPS = {"near_vertical": BLUE, "inclined": VERMILION, "near_horizontal": GREEN}
-CHANGES = {"same": LIGHT_GREY, "missing": VERMILION, "extra": BLUE, "moved": GREEN}
-POINT_COLOUR = "#bdbdbd"
+GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
+CHANGES = {"same": LIGHT_GREY, "missing": COLOURS["wrong"], "extra": COLOURS["right"], "moved": PINK}
 POINTS_MAX = 60_000
 
 
 @style()
 def figure_segments(points: Array, segments: Segments, groups: Sequence[str], title: str) -> Figure:
     """Points ``(N, 3)`` in grey, segments coloured by their class of orientation, in the views of `_three_views`."""
-    turn = upright_box(points)
+    turn, ends = upright_box(points), end_points(segments)
     points = thinned(points, POINTS_MAX)
-    figure, panels, project = _three_views(points, turn)
+    figure, panels, project = _three_views(np.concatenate([points, ends.reshape(-1, 3)]), turn)
     colours = [GROUPS[group] for group in groups]
     for name, panel in panels.items():
         x, y = project(points, name).T
-        panel.scatter(x, y, s=1.0, c=POINT_COLOUR, linewidths=0, rasterized=True)
-        draw_lines(panel, project(end_points(segments), name), colors=colours, linewidths=1.1, alpha=0.9)
+        panel.scatter(x, y, s=1.0, c=COLOURS["points"], linewidths=0, rasterized=True)
+        draw_lines(panel, project(ends, name), colors=colours, linewidths=1.1, alpha=0.9)
     keys: dict[str, dict[str, Any]] = {
         f"{name.replace('_', ' ')} ({sum(other == name for other in groups)})": {"color": colour, "lw": 2}
         for name, colour in GROUPS.items()
     }
-    keys["points"] = {"color": POINT_COLOUR, "marker": "o", "ls": "", "ms": 3}
+    keys["points"] = {"color": COLOURS["points"], "marker": "o", "ls": "", "ms": 3}
     draw_legend(figure, keys, ncols=4 if figure.get_figwidth() > 9 else 2)
     figure.suptitle(title, fontsize=12)
     return figure

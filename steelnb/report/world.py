@@ -4,15 +4,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from steelnb.noise import drifting, random_walk_rms_m
-from steelnb.report.style import COLOURS, Figure, frame_3d, style
+from steelnb.report.style import (
+    BLUE,
+    COLOURS,
+    GREY,
+    KINDS,
+    Figure,
+    draw_bars,
+    draw_lines,
+    draw_paths,
+    gather_legend,
+    style,
+)
 from steelnb.settings import NoiseSettings
 from steelnb.simulation import Tower, Truth
 from steelnb.types import Array, Flight, Trajectory
 
 RATE_HZ = 125.0
+SEEDS_DRAWN = 8
 
 
 def flight_table(flights: dict[str, tuple[Flight, Truth]]) -> pd.DataFrame:
@@ -90,28 +101,24 @@ def drift_metrics(drift: pd.DataFrame) -> dict[str, float]:
 
 @style()
 def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
-    """The tower as the sensors see it, with the flights around it, and its members by class from two sides."""
-    figure = Figure(figsize=(11, 7))
-    grid = figure.add_gridspec(1, 3, width_ratios=(1.25, 1, 0.55))
-    scene = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
-    colour = np.array([COLOURS[tower.members[m].kind] for m in tower.triangle_member])
-    mesh = Poly3DCollection(tower.vertices[tower.triangles], facecolors=colour, edgecolors=colour, linewidths=0.15)
-    scene.add_collection3d(mesh, autolim=False)
-    for name, flight in flights.items():
-        scene.plot(*flight.position.T, color=COLOURS[name], linewidth=1.1, label=f"{name} flight")
-    frame_3d(scene, np.concatenate([tower.vertices, *(f.position for f in flights.values())]))
-    scene.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.0))
-    for panel, (across, name) in enumerate(((0, "x"), (1, "y")), start=1):
-        side = figure.add_subplot(grid[panel])
-        for kind in ("ring", "bracing", "arm", "leg"):
-            lines = tower.axes[[member.kind == kind for member in tower.members]][:, :, [across, 2]]
-            apart = np.concatenate([lines, np.full((len(lines), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-            side.plot(*apart.T, color=COLOURS[kind], linewidth=1.2, label=f"{kind} ({len(lines)})")
-        side.set(aspect="equal", xlabel=f"{name} (m)", ylim=(-0.3, tower.settings.height_m + 0.5))
-        side.set_title("front" if panel == 1 else "side")
-        if panel == 1:
-            side.set_ylabel("z (m)")
-    figure.legend(*side.get_legend_handles_labels(), loc="outside lower right", ncols=4)
+    """The tower with the flights around it, in perspective, and its members by class from two sides."""
+    figure = Figure(figsize=(11, 7.2))
+    scene, *sides = figure.subplots(1, 3, width_ratios=(1.25, 1, 0.55))
+    kinds = np.array([member.kind for member in tower.members])
+    for kind in (name for name in reversed(KINDS) if name in kinds):
+        bars = tower.axes[kinds == kind]
+        look = {"colors": COLOURS[kind], "linewidths": 2.2 if kind == "leg" else 1.2}
+        draw_bars(scene, bars, tower.vertices, **look)
+        for across, side in enumerate(sides):
+            draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
+    paths = {name: flight.position for name, flight in flights.items()}
+    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in flights})
+    for across, side in enumerate(sides):
+        reach = np.abs(tower.axes[..., across]).max() + 0.3
+        side.set(xlim=(-reach, reach), ylim=(-0.3, tower.settings.height_m + 0.5), aspect="equal")
+        side.set(xlabel=f"{'xy'[across]} (m)", ylabel="z (m)", title=("front", "side")[across])
+    gather_legend(figure, ncols=3)
+    figure.suptitle(f"{', '.join(flights)} flight around the tower, no noise")
     return figure
 
 
@@ -122,23 +129,24 @@ def figure_drift(curves: Mapping[str, tuple[Array, Array]], claim: str) -> Figur
     ``curves`` maps a noise to its `drift_curves`; the dashed line is their `expected_drift`. The report's claim (1 m
     after 3 min) is marked in the panel of the noise named ``claim``.
     """
-    figure = Figure(figsize=(11, 3.8))
+    figure = Figure(figsize=(11, 4.4))
     for k, (name, (stamp, errors)) in enumerate(curves.items()):
         panel = figure.add_subplot(1, len(curves), k + 1)
         yaw = name.startswith("yaw")
         scale = np.degrees(1.0) if yaw else 1.0
         minutes = stamp / 60
         thin = slice(None, None, max(1, len(stamp) // 500))
-        panel.plot(minutes[thin], scale * errors[:8, thin].T, color="#999999", linewidth=0.7, alpha=0.8)
-        panel.plot([], [], color="#999999", linewidth=0.9, label="single seeds")
+        panel.plot(minutes[thin], scale * errors[:SEEDS_DRAWN, thin].T, color=GREY, linewidth=0.7, alpha=0.8)
+        panel.plot([], [], color=GREY, linewidth=0.9, label=f"{len(errors[:SEEDS_DRAWN])} single seeds")
         rms = scale * np.sqrt((errors**2).mean(axis=0))
-        panel.plot(minutes[thin], rms[thin], color=COLOURS["average"], label=f"RMS of {len(errors)} seeds")
+        panel.plot(minutes[thin], rms[thin], color=BLUE, label=f"RMS of {len(errors)} seeds")
         panel.plot(
             minutes[thin], scale * expected_drift(name, stamp[thin]), "--", color=COLOURS["truth"], label="expected"
         )
         if name == claim:
-            panel.plot(3, 1.0, "*", color=COLOURS["none"], markersize=13, label="report: about 1 m")
+            panel.plot(3, 1.0, "*", color=COLOURS["report"], ms=16, mec="white", zorder=5, label="report: about 1 m")
         panel.set(title=name, xlabel="time (min)", ylabel="heading error (°)" if yaw else "position error (m)")
         panel.set_ylim(bottom=0)
         panel.legend(loc="upper left", fontsize=9)
+    figure.suptitle("Drift alone, which depends on no flight and no sensor")
     return figure

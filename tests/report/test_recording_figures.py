@@ -40,6 +40,8 @@ def test_paths_are_drawn_from_above_and_from_the_side_at_one_scale(truth, method
     assert [line.get_label() for line in above.lines] == names
     np.testing.assert_array_equal(above.lines[0].get_ydata(), prior.position[:, 1])
     np.testing.assert_array_equal(side.lines[-2].get_ydata(), corrected.position[:, 2])
+    if truth:
+        assert above.lines[1].get_linewidth() > 2 * above.lines[2].get_linewidth(), "seen beside the path on it"
     scales = [panel.get_window_extent().width / np.ptp(panel.get_xlim()) for panel in (above, side)]
     assert scales[0] == pytest.approx(scales[1], rel=0.25)
 

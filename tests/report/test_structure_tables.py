@@ -121,12 +121,12 @@ def test_the_figures_show_bars_joints_and_numbers_of_each_run(runs):
 
 def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
     by_points = tables.recall_by_points(runs)
-    panel = figures.figure_recall(by_points).axes[0]
+    panel = figures.figure_recall(by_points, runs[0].source).axes[0]
     curves = {line.get_label(): line.get_ydata() for line in panel.lines}
     true = by_points[(by_points["poses"] == "true") & (by_points["method"] == "final")]
     np.testing.assert_allclose(curves["true poses, final"], 100 * true["recall"])
     bias = tables.near_side(next(run for run in runs if run.poses == "true" and run.method == "final"))
-    panel = figures.figure_near_side(bias).axes[0]
+    panel = figures.figure_near_side(bias, runs[0].source).axes[0]
     assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "o") == len(bias.dropna())
     medians = 100 * bias.groupby(["kind", "axis"])["toward_sensor_m"].median().dropna()
     assert sorted(text.get_text() for text in panel.texts) == sorted(f"{value:+.1f}" for value in medians)

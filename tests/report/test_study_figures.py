@@ -9,8 +9,10 @@ import pytest
 from steelnb.report.claims import HOLDS, NOT_RUN, ONLY_WHEN, Claim, Verdict
 from steelnb.report.study_figures import (
     claim_goal,
+    figure_accuracy,
     figure_claims,
     figure_error_bands,
+    figures_by_section,
     interval_text,
     percentile_bands,
 )
@@ -29,6 +31,16 @@ def verdict(
     return Verdict("x", claim, np.nan, np.nan, np.nan, 30, word, condition, table)
 
 
+def heading(panel) -> str:
+    return panel.get_title(loc="left").replace("\n", " ")
+
+
+def across(panel, value: float) -> float:
+    """The place of a value, 0 at the left edge of a panel and 1 at its right."""
+    first, last = panel.get_xlim()
+    return (value - first) / (last - first)
+
+
 def place(panel, mark) -> float:
     (line,) = [line for line in panel.lines if line.get_marker() == mark]
     return line.get_xdata()[0]
@@ -39,20 +51,21 @@ def test_what_is_as_claimed_lies_right_of_the_line_whatever_the_claim():
     for sign, comparison in ((1, "below"), (-1, "above")):
         turned = [(name, sign * m, *sorted((sign * low, sign * high)), holds) for name, m, low, high, holds in cells]
         (panel,) = figure_claims([verdict(ONLY_WHEN, turned, comparison=comparison)]).axes
-        assert place(panel, "o") == pytest.approx(-3 * place(panel, "X")), "distances from the line are in proportion"
-        assert place(panel, "o") > 0
+        assert place(panel, "o") == pytest.approx(-0.3 * sign), "in metres"
+        assert across(panel, 0.0) == pytest.approx(0.5)
+        assert across(panel, place(panel, "X")) < 0.5 < across(panel, place(panel, "o")) < 1
         assert [label.get_text() for label in panel.get_yticklabels()] == ["vertical", "orbit"]
-        (heading,) = panel.texts
-        assert heading.get_text().startswith("HOLDS ONLY WHEN · one is better (3.3; error_mean_m")
+        assert heading(panel).startswith("HOLDS ONLY WHEN · one is better (3.3; error_mean_m")
+        assert heading(panel).endswith("30 seeds, sensor report)")
 
 
 def test_a_range_is_shaded_between_its_ends():
     cells = [("vertical", 2.9, 2.8, 3.1, True), ("orbit", 5.0, 4.5, 5.5, False)]
     (panel,) = figure_claims([verdict(ONLY_WHEN, cells, comparison="between", threshold=(2.5, 3.5))]).axes
-    (band,) = panel.collections
-    left, right = band.get_paths()[0].get_extents().intervalx
-    assert left == 0
-    assert left < place(panel, "o") < right < place(panel, "X") < 1
+    (band,) = panel.patches
+    left, right = band.get_x(), band.get_x() + band.get_width()
+    assert (left, right) == pytest.approx((2.5, 3.5))
+    assert left < place(panel, "o") < right < place(panel, "X") < panel.get_xlim()[1]
 
 
 def test_numbers_have_units_and_the_claim_its_goal():
@@ -62,7 +75,7 @@ def test_numbers_have_units_and_the_claim_its_goal():
         panel = figure_claims([verdict(HOLDS, cells, metric=metric)]).axes[0]
         (numbers,) = [label.get_text() for label in panel.child_axes[0].get_yticklabels()]
         assert numbers == f"−0.123 [−0.150, −0.100] {unit}".rstrip()
-        assert f"(3.3; {metric}, difference < 0 {unit}".rstrip() + ")" in panel.texts[0].get_text()
+        assert f"(3.3; {metric}, difference < 0 {unit}".rstrip() + ";" in heading(panel)
     assert claim_goal(verdict(HOLDS, cells, threshold=(-0.05,)).claim) == "error_mean_m, difference < −0.05 m"
     ranged = verdict(HOLDS, cells, comparison="between", threshold=(2.5, 3.5)).claim
     assert claim_goal(ranged).endswith("in 2.5 to 3.5 m")
@@ -86,19 +99,30 @@ def test_a_claim_that_was_not_run_says_why_and_headings_do_not_overlap():
     long = "a claim of so many words that it takes more than one line of the figure to say what it claims, and another"
     rows = [verdict(HOLDS, [("orbit", -0.1, -0.2, -0.05, True)] * count, text=long) for count in (1, 3)]
     figure = figure_claims([*rows, verdict(NOT_RUN, [])])
-    panel, texts = figure.axes[0], figure.axes[0].texts
-    assert "not run" in texts[2].get_text().lower()
-    assert "no runs with method = 'one'" in texts[2].get_text()
+    assert "not run" in heading(figure.axes[2]).lower()
+    assert "no runs with method = 'one'" in heading(figure.axes[2])
     figure.draw_without_rendering()
-    boxes = [text.get_window_extent() for text in (*texts, *panel.get_yticklabels())]
+    texts = [label for panel in figure.axes[:2] for label in panel.get_yticklabels()]
+    texts += [panel._left_title for panel in figure.axes]
+    boxes = [text.get_window_extent() for text in texts]
+    boxes += [panel.xaxis.get_tightbbox() for panel in figure.axes[:2]]
+    assert min(box.x0 for box in boxes) >= 0
+    assert max(box.x1 for box in boxes) <= figure.bbox.x1
     pairs = itertools.combinations(boxes, 2)
     assert not [(a, b) for a, b in pairs if a.shrunk(1, 0.7).overlaps(b.shrunk(1, 0.7))]
+
+
+def test_each_section_has_a_figure_of_its_own():
+    here, there = verdict(HOLDS, []), verdict(HOLDS, [])
+    there.claim.__dict__["section"] = "5, figure 5.1"
+    drawn = figures_by_section([here, there, here])
+    assert {name: len(figure.axes) for name, figure in drawn.items()} == {"claims_3_3": 2, "claims_5": 1}
 
 
 def curves(seeds=11, **case) -> pd.DataFrame:
     """Runs whose error is time through a hundred, times one to eleven."""
     time = np.linspace(0, 200, 101)
-    given = {"trajectory": "orbit", "noise": "random-walk", "method": "icp", "status": "ok", **case}
+    given = {"trajectory": "orbit", "noise": "random-walk", "method": "icp", "sensor": "report", "status": "ok", **case}
     return pd.DataFrame(
         {
             **given,
@@ -133,7 +157,12 @@ def test_a_panel_for_each_method_and_case_and_a_word_where_there_are_no_runs():
     figure = figure_error_bands(runs, ["icp", "gicp"])
     assert len(figure.axes) == 4
     words = [{text.get_text() for text in panel.texts} for panel in figure.axes]
-    assert words == [{"11 seeds"}, {"not run"}, {"not run"}, {"11 seeds"}]
+    assert words == [set(), {"not run"}, {"not run"}, set()]
+    assert figure.get_suptitle() == "sensor report, 11 seeds: median and band"
+    keys = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert {"no correction", "ICP", "GICP", "10–90 % of the seeds"} <= keys
+    colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
+    assert [line.get_color() for line in (*figure.axes[0].lines, figure.axes[3].lines[1])] == colours
     assert [len(panel.lines) for panel in figure.axes] == [2, 0, 0, 2]
     raw, error = figure.axes[0].lines
     assert raw.get_linestyle() == "--"
@@ -144,9 +173,32 @@ def test_a_panel_for_each_method_and_case_and_a_word_where_there_are_no_runs():
     assert len(figure_error_bands(runs.iloc[:0], ["icp"]).axes) == 1
 
 
+def test_small_errors_are_within_the_panels_of_bands():
+    runs = curves(method="best")
+    runs["curve_error_m"] = runs["curve_error_m"] / 1000
+    (panel,) = figure_error_bands(runs, ["best"]).axes
+    assert panel.get_ylim()[0] < 4e-5, "the lower end of the band"
+
+
+def test_a_mean_that_misses_its_goal_says_so_and_a_far_goal_does_not_squeeze_the_seeds():
+    table = pd.DataFrame(
+        {"case": case, "method": "best", "ate_rmse_m": ate, "seed": seed, "sensor": "report", "trajectory": "orbit"}
+        for case, ates in {"calm": (0.02, 0.024), "blind": (0.027, 0.03)}.items()
+        for seed, ate in enumerate(ates)
+    ).assign(noise="random-walk")
+    figure = figure_accuracy(table, 0.025, 0.08)
+    said = [text.get_text().replace("\n", " ") for text in figure.axes[0].texts]
+    assert said == ["2.2", "2.9 misses the goal"]
+    assert figure.axes[0].get_ylim()[1] < 4
+    assert "goal for any seed, 8 cm (above)" in {text.get_text() for text in figure.legends[0].get_texts()}
+    assert figure.get_suptitle() == "orbit flight, sensor report, 2 seeds"
+
+
 def test_the_range_of_the_report_stands_behind_what_it_shows_alone():
     def ranges(**case):
         (panel,) = figure_error_bands(curves(**case), [case["method"]]).axes
+        seeds = min(band.get_zorder() for band in panel.collections)
+        assert all(patch.get_zorder() < seeds for patch in panel.patches), "behind the band of the seeds"
         return [patch.get_extents().transformed(panel.transData.inverted()).intervaly for patch in panel.patches]
 
     ((low, high),) = ranges(method="gicp", noise="constant-drift")
