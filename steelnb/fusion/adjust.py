@@ -14,6 +14,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
+from steelnb.fusion.bundle import yaw_of
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.types import Array, IntArray, Segments
 
@@ -75,7 +76,7 @@ def adjust(
 def _back(poses: Array, before: Array) -> tuple[Array, Array]:
     """The rotation about z ``(3, 3)`` and the shift ``(3,)`` that bring poses back to those before, in the mean."""
     between = before[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
-    yaw = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1]).mean()
+    yaw = yaw_of(between).mean()
     turned = Rotation.from_rotvec([0, 0, yaw]).as_matrix()
     return turned, (before[:, :3, 3] - poses[:, :3, 3] @ turned.T).mean(axis=0)
 

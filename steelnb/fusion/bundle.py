@@ -104,7 +104,7 @@ def start(T_world_sensor: Array, prior: Array, bars: Bars) -> Bundle:
     them, by a turn about z and a shift."""
     between = prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T
     turn = np.eye(4)
-    turn[:3, :3] = _about_z(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, yaw_of(between)]).as_matrix()
     turn[:3, 3] = prior[0, :3, 3] - turn[:3, :3] @ T_world_sensor[0, :3, 3]
     segments = bars.segments.transformed(turn)
     moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
@@ -157,7 +157,7 @@ def _chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array)
     apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
     error = np.empty((len(time), POSE))
     error[:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
-    error[:, 3] = np.arctan2(apart[:, 1, 0] - apart[:, 0, 1], apart[:, 0, 0] + apart[:, 1, 1])
+    error[:, 3] = yaw_of(apart)
     before = np.tile(-np.eye(POSE), (len(time), 1, 1))  # derivative by the earlier pose; by the later one: identity
     before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
     weighed = weight[:, :, None] * before
@@ -203,8 +203,10 @@ def _ratio(residuals: Array, bundle: Bundle) -> float:
     return float(bundle.sigma_ratio * median / 0.6745)
 
 
-def _about_z(angle: float) -> Array:
-    return Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+def yaw_of(rotation: Array) -> Array:
+    """The angle about z, radians, that is nearest to each rotation ``(…, 3, 3)``."""
+    first, second = rotation[..., 0, :], rotation[..., 1, :]
+    return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
 
 
 @njit(cache=True, error_model="numpy")

@@ -64,12 +64,8 @@ def reconstruct(
     scales = Scales.at(settings.tube_m)
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
-        flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
-        bars, _ = find_bars(flight.voxels, settings, grids=1)
-        for _ in range(2 if len(bars) else 0):
-            # Bars extended to their joints have more points, so a second round is more exact.
-            fitted, bars = flight.refine(bars)
-        if len(bars):
+        flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
+        if fitted is not None:
             points = flight.bar_points(fitted.bars, every=1, pixels=4)
             T_world_sensor, _ = adjust(fitted.bars, fitted.turn, fitted.width, fitted.across, T_world_sensor, points)
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
@@ -127,7 +123,7 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
     none = np.full(len(bars), np.nan)
     sigma = bars.radius / np.sqrt(np.maximum(bars.count, 1))
     return _tied(
-        _Fitted(bars, sections.frames(bars.direction), none, none, sigma, none, np.ones_like(bars.count)), scales
+        FittedBars(bars, sections.frames(bars.direction), none, none, sigma, none, np.ones_like(bars.count)), scales
     )
 
 
@@ -172,7 +168,7 @@ def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float)
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class FittedBars:
     """B bars with their fitted sections: frames ``across (B, 2, 3)``, flange ``width``, ``turn``, standard deviations
     ``sigma`` of the axis and ``tilt`` of its direction, ``sightings``; width and tilt NaN for too few points."""
 
@@ -184,8 +180,10 @@ class _Fitted:
     tilt: Array
     sightings: IntArray
 
-    def take(self, mask: NDArray[np.bool_]) -> "_Fitted":
-        return _Fitted(self.bars.take(mask), *(column[mask] for name, column in vars(self).items() if name != "bars"))
+    def take(self, mask: NDArray[np.bool_]) -> "FittedBars":
+        return FittedBars(
+            self.bars.take(mask), *(column[mask] for name, column in vars(self).items() if name != "bars")
+        )
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ class MappedScans:
             bar = bars_of_points(points, bar_of_voxel, grid.voxel_m, grid.key, grid.slot)
             yield k, points[bar >= 0], bar[bar >= 0]
 
-    def fit(self, bars: Segments, every: int, pixels: int = 1) -> _Fitted:
+    def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections to the points of each bar; the axes of the bars move to the centroids of their sections."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
@@ -223,9 +221,9 @@ class MappedScans:
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        return _Fitted(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
+        return FittedBars(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
 
-    def refine(self, bars: Segments) -> tuple[_Fitted, Segments]:
+    def refine(self, bars: Segments) -> tuple[FittedBars, Segments]:
         """Fit bars cut at bends to one in five scans; and those bars tied at joints, their pieces and copies merged."""
         s, scales = self.settings, Scales.at(self.settings.tube_m)
         fitted = self.fit(trim_bends(bars, scales), every=5)
@@ -233,7 +231,21 @@ class MappedScans:
         return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
 
 
-def _tied(fitted: _Fitted, scales: Scales) -> Structure:
+def map_and_fit(
+    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings
+) -> tuple[MappedScans, FittedBars | None, str]:
+    """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
+    of the sensor mapped, and the bars fitted; or None, and the reason. Raises `EmptyCloudError` as `map_scans`."""
+    flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
+    bars, reason = find_bars(flight.voxels, settings, grids=1)
+    fitted = None
+    for _ in range(2 if len(bars) else 0):
+        # Bars extended to their joints have more points, so a second round is more exact.
+        fitted, bars = flight.refine(bars)
+    return flight, fitted if len(bars) else None, reason
+
+
+def _tied(fitted: FittedBars, scales: Scales) -> Structure:
     width = np.where(np.isfinite(fitted.width), fitted.width, 2 * fitted.bars.radius)
     joint, tie, bars = find_joints(fitted.bars, width, scales)
     return Structure(bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie)

@@ -8,7 +8,7 @@ import numpy as np
 
 from steelnb.errors import EmptyCloudError
 from steelnb.fusion import bundle
-from steelnb.fusion.reconstruct import MappedScans, find_bars, map_scans
+from steelnb.fusion.reconstruct import map_and_fit, map_scans
 from steelnb.settings import StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
@@ -29,13 +29,10 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
     for last in (False, True):
         try:
-            scans = MappedScans(flight.scans, T, map_scans(flight.scans, T, settings, every=3), settings)
+            scans, fitted, reason = map_and_fit(flight.scans, T, settings)
         except EmptyCloudError as fault:
             return replace(estimate, unsmoothed=str(fault))
-        found, reason = find_bars(scans.voxels, settings, grids=1)
-        for _ in range(2 if len(found) else 0):
-            fitted, found = scans.refine(found)
-        if not len(found) or np.isfinite(fitted.width).sum() < BARS_MIN:
+        if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         state = bundle.start(T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
         for pixels, steps in (COARSE, FINE) if last else (COARSE,):
