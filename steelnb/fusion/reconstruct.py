@@ -30,6 +30,8 @@ RIDGE_SHARE = 0.2
 LINEAR_SHARE_MIN = 0.5
 """Least share of the length of all lines outside planar and volumetric regions (`regions.linear_share`: at most 0.02 in
 shapes without bars, at least 0.75 on towers scanned closely)."""
+TILT_MAX_RAD = 0.05
+"""A bar whose direction has a larger standard deviation is left out."""
 CHUNK = 1 << 17
 GRIDS = 4
 """Grids of blocks in which bars are proposed. On flights eight find no more."""
@@ -74,7 +76,7 @@ def reconstruct(
         return Structure.empty(reason)
     _, bars = flight.refine(bars)
     fitted = flight.fit(trim_bends(bars, scales), every=1, pixels=2)
-    fitted = fitted.take(fitted.tilt <= settings.tilt_max_rad)  # not NaN: too few points to tell a section
+    fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # not NaN: too few points to tell a section
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
     return _tied(fitted, scales)

@@ -1,10 +1,15 @@
-"""Drift of a pose estimate: the report's Algorithm 1, its constant drift, and its yaw random walk."""
+"""Drift of a pose estimate: the report's Algorithm 1, its constant drift, its yaw random walk, and tilt."""
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from steelnb import rng
 from steelnb.settings import NoiseSettings
 from steelnb.types import Array, Trajectory
+
+TILT_S = 30.0
+"""Correlation time of the error of roll and pitch."""
 
 
 def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajectory:
@@ -12,8 +17,10 @@ def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajector
 
     Position errors, metres in the world frame, are sums over the steps of the trajectory (125 Hz in simulation): the
     random walk of the report's Algorithm 1 and a constant step. Yaw noise, radians, turns the heading about the world's
-    z axis and leaves the position alone. Each noise has a stream of its own (``random-walk``, ``constant-drift``,
-    ``yaw-random-walk``) of the seed, so that a sum contains its parts unchanged.
+    z axis and leaves the position alone. Tilt turns roll and pitch, about the world's x and y axes, by a first-order
+    Gauss-Markov process that begins at zero and has a correlation time of 30 s: what an attitude filter leaves when an
+    accelerometer's bias wanders. Each noise has a stream of its own (``random-walk``, ``constant-drift``,
+    ``yaw-random-walk``, ``tilt``) of the seed, so that a sum contains its parts unchanged.
     """
     steps = len(truth) - 1
     walk = settings.random_walk_m * rng.stream(seed, "random-walk").standard_normal((steps, 3))
@@ -28,8 +35,20 @@ def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajector
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(heading)
     turn[:, 1, 0] = np.sin(heading)
     turn[:, 0, 1] = -turn[:, 1, 0]
+    if settings.tilt_rad:
+        turn = turn @ Rotation.from_rotvec(_tilt(truth.stamp_s, settings.tilt_rad, seed)).as_matrix()
     T_world_drone[:, :3, :3] = turn @ T_world_drone[:, :3, :3]
     return Trajectory(truth.stamp_s, T_world_drone)
+
+
+def _tilt(stamp_s: Array, sigma_rad: float, seed: int) -> Array:
+    """Rotation vectors ``(N, 3)`` of the error of roll and pitch; the third component is 0."""
+    if len(stamp_s) < 2:
+        return np.zeros((len(stamp_s), 3))
+    stays = np.exp(-float(np.median(np.diff(stamp_s))) / TILT_S)
+    steps = rng.stream(seed, "tilt").standard_normal((len(stamp_s), 2))
+    steps[0] = 0.0
+    return np.pad(lfilter([sigma_rad * np.sqrt(1 - stays**2)], [1.0, -stays], steps, axis=0), ((0, 0), (0, 1)))
 
 
 def random_walk_rms_m(settings: NoiseSettings, stamp_s: Array, rate_hz: float = 125.0) -> Array:

@@ -4,9 +4,14 @@ A sensor sees the near side of a bar, so its points lie nearer than the axis, wh
 When the view turns, they move around the bar, and a registration takes that for a motion of the drone. Points moved
 away from the sensor by the right length lie about the axis from every side.
 
-For a thin equal-leg angle section of flange b, seen from all sides alike, the middle of what is visible is 0.068 b
-nearer than the centroid of the section, and the width that a pixel sees is 1.13 b on average. So the length is 0.060
-times that width, which the scans show. No tower enters; a structure of tubes would want 0.39 instead.
+Along one direction in the plane of a section, front and back bound the filled area F, and what is the back from here
+is the front from the opposite side. So over all directions the pixels lie mean(F) / (2 mean(w)) before the centroid,
+where w is the width; by Cauchy's formula mean(w) is the perimeter of the hull over pi (Santaló, Integral Geometry and
+Geometric Probability, 2nd ed. 2004, I.1). An equal-leg angle section of flange b and thickness t = b/12, as rolled ones
+have, fills its area and, for directions that cross both flanges, the triangle between them:
+mean(F) = 2bt - t² + (b - t)² ln 2 / (2 pi), and mean(w) = (2b + 2t + sqrt(2) (b - t)) / pi. Pixels then lie 0.1145 b
+before the centroid and see a width of mean(w²) / mean(w) = 1.138 b, so the length is 0.10 times the width that the
+scans show. No tower enters. Without thickness it would be 0.045, for a round tube pi/8 = 0.39.
 """
 
 import numpy as np
@@ -14,7 +19,7 @@ from numba import njit
 
 from steelnb.types import Array
 
-SHARE_OF_WIDTH = 0.060
+SHARE_OF_WIDTH = 0.10
 STEP_M = 0.15
 WIDTH_MAX_M = 0.4
 

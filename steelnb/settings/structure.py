@@ -27,8 +27,8 @@ class StructureSettings(Settings):
     ``tube_m``: radius of the tube about a bar that holds its points; all lengths of the method are in proportion to it
     (`fusion.scales`). ``min_votes``: fewest filtered points of a bar. ``copy_distance_m``: what mostly runs within it
     of a stronger bar is a copy of that. Points below ``floor_m`` or further from the sensor than ``range_max_m`` are
-    left out. ``adjust``: poses and bars are adjusted together. ``tilt_max_rad``: a bar whose direction has a larger
-    standard deviation is left out. The defaults were chosen with those of `fusion.scales.Scales`.
+    left out. ``adjust``: poses and bars are adjusted together. The defaults were chosen with those of
+    `fusion.scales.Scales`.
     """
 
     tube_m: Positive = 0.06
@@ -37,7 +37,6 @@ class StructureSettings(Settings):
     floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.2
     range_max_m: Positive = 6.0
     adjust: bool = True
-    tilt_max_rad: Positive = 0.05
 
     @classmethod
     def for_cloud(cls, tube_m: float) -> "StructureSettings":

@@ -120,22 +120,24 @@ class NoiseSettings(Settings):
     """Drift of the pose prior, added at every simulator step (125 Hz).
 
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
-    of the constant step vector; ``yaw_random_walk_rad``: standard deviation of the heading step.
+    of the constant step vector; ``yaw_random_walk_rad``: standard deviation of the heading step; ``tilt_rad``: that of
+    the slowly varying error of roll and of pitch, which the report does not have.
     """
 
     random_walk_m: NotNegative = 0.0
     constant_drift_m: NotNegative = 0.0
     yaw_random_walk_rad: NotNegative = 0.0
+    tilt_rad: NotNegative = 0.0
 
     @classmethod
     def parse(cls, text: str) -> "NoiseSettings":
         """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
-        A name without a level takes the report's. ``constant-drift-per-axis`` reads the level as the step per axis, √3
-        more in all. ``none`` is no noise. Raises `SettingsError`.
+        A name without a level takes the report's, ``tilt`` one degree. ``constant-drift-per-axis`` reads the level as
+        the step per axis, √3 more in all. ``none`` is no noise. Raises `SettingsError`.
 
         >>> NoiseSettings.parse("random-walk+yaw-random-walk:0.001")
-        NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001)
+        NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
         """
         if not isinstance(text, str):
             raise SettingsError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
@@ -159,5 +161,6 @@ REPORT_NOISE = {
     "constant-drift": ("constant_drift_m", 0.0001, 1.0),
     "constant-drift-per-axis": ("constant_drift_m", 0.0001, math.sqrt(3)),
     "yaw-random-walk": ("yaw_random_walk_rad", 0.0005, 1.0),
+    "tilt": ("tilt_rad", math.radians(1.0), 1.0),
 }
-"""Name → setting, the report's level, and the factor from the level to the setting."""
+"""Name → setting, the usual level (the report's, but for ``tilt``), and the factor from the level to the setting."""

@@ -68,12 +68,15 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
     """Finite numbers of a run: its metrics, and numbers that explain them.
 
     ``lost_share`` is the share of scans after the first without pairs; ``growth_lost_m_s`` and ``growth_paired_m_s``
-    the mean growth of the error there and elsewhere; ``wrong_share`` the share of the scans with pairs whose error
+    the mean growth of the error there and elsewhere, ``raw_growth_lost_m_s`` and ``raw_growth_paired_m_s`` that of the
+    error without correction at the same scans; ``wrong_share`` the share of the scans with pairs whose error
     exceeds `WRONG_M`; ``slip_m`` the largest growth of the error within a second; ``bend_deg`` that of the assembled
     cloud; ``turned_mean_deg`` and ``turned_final_deg`` the angle between estimated and true attitude.
     """
     error, paired = position_error_m(result.corrected, result.truth.trajectory), result.matches > 0
-    growth, lost = np.diff(error) / np.diff(result.corrected.stamp_s), ~paired[1:]
+    lost, passed_s = ~paired[1:], np.diff(result.corrected.stamp_s)
+    growth = np.diff(error) / passed_s
+    raw_growth = np.diff(position_error_m(result.prior, result.truth.trajectory)) / passed_s
     true = result.truth.trajectory.at(result.corrected.stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
     turned_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
@@ -86,6 +89,8 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
         "lost_share": lost.mean() if len(lost) else 0.0,
         "growth_lost_m_s": growth[lost].mean() if lost.any() else np.nan,
         "growth_paired_m_s": growth[~lost].mean() if (~lost).any() else np.nan,
+        "raw_growth_lost_m_s": raw_growth[lost].mean() if lost.any() else np.nan,
+        "raw_growth_paired_m_s": raw_growth[~lost].mean() if (~lost).any() else np.nan,
         "wrong_share": (error[paired] > WRONG_M).mean() if paired.any() else 0.0,
         "slip_m": largest_slip(error, max(1, round(result.settings.tof.rate_hz)))[1],
         "bend_deg": bend_deg,

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from steelnb.noise import drifting, random_walk_rms_m
 from steelnb.settings import NoiseSettings
@@ -55,6 +56,20 @@ def test_yaw_walk_turns_the_heading_and_leaves_the_position():
     np.testing.assert_allclose(R[:, 2, 2], 1)
     final = [drifting(truth, NoiseSettings(yaw_random_walk_rad=0.0005), s).T_world_drone[-1] for s in range(300)]
     assert np.std([np.arctan2(T[1, 0], T[0, 0]) for T in final]) == pytest.approx(0.0005 * np.sqrt(1250), rel=0.12)
+
+
+def test_tilt_wanders_about_zero_in_roll_and_pitch_alone():
+    truth = still(100)
+    settings = NoiseSettings.parse("tilt")
+    assert settings.tilt_rad == np.radians(1)
+    turned = [drifting(truth, settings, seed) for seed in range(60)]
+    np.testing.assert_array_equal(turned[0].position, truth.position)
+    np.testing.assert_array_equal(turned[0].T_world_drone[0], truth.T_world_drone[0])
+    vectors = Rotation.from_matrix(np.concatenate([each.T_world_drone[5000:, :3, :3] for each in turned])).as_rotvec()
+    np.testing.assert_allclose(vectors[:, 2], 0, atol=1e-12)
+    np.testing.assert_allclose(vectors[:, :2].std(axis=0), np.radians(1), rtol=0.25)
+    later = np.array([[each.T_world_drone[k, 2, 1] for k in (5000, 5000 + 30 * 125)] for each in turned])
+    assert 0.1 < np.corrcoef(later.T)[0, 1] < 0.7  # a correlation of 1/e after 30 s
 
 
 def test_drift_begins_at_zero_and_a_sum_contains_its_parts():
