@@ -1,39 +1,44 @@
 """Notebook 08: claims that a number can answer; from the runs of a study to an estimate, its interval and a verdict."""
 
 import itertools
-import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
-from scipy import stats
 
-from steelnb.errors import FileMissingError, SettingsError
-from steelnb.report import segmentation
+from steelnb.errors import SettingsError
 from steelnb.report.batch import flat
+from steelnb.report.false_convergence import WRONG_SHARE_MAX
+from steelnb.report.intervals import Sample, correlation_over_seeds, holm, mean_over_seeds, share_of_seeds
 from steelnb.settings import Settings, read_tables
 from steelnb.study.plan import CASE
 from steelnb.types import Array
 
-RESAMPLES = 9999
-CONFIDENCE = 0.95
-HOLDS, FAILS, ONLY_WHEN, NOT_RUN = "holds", "does not hold", "holds only when", "not run"
+HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
+LEVEL = 0.05
+"""Largest adjusted p-value of a verdict."""
 UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
-USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 200.0, "variant": "", "blind": ""}
+TOWERS = ("", "tower.waist_width_m=2.4", "tower.waist_width_m=3.0")
+"""The report's tower as preset, 1.7 m wide at the waist, and wider: the report does not give that width."""
+USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 200.0, "variant": list(TOWERS), "blind": ""}
 """Values of the runs that a claim is about, unless its ``where`` says otherwise."""
-SLIP_M = 0.25
-"""An error that grows by more than this within a second, while the scan has pairs, has locked onto something else."""
 DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     "raw_at_180_s_m": lambda runs: [
         np.interp(180.0, time, error) if time[-1] >= 179.0 else np.nan
         for time, error in zip(runs["curve_time_s"], runs["curve_raw_m"], strict=True)
     ],
-    "slipped": lambda runs: (runs["slip_m"] > SLIP_M).to_numpy(),
+    "converged_wrongly": lambda runs: (runs["wrong_share"] > WRONG_SHARE_MAX).to_numpy(),
+    "remaining_share": lambda runs: (runs["ate_rmse_m"] / runs["raw_ate_rmse_m"]).to_numpy(),
+    "growth_beyond_drift_m_s": lambda runs: (runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"]).to_numpy(),
 }
+"""Metrics of the runs that follow from their columns. ``converged_wrongly``: more than `WRONG_SHARE_MAX` of the scans
+with pairs ended too far off, notebook 05's rule; ``remaining_share``: corrected by uncorrected error;
+``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less that of the drift at the same scans."""
 Chosen = dict[str, str | float | list[str]]
 
 
@@ -55,7 +60,7 @@ class Claim(Settings):
     where: Chosen = Field(default_factory=dict)
     a: Chosen = Field(default_factory=dict)
     b: Chosen = Field(default_factory=dict)
-    by: Annotated[list[str], Field(min_length=1)] = ["trajectory", "noise"]  # noqa: RUF012
+    by: Annotated[list[str], Field(min_length=1)] = ["trajectory", "noise", "variant"]  # noqa: RUF012
 
     @model_validator(mode="after")
     def _fits(self) -> "Claim":
@@ -80,6 +85,16 @@ class Claim(Settings):
             return high < self.threshold[0] or self.threshold[1] < low
         return low > self.threshold[0] if self.comparison == "below" else high < self.threshold[0]
 
+    def p_values(self, sample: Sample) -> tuple[float, float]:
+        """One-sided p-values: that the number is not as claimed, small where it clearly is, and that it is."""
+        low, high = self.threshold[0], self.threshold[-1]
+        if self.comparison == "below":
+            return sample.p_not_below(low), sample.p_not_above(low)
+        if self.comparison == "above":
+            return sample.p_not_above(low), sample.p_not_below(low)
+        inside = max(sample.p_not_above(low), sample.p_not_below(high))
+        return inside, min(1.0, 2 * min(sample.p_not_below(low), sample.p_not_above(high)))
+
     @property
     def unit(self) -> str:
         """The unit of the claim's number, by the ending of its metric; none for a share, a ratio or a correlation."""
@@ -95,21 +110,30 @@ class Claim(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim's number with its interval, the number of seeds, the verdict and its condition.
+    """A claim's verdict, its p-value, and the numbers that it rests on.
 
-    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high`` and ``holds``. A claim that
-    was not run has no cells and no numbers (NaN); its condition says what is missing.
+    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high``, ``n_seeds`` and
+    ``verdict``, by its own 95 % interval. ``p`` is corrected for the number of claims by `judge_all`. A claim that was
+    not run has no cells; ``missing`` says what is.
     """
 
     id: str
     claim: Claim
-    estimate: float
-    low: float
-    high: float
-    n_seeds: int
     verdict: str
-    condition: str
+    p: float
+    favours: str
     cells: pd.DataFrame
+    missing: str = ""
+
+    @property
+    def n_seeds(self) -> int:
+        """The most seeds of a cell."""
+        return int(self.cells["n_seeds"].max()) if len(self.cells) else 0
+
+    @property
+    def where(self) -> str:
+        """The cells as claimed, where they are neither none nor all."""
+        return describe_cells(self.cells, self.claim.by) if len(set(self.cells["verdict"]) | {HOLDS}) > 1 else ""
 
 
 def read_claims(path: Path) -> dict[str, Claim]:
@@ -117,152 +141,127 @@ def read_claims(path: Path) -> dict[str, Claim]:
     return read_tables(path, Claim, "a file of claims")
 
 
-def frame_runs(folder: Path) -> pd.DataFrame:
-    """The results of the segmentation methods as runs, so that claims on single frames are judged like the others.
-
-    Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
-    without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
-    that the folder has for them. Raises `FileMissingError`.
-    """
-    names = ["scene", "noise_m", "clutter", "kept", "method", "seed"]
-    try:
-        rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
-    except OSError as fault:
-        raise FileMissingError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
-    times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
-    rows = rows.merge(times, on=names, how="left", validate="one_to_one")
-    usual = np.logical_and.reduce([rows[name] == value for name, value in segmentation.USUAL.items()])
-    rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
-    both = rows["recall"] + rows["precision"]
-    f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
-    case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "status": "ok"}
-    return rows.assign(f1=f1, **{**USUAL, **case})
-
-
 def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
-    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about."""
+    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about.
+
+    The p-values are adjusted for the number of claims (Holm); a claim whose adjusted p-value exceeds `LEVEL` is
+    `OPEN`, whatever its cells say one by one.
+    """
     verdicts = []
     for name, claim in claims.items():
         try:
             verdicts.append(judge(name, claim, runs))
         except SettingsError as fault:
-            missing, none = str(fault).removeprefix(f"[{name}]: ").partition(";")[0], float("nan")
-            cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "holds"])
-            verdicts.append(Verdict(name, claim, none, none, none, 0, NOT_RUN, missing, cells))
-    return verdicts
+            missing = str(fault).removeprefix(f"[{name}]: ").partition(";")[0]
+            cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
+            verdicts.append(Verdict(name, claim, NOT_RUN, float("nan"), NOT_RUN, cells, missing))
+    judged = [each for each in verdicts if each.verdict != NOT_RUN]
+    adjusted = iter(holm([each.p for each in judged]))
+    return [each if each.verdict == NOT_RUN else _decided(each, next(adjusted)) for each in verdicts]
 
 
 def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
-    """Estimate what a claim is about over the seeds of some runs, overall and in each cell.
+    """Estimate what a claim is about over the seeds of some runs, in each cell, and judge it by itself.
 
-    A claim holds where all of the interval is as claimed; it holds only when some cells do and others do not. A cell in
-    which fewer than two seeds have a number says nothing. Raises `SettingsError`.
+    A claim speaks of all its cells: it `HOLDS` if the number is as claimed in every one (the largest p-value of them
+    counts), it `FAILS` if it clearly is not in one (the smallest counts, times their number), and is `OPEN` otherwise.
+    A cell in which fewer than two seeds have a number says nothing. Raises `SettingsError`.
     """
     good = runs[runs["status"] == "ok"]
     first = _select(name, good, {**USUAL, **claim.where, **claim.a})
-    cells = list(dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)))
-    sides = []
-    for cell in cells:
+    rows, p_values = [], []
+    for cell in dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)):
         at = dict(zip(claim.by, cell, strict=True))
         here = first[np.logical_and.reduce([first[column] == value for column, value in at.items()])]
-        pair = [_by_seed(name, here, claim.metric)]
+        sides = [_by_seed(name, here, claim.metric)]
         if claim.form != "level":
             other = {key: value for key, value in claim.b.items() if key != "metric"}
             there = _select(name, good, {**USUAL, **claim.where, **claim.a, **at, **other})
-            pair.append(_by_seed(name, there, str(claim.b.get("metric", claim.metric))))
-        sides.append(pd.concat(pair, axis=1, keys=range(len(pair))))
-    seeds = sorted(set().union(*(side.index for side in sides)))
-    values = np.array([side.reindex(seeds).to_numpy() for side in sides]).transpose(1, 0, 2)  # (seed, cell, side)
-    values[~np.isfinite(values).all(axis=2)] = np.nan
-    kept = [c for c in range(len(cells)) if np.isfinite(values[:, c, 0]).sum() >= 2]
-    if not kept:
+            sides.append(_by_seed(name, there, str(claim.b.get("metric", claim.metric))))
+        values = pd.concat(sides, axis=1, join="inner").to_numpy()
+        values = values[np.isfinite(values).all(axis=1)]
+        if len(values) >= (4 if claim.form == "correlation" else 2):
+            sample = _sample(claim.form, values)
+            p_values.append(claim.p_values(sample))
+            low, high = sample.low, sample.high
+            word = HOLDS if claim.satisfied(low, high) else FAILS if claim.outside(low, high) else OPEN
+            rows.append((*map(str, cell), sample.estimate, low, high, sample.n_seeds, word))
+    if not rows:
         raise SettingsError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
-    rows = []
-    for c in kept:
-        estimate, low, high = interval(claim.form, values[:, [c]])
-        rows.append((*map(str, cells[c]), estimate, low, high, claim.satisfied(low, high)))
-    table = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "holds"])
-    estimate, low, high = interval(claim.form, values[:, kept])
-    n_seeds = int(np.count_nonzero(np.isfinite(values[:, kept, 0]).any(axis=1)))
-    word = HOLDS if table["holds"].all() else ONLY_WHEN if table["holds"].any() else FAILS
-    condition = describe_cells(table, claim.by) if word == ONLY_WHEN else ""
-    return Verdict(name, claim, estimate, low, high, n_seeds, word, condition, table)
+    cells = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
+    against, as_claimed = np.array(p_values).T  # p-values that the number is not as claimed, and that it is
+    holds, fails = float(against.max()), min(1.0, len(cells) * float(as_claimed.min()))
+    verdict = Verdict(name, claim, OPEN, 1.0, HOLDS if holds <= fails else FAILS, cells)
+    return _decided(verdict, min(1.0, 2 * min(holds, fails)))
 
 
-def interval(form: str, values: Array) -> tuple[float, float, float]:
-    """Estimate of ``values (seed, cell, side)`` with its 95 % interval by a bootstrap over the seeds.
+def _decided(verdict: Verdict, p: float) -> Verdict:
+    """A verdict by a p-value, which has two sides."""
+    return replace(verdict, p=p, verdict=verdict.favours if p <= LEVEL else OPEN)
 
-    Seeds are drawn with all their cells and both sides, so that differences stay paired. Bias-corrected and accelerated
-    (Efron 1987); percentiles where all seeds are so alike that this is not defined. Always the same draws. A share of
-    runs, each 0 or 1, has the exact binomial interval (Clopper and Pearson 1934): a bootstrap of something rare reaches
-    down to 0 although it happened.
-    """
-    values = values[np.any(np.isfinite(values).all(axis=2), axis=1)]
-    if form == "level" and len(values) and np.isin(values[np.isfinite(values)], (0.0, 1.0)).all():
-        happened = values[np.isfinite(values)]
-        exact = stats.binomtest(int(happened.sum()), len(happened)).proportion_ci(CONFIDENCE, method="exact")
-        return float(happened.mean()), float(exact.low), float(exact.high)
-    whole = form == "correlation"  # a number of all seeds; the other forms have one a seed, whose mean is the estimate
-    data = np.arange(len(values)) if whole else _numbers(form, values)
-    statistic: Callable[..., Any] = (lambda index: _correlation(values[index])) if whole else np.mean
-    estimate = float(statistic(data))
-    if not whole and np.ptp(data) < 1e-12:
-        return estimate, estimate, estimate
-    for method in ("BCa", "percentile"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that it is not defined is seen from its being NaN
-            found = stats.bootstrap(
-                (data,), statistic, n_resamples=RESAMPLES // 10 if whole else RESAMPLES, confidence_level=CONFIDENCE,
-                method=method, vectorized=not whole, rng=np.random.default_rng(0),
-            ).confidence_interval  # fmt: skip
-        if np.isfinite([found.low, found.high]).all():
-            break
-    return estimate, float(found.low), float(found.high)
+
+def _sample(form: str, values: Array) -> Sample:
+    """The number of some seeds ``values (seed, side)``."""
+    a, b = values[:, 0], values[:, -1]
+    if form == "correlation":
+        return correlation_over_seeds(a, b)
+    if form == "level" and np.isin(a, (0.0, 1.0)).all():
+        return share_of_seeds(a)
+    return mean_over_seeds(a - b if form == "difference" else a / b if form == "ratio" else a)
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """One row a claim, as the README shows them."""
-    names = ("estimate", "low", "high", "n_seeds", "verdict", "condition")
+    """One row a claim, as the README shows them: the ``lowest`` and ``highest`` estimate of its cells, how many these
+    are, in how many the number is as claimed and in how many it is not, and ``where`` it is."""
     return pd.DataFrame(
-        {"claim": each.claim.claim, "section": each.claim.section, "metric": each.claim.measure}
-        | {name: getattr(each, name) for name in names}
+        {
+            "claim": each.claim.claim,
+            "section": each.claim.section,
+            "metric": each.claim.measure,
+            "lowest": each.cells["estimate"].min(),
+            "highest": each.cells["estimate"].max(),
+            "n_seeds": each.n_seeds,
+            "cells": len(each.cells),
+            "as_claimed": int((each.cells["verdict"] == HOLDS).sum()),
+            "not_as_claimed": int((each.cells["verdict"] == FAILS).sum()),
+            "p": each.p,
+            "verdict": each.verdict,
+            "where": each.where or each.missing,
+        }
         for each in verdicts
     )
 
 
+def summary_sentence(table: pd.DataFrame) -> str:
+    """How many of the claims in a `verdict_table` hold, do not, are open, or were not run."""
+    counts = table["verdict"].value_counts()
+    judged, missing = len(table) - counts.get(NOT_RUN, 0), counts.get(NOT_RUN, 0)
+    partly = int(((table["verdict"] == FAILS) & (table["as_claimed"] > 0)).sum())
+    text = (
+        f"Of {judged} claims that could be judged, {counts.get(HOLDS, 0)} hold, {counts.get(FAILS, 0)} do not, of "
+        f"which {partly} do in some flights, noises or towers, and {counts.get(OPEN, 0)} are inconclusive."
+    )
+    return text + (f" {missing} could not be judged: the study lacks their runs." if missing else "")
+
+
 def verdict_metrics(verdicts: Sequence[Verdict]) -> dict[str, float]:
-    """The finite numbers of all verdicts in one flat map, ``<name>.<estimate, low, high, n_seeds, …>``."""
+    """The finite numbers of all verdicts in one flat map, ``<name>.<lowest, highest, n_seeds, …>``."""
     rows = verdict_table(verdicts).set_index(pd.Index([each.id for each in verdicts]))
-    rows["cells_holding"] = [each.cells["holds"].astype(float).mean() for each in verdicts]
-    return flat(rows, columns=("estimate", "low", "high", "n_seeds", "cells_holding"))
+    return flat(rows, columns=("lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed", "p"))
 
 
 def describe_cells(cells: pd.DataFrame, by: Sequence[str]) -> str:
     """The cells in which a claim holds, by the fewest columns that tell them from the others."""
-    holding = cells[cells["holds"]]
+    holding = cells[cells["verdict"] == HOLDS]
     choices = [list(names) for count in range(1, len(by)) for names in itertools.combinations(by, count)]
     enough = (n for n in choices if len(cells.merge(holding[n].drop_duplicates(), on=n)) == len(holding))
     rows = holding[next(enough, list(by))].drop_duplicates()
-    return "; ".join(", ".join(filter(None, row)) or "as preset" for row in rows.itertuples(index=False))
+    return "; ".join(cell_name(row) for row in rows.itertuples(index=False))
 
 
-def _numbers(form: str, values: Array) -> Array:
-    """The level, difference or ratio of each seed ``(N,)``, a mean over its cells."""
-    a, b = values[..., 0], values[..., -1]
-    each = a - b if form == "difference" else a / b if form == "ratio" else a
-    return np.asarray(np.nanmean(each, axis=1))
-
-
-def _correlation(values: Array) -> float:
-    """Spearman's rank correlation between the two sides over the seeds, a mean over the cells; 0 where a side is
-    constant."""
-    found = []
-    for cell in range(values.shape[1]):
-        pair = values[np.isfinite(values[:, cell]).all(axis=1), cell]
-        ranks = [stats.rankdata(pair[:, side]) for side in (0, 1)]
-        alike = len(pair) < 2 or np.ptp(ranks[0]) == 0 or np.ptp(ranks[1]) == 0
-        found.append(0.0 if alike else float(np.corrcoef(*ranks)[0, 1]))
-    return float(np.mean(found))
+def cell_name(values: Iterable[str]) -> str:
+    """A cell by its values; settings without their table: ``vertical, random-walk, waist_width_m=2.4``."""
+    return ", ".join(re.sub(r"\w+\.(?=\w+=)", "", value) for value in values if value) or "as preset"
 
 
 def _select(name: str, runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
@@ -278,7 +277,10 @@ def _select(name: str, runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFra
 def _by_seed(name: str, runs: pd.DataFrame, metric: str) -> pd.Series:
     """A metric by seed, a mean where a seed has several runs. Raises `SettingsError` for an unknown one."""
     if metric in DERIVED:
-        values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
+        try:
+            values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
+        except KeyError as missing:
+            raise SettingsError(f"[{name}]: no column {missing}; expected a number that runs have") from None
     elif metric in runs and pd.api.types.is_numeric_dtype(runs[metric]):
         values = pd.Series(runs[metric].to_numpy(dtype=float), index=runs["seed"].to_numpy())
     else:

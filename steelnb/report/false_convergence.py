@@ -20,6 +20,8 @@ from steelnb.simulation import Truth
 from steelnb.study.row import WRONG_M
 from steelnb.types import Array, Flight
 
+WRONG_SHARE_MAX = 0.05
+"""A flight in which more of the scans with pairs ended farther than `WRONG_M` from the truth has converged wrongly."""
 RIGHT_M = 0.1
 """An end within this distance of the truth is right: the edge of the report's voxel."""
 

@@ -5,12 +5,14 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from steelnb import rng
+from steelnb.errors import FileMissingError
 from steelnb.hough import suggest_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
@@ -245,3 +247,25 @@ def cost_of_rules(tuning: pd.DataFrame) -> pd.DataFrame:
     for name in ("recall", "precision"):
         cost[f"{name}_lost"] = cost[f"{name}_best"] - cost[name]
     return cost[[*by, "rule", "best_dx_m", "dx_m", "recall_lost", "precision_lost"]]
+
+
+def frame_runs(folder: Path) -> pd.DataFrame:
+    """The results of the segmentation methods as runs, so that claims on single frames are judged like the others.
+
+    Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
+    without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
+    that the folder has for them. Raises `FileMissingError`.
+    """
+    names = ["scene", "noise_m", "clutter", "kept", "method", "seed"]
+    try:
+        rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
+    except OSError as fault:
+        raise FileMissingError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
+    times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
+    rows = rows.merge(times, on=names, how="left", validate="one_to_one")
+    usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
+    rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
+    both = rows["recall"] + rows["precision"]
+    f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
+    case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "variant": "", "blind": ""}
+    return rows.assign(f1=f1, status="ok", **case)

@@ -9,12 +9,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
-from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, ONLY_WHEN, USUAL, Claim, Verdict
+from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, Verdict, cell_name
 from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, draw_sample, style
 from steelnb.types import Array
 
 PERCENTILES = (10, 50, 90)
-MARKS = {HOLDS: ("o", "right"), ONLY_WHEN: ("D", "undecided"), FAILS: ("X", "wrong"), NOT_RUN: ("_", "undecided")}
+MARKS = {HOLDS: ("o", "right"), OPEN: ("D", "undecided"), FAILS: ("X", "wrong"), NOT_RUN: ("_", "undecided")}
 """Mark and colour of each verdict: told apart by either."""
 WHITE = {"facecolor": "white", "edgecolor": "none", "pad": 0.7}
 """Box behind a text."""
@@ -181,11 +181,11 @@ def _draw_claim(panel: Axes, verdict: Verdict) -> None:
     panel.axvspan(first, end, color=COLOURS["right"], alpha=0.1, linewidth=0)
     panel.axvline(first, color=GREY, linewidth=0.9, zorder=0)
     for y, cell in enumerate(rows):
-        mark, name = MARKS[HOLDS if cell["holds"] else FAILS]
+        mark, name = MARKS[cell["verdict"]]
         panel.plot([cell["low"], cell["high"]], [y, y], color=COLOURS[name])
         panel.plot(cell["estimate"], y, mark, color=COLOURS[name], markersize=5.5)
     numbers = [f"{interval_text(cell['estimate'], cell['low'], cell['high'])} {claim.unit}".rstrip() for cell in rows]
-    names = [", ".join(filter(None, (cell[name] for name in claim.by))) for cell in rows]
+    names = [cell_name(cell[name] for name in claim.by) for cell in rows]
     panel.set(xlim=(2 * first - right, right), ylim=(len(rows) - 0.5, -0.5))
     panel.tick_params(axis="x", labelsize=8)
     panel.set_yticks(range(len(rows)), names, fontsize=8.5)
@@ -196,9 +196,11 @@ def _draw_claim(panel: Axes, verdict: Verdict) -> None:
 def _heading(verdict: Verdict) -> list[str]:
     """Verdict, claim, its section, its test, its runs, in lines."""
     claim = verdict.claim
-    runs = f"{verdict.n_seeds:g} seeds, sensor {(USUAL | claim.where)['sensor']}"
+    seeds = sorted({*verdict.cells["n_seeds"]}) or [0]
+    number = f"{seeds[0]:g}" + (f" to {seeds[-1]:g}" if len(seeds) > 1 else "")
+    runs = f"{number} seeds, sensor {(USUAL | claim.where)['sensor']}"
     text = f"{verdict.verdict.upper()} · {claim.claim} ({claim.section}; {claim_goal(claim)}; {runs})"
-    return textwrap.wrap(text + (f": {verdict.condition}" if verdict.verdict == NOT_RUN else ""), LETTERS)
+    return textwrap.wrap(text + (f": {verdict.missing}" if verdict.verdict == NOT_RUN else ""), LETTERS)
 
 
 def claim_goal(claim: Claim) -> str:

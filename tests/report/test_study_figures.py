@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.report.claims import HOLDS, NOT_RUN, ONLY_WHEN, Claim, Verdict
+from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, Claim, Verdict
 from steelnb.report.study_figures import (
     claim_goal,
     figure_accuracy,
@@ -21,14 +21,14 @@ from steelnb.report.study_figures import (
 def verdict(
     word, cells, *, comparison="below", threshold=(0.0,), metric="error_mean_m", text="one is better"
 ) -> Verdict:
-    """A verdict whose cells are ``(trajectory, estimate, low, high, holds)``."""
+    """A verdict whose cells are ``(trajectory, estimate, low, high, as claimed or not)``."""
     claim = Claim(
         section="3.3", claim=text, metric=metric, comparison=comparison, threshold=list(threshold),
         a={"method": "one"}, b={"method": "two"}, by=["trajectory"],
     )  # fmt: skip
     table = pd.DataFrame(cells, columns=["trajectory", "estimate", "low", "high", "holds"])
-    condition = "no runs with method = 'one'" if word == NOT_RUN else ""
-    return Verdict("x", claim, np.nan, np.nan, np.nan, 30, word, condition, table)
+    table = table.assign(verdict=np.where(table.pop("holds").astype(bool), HOLDS, FAILS), n_seeds=30)
+    return Verdict("x", claim, word, 0.01, word, table, "no runs with method = 'one'" if word == NOT_RUN else "")
 
 
 def heading(panel) -> str:
@@ -50,18 +50,18 @@ def test_what_is_as_claimed_lies_right_of_the_line_whatever_the_claim():
     cells = [("vertical", -0.3, -0.4, -0.2, True), ("orbit", 0.1, 0.05, 0.2, False)]
     for sign, comparison in ((1, "below"), (-1, "above")):
         turned = [(name, sign * m, *sorted((sign * low, sign * high)), holds) for name, m, low, high, holds in cells]
-        (panel,) = figure_claims([verdict(ONLY_WHEN, turned, comparison=comparison)]).axes
+        (panel,) = figure_claims([verdict(OPEN, turned, comparison=comparison)]).axes
         assert place(panel, "o") == pytest.approx(-0.3 * sign), "in metres"
         assert across(panel, 0.0) == pytest.approx(0.5)
         assert across(panel, place(panel, "X")) < 0.5 < across(panel, place(panel, "o")) < 1
         assert [label.get_text() for label in panel.get_yticklabels()] == ["vertical", "orbit"]
-        assert heading(panel).startswith("HOLDS ONLY WHEN · one is better (3.3; error_mean_m")
+        assert heading(panel).startswith("INCONCLUSIVE · one is better (3.3; error_mean_m")
         assert heading(panel).endswith("30 seeds, sensor report)")
 
 
 def test_a_range_is_shaded_between_its_ends():
     cells = [("vertical", 2.9, 2.8, 3.1, True), ("orbit", 5.0, 4.5, 5.5, False)]
-    (panel,) = figure_claims([verdict(ONLY_WHEN, cells, comparison="between", threshold=(2.5, 3.5))]).axes
+    (panel,) = figure_claims([verdict(OPEN, cells, comparison="between", threshold=(2.5, 3.5))]).axes
     (band,) = panel.patches
     left, right = band.get_x(), band.get_x() + band.get_width()
     assert (left, right) == pytest.approx((2.5, 3.5))
