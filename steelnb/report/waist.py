@@ -1,0 +1,185 @@
+"""Notebook 02: why the error of Figure 3.2 climbs above the waist, and for which towers and flights it does not."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.patches import Rectangle
+
+from steelnb.experiment import Result
+from steelnb.fusion import associate
+from steelnb.metrics import position_error_m
+from steelnb.metrics.matching import match_members
+from steelnb.odometry.segments import segments_in
+from steelnb.points import preprocess_scan
+from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, caption, case_of
+from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
+from steelnb.settings import TowerSettings
+from steelnb.types import Flight
+
+KINDS = ("leg", "ring", "bracing", "arm")
+ANGLE_MAX_RAD, DISTANCE_MAX_M = 0.26, 0.2
+"""A segment of one noisy scan, whose points lie on the near faces, belongs to the member within these."""
+WINDOW_S = 10.0
+AXES = {"waist": "tower.waist_width_m", "standoff": "flight.standoff_m", "crop": "preprocess.crop_m"}
+
+
+def pairs_of(run: Result, flight: Flight, every: int = 5) -> pd.DataFrame:
+    """The pairs of segment and mapped bar of every so many scans, a row a pair: ``time_s``, the ``kind`` of the member
+    that the segment lies on (at the true pose), and whether that is the member of the mapped ``bar``, ``same``.
+
+    A bar of the map belongs to the member of the first segment that is paired with it.
+    """
+    settings, tower = run.settings.odometry, run.truth.tower
+    if settings.hough is None or settings.fusion is None:
+        raise ValueError(f"method {settings.method!r}: expected one that finds bars")
+    true = run.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    rows = []
+    for k in range(0, len(flight.scans), every):
+        T_world_drone = run.corrected.T_world_drone[k]
+        points = preprocess_scan(flight.scans[k], T_world_drone, flight.T_drone_sensor, settings.preprocess)
+        seen = segments_in(points, settings.hough)
+        member = match_members(seen.transformed(true[k]), tower.axes, ANGLE_MAX_RAD, DISTANCE_MAX_M).member
+        bar = associate(seen.transformed(T_world_drone), run.segments, settings.fusion)
+        found = (member >= 0) & (bar >= 0)
+        rows += [(flight.prior.stamp_s[k], m, b) for m, b in zip(member[found], bar[found], strict=True)]
+    pairs = pd.DataFrame(rows, columns=["time_s", "member", "bar"])
+    kinds = np.array([member.kind for member in tower.members])
+    first = pairs.groupby("bar")["member"].transform("first")
+    return pairs.assign(kind=kinds[pairs["member"]], same=pairs["member"] == first)
+
+
+def waist_s(run: Result) -> float:
+    """The time at which the drone passes the waist of the tower for the last time from below, NaN if never."""
+    below = run.truth.trajectory.position[:, 2] < run.settings.tower.waist_height_m
+    return float(run.truth.trajectory.stamp_s[np.flatnonzero(below)[-1]]) if below.any() and not below.all() else np.nan
+
+
+def waist_table(pairs: pd.DataFrame, run: Result, every: int = 5) -> pd.DataFrame:
+    """Below and above the waist: pairs a scan, by kind of member, and the share of them that is on another member."""
+    stamps = run.corrected.stamp_s[::every]
+    rows = {}
+    for place, chosen, scans in (
+        ("below the waist", pairs["time_s"] <= waist_s(run), stamps <= waist_s(run)),
+        ("above the waist", pairs["time_s"] > waist_s(run), stamps > waist_s(run)),
+    ):
+        counts = pairs.loc[chosen, "kind"].value_counts() / max(scans.sum(), 1)
+        other = 1.0 - float(pairs.loc[chosen, "same"].mean()) if chosen.any() else np.nan
+        rows[place] = {**{kind: float(counts.get(kind, 0.0)) for kind in KINDS}, "on_another_member": other}
+    return pd.DataFrame(rows).T
+
+
+def leg_bend_deg(tower: TowerSettings) -> float:
+    """The angle between the lower and the upper piece of a leg, which meet at the waist."""
+    across = [0.5 * (tower.base_width_m - tower.waist_width_m), 0.5 * (tower.waist_width_m - tower.top_width_m)]
+    up = [tower.waist_height_m, tower.height_m - tower.waist_height_m]
+    lower, upper = (np.array([a, a, z]) / np.linalg.norm([a, a, z]) for a, z in zip(across, up, strict=True))
+    return float(np.degrees(np.arccos(np.clip(lower @ upper, -1, 1))))
+
+
+def waist_sentence(table: pd.DataFrame, run: Result) -> str:
+    """What changes at the waist, in numbers."""
+    fusion = run.settings.odometry.fusion
+    limit_deg = np.degrees(fusion.angle_max_rad) if fusion else np.nan
+    error, apart = position_error_m(run.corrected, run.truth.trajectory), run.corrected.stamp_s > waist_s(run)
+    offset = run.corrected.position - run.truth.trajectory.at(run.corrected.stamp_s).position
+    upright = float(np.mean(offset[apart, 2] ** 2) / np.mean(error[apart] ** 2)) if apart.any() else np.nan
+    pairs = table[list(KINDS)].sum(axis=1)
+    legs, other = table["leg"] / pairs.clip(lower=1e-9), table["on_another_member"]
+    return (
+        f"A scan has {pairs.iloc[0]:.1f} pairs below the waist and {pairs.iloc[1]:.1f} above it, but others: "
+        f"{legs.iloc[1]:.0%} of them are legs, against {legs.iloc[0]:.0%} below. Legs stand upright, so they cannot "
+        f"tell the height, and {upright:.0%} of the squared error above the waist is height. And {other.iloc[1]:.0%} "
+        f"of the pairs there, {other.iloc[0]:.0%} below, join a segment to the bar of another member: a leg bends by "
+        f"{leg_bend_deg(run.settings.tower):.1f}° at the waist, less than the {limit_deg:.0f}° that the report's rule "
+        "allows, so its upper piece is laid on the lower one, drawn out."
+    )
+
+
+@style()
+def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
+    """The error over time, and below it the pairs a scan by kind of member, and those on another member: means over
+    10 s. A line marks the waist."""
+    figure = Figure(figsize=(9, 6.2))
+    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1])
+    stamps = run.corrected.stamp_s
+    top.plot(stamps, position_error_m(run.prior, run.truth.trajectory), color=COLOURS["none"], linestyle="--")
+    top.plot(stamps, position_error_m(run.corrected, run.truth.trajectory), color=COLOURS[run.settings.odometry.method])
+    top.axhline(REPORT_SEGMENT_ODOMETRY["vertical"]["max_m"], color=COLOURS["report"], linestyle="-.")
+    top.set(ylabel="error (m)", ylim=(0, None))
+    edges = np.arange(0.0, stamps[-1] + WINDOW_S, WINDOW_S)
+    scans = np.histogram(stamps[::every], edges)[0]
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    bottom = np.zeros(len(middle))
+    for kind in KINDS:
+        mean = np.histogram(pairs.loc[pairs["kind"] == kind, "time_s"], edges)[0] / np.maximum(scans, 1)
+        below.bar(middle, mean, 0.9 * WINDOW_S, bottom=bottom, color=COLOURS[kind])
+        bottom += mean
+    other = np.histogram(pairs.loc[~pairs["same"], "time_s"], edges)[0] / np.maximum(scans, 1)
+    below.plot(middle, other, "o-", color=COLOURS["wrong"], markeredgecolor="white", markersize=7, linewidth=2.4)
+    below.set(xlabel="time (s)", ylabel="pairs a scan", xlim=(0, stamps[-1]))
+    for panel in (top, below):
+        panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":")
+    keys = {
+        LABELS["none"]: {"color": COLOURS["none"], "ls": "--"},
+        LABELS[run.settings.odometry.method]: {"color": COLOURS[run.settings.odometry.method]},
+        "the report's largest error": {"color": COLOURS["report"], "ls": "-."},
+        "the waist": {"color": GREY, "ls": ":"},
+        **{kind: {"fc": COLOURS[kind]} for kind in KINDS},
+        "on another member": {"color": COLOURS["wrong"], "marker": "o", "mec": "white"},
+    }
+    draw_legend(figure, keys, ncols=5, fontsize=10)
+    figure.suptitle(caption(pd.DataFrame([case_of(run.settings)])))
+    return figure
+
+
+def sweep_rows(runs: pd.DataFrame) -> pd.DataFrame:
+    """Mean over the seeds of the largest error of the runs of a study whose variants name all of `AXES`: a row a
+    combination, with ``waist``, ``standoff``, ``crop``, ``error_max_m`` and ``seeds``."""
+    values = {}
+    for name, setting in AXES.items():
+        values[name] = runs["variant"].str.extract(rf"{re.escape(setting)}=([\d.]+)")[0].astype(float)
+    chosen = runs.assign(**values).dropna(subset=list(AXES))
+    named = {"error_max_m": ("error_max_m", "mean"), "seeds": ("seed", "nunique")}
+    return chosen[chosen["status"] == "ok"].groupby(list(AXES)).agg(**named).reset_index()
+
+
+def sweep_sentence(rows: pd.DataFrame, limit_m: float) -> str:
+    """For which combinations the report's largest error holds."""
+    within = rows[rows["error_max_m"] <= limit_m]
+    by_waist = within.groupby("waist").size().reindex(rows["waist"].unique(), fill_value=0)
+    each = rows.groupby("waist").size()
+    parts = [f"{by_waist[waist]} of {each[waist]} at {waist:g} m" for waist in by_waist.index]
+    return (
+        f"The report's largest error, {limit_m:g} m, is kept in {len(within)} of {len(rows)} combinations of what it "
+        f"does not say: by the width of the tower at the waist, {', '.join(parts)}."
+    )
+
+
+@style()
+def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float) -> Figure:
+    """Largest error over width at the waist and stand-off, a panel a crop; what is within the report's is framed."""
+    crops = sorted(rows["crop"].unique())
+    figure = Figure(figsize=(4.2 * len(crops) + 1.6, 4.4))
+    panels = figure.subplots(1, len(crops), squeeze=False, sharey=True)[0]
+    frame: dict[str, Any] = {"fc": "none", "ec": COLOURS["wrong"], "linewidth": 3}
+    for panel, crop in zip(panels, crops, strict=True):
+        grid = rows[rows["crop"] == crop].pivot(index="standoff", columns="waist", values="error_max_m")
+        image = panel.imshow(
+            grid, cmap="viridis_r", vmin=0, vmax=rows["error_max_m"].max(), origin="lower", aspect="auto"
+        )
+        for (row, column), value in np.ndenumerate(grid.to_numpy()):
+            dark = value > 0.55 * rows["error_max_m"].max()
+            panel.text(column, row, f"{value:.2f}", ha="center", va="center", color="white" if dark else BLACK)
+            if value <= limit_m:
+                panel.add_patch(Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, **frame))
+        panel.set_xticks(range(grid.shape[1]), [f"{value:g}" for value in grid.columns])
+        panel.set_yticks(range(grid.shape[0]), [f"{value:g}" for value in grid.index])
+        panel.set(xlabel="width at the waist (m)", title=f"crop at {crop:g} m")
+        panel.grid(False)
+    panels[0].set_ylabel("stand-off (m)")
+    figure.colorbar(image, ax=list(panels), label="largest error (m), mean of the seeds")
+    draw_legend(figure, {f"within the report's {limit_m:g} m": frame})
+    figure.suptitle(caption(runs))
+    return figure
