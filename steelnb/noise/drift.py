@@ -1,7 +1,6 @@
 """Drift of a pose estimate: the report's Algorithm 1, its constant drift, its yaw random walk, and tilt."""
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
@@ -48,6 +47,8 @@ def _tilt(stamp_s: Array, sigma_rad: float, seed: int) -> Array:
     stays = np.exp(-float(np.median(np.diff(stamp_s))) / TILT_S)
     steps = rng.stream(seed, "tilt").standard_normal((len(stamp_s), 2))
     steps[0] = 0.0
+    from scipy.signal import lfilter  # late: it takes a third of a second to import
+
     return np.pad(lfilter([sigma_rad * np.sqrt(1 - stays**2)], [1.0, -stays], steps, axis=0), ((0, 0), (0, 1)))
 
 
