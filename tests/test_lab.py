@@ -15,7 +15,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def run_in_lab(notebook: nbformat.NotebookNode) -> None:
-    """Leave in a notebook what JupyterLab does when it is run: outputs, counts, times, its kernel's and its own notes."""
+    """Leave in a notebook what JupyterLab does when it is run: outputs, counts, times, notes of its own."""
     notebook.metadata.kernelspec.display_name = "Python 3 (ipykernel)"
     notebook.metadata.language_info.update(version="3.11.2", mimetype="text/x-python", file_extension=".py")
     notebook.metadata["widgets"] = {"application/vnd.jupyter.widget-state+json": {"state": {}}}
