@@ -27,7 +27,7 @@ from steelnb.report.style import (
     thinned,
 )
 from steelnb.settings import ExperimentSettings, TrajectoryName
-from steelnb.simulation import Truth
+from steelnb.simulation import Tower, build_tower
 from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
 
@@ -98,21 +98,22 @@ def fly(
     seed: int,
     duration_s: float,
     overrides: Mapping[str, Any] | None = None,
-    on_flown: Callable[[Trajectory, Truth], object] | None = None,
+    on_flown: Callable[[Trajectory, Trajectory, Tower], object] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> View:
     """Fly, let the pose drift, correct it. Raises `SettingsError` and `CollisionError`.
 
-    ``on_flown`` is called with the drifting poses and the truth before they are corrected, which takes longest.
+    ``on_flown`` is called with the drifting and the true poses and the tower as soon as they are there: casting the
+    scans and correcting the poses takes longer.
     """
     began = time.perf_counter()
     settings = flight_settings(trajectory, noise, level, sensor, method, seed, duration_s, overrides)
+    if on_flown:
+        quick, truly = experiment.simulate_anew(settings)
+        on_flown(quick.prior, truly.at(quick.prior.stamp_s), build_tower(settings.tower))
     plain = ExperimentSettings.preset(trajectory, "none", sensor=sensor, seed=seed, duration_s=duration_s)
     flight, truth = _flown(plain.replace(tower=settings.tower, flight=settings.flight, tof=settings.tof))
-    drifting = experiment.redrift(settings, flight, truth)
-    if on_flown:
-        on_flown(drifting.prior, truth)
-    result = experiment.estimate(settings, drifting, truth, on_progress)
+    result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth, on_progress)
     cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
     segments = result.segments
     if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds

@@ -7,7 +7,7 @@ from steelnb.errors import SteelnbError
 from steelnb.report.explore import HEIGHT_PX, View, figure_scene, flight_settings, fly, plotly_bundle
 from steelnb.report.style import LABELS
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, TrajectoryName
-from steelnb.simulation import Truth
+from steelnb.simulation import Tower
 from steelnb.types import Trajectory
 
 if TYPE_CHECKING:
@@ -84,9 +84,9 @@ class Panel:
         self.status.value = f"computed in {view.seconds:.1f} s"
         return view
 
-    def _show_drift(self, prior: Trajectory, truth: Truth) -> None:
-        self.status.value = "correcting …"
-        scene = figure_scene(prior, None, truth.trajectory.at(prior.stamp_s), members=truth.tower.axes)
+    def _show_drift(self, prior: Trajectory, truth: Trajectory, tower: Tower) -> None:
+        self.status.value = "scanning and correcting …"
+        scene = figure_scene(prior, None, truth, members=tower.axes)
         self._draw(DRIFTED, plotly_bundle(scene, DRIFTED))
 
     def _draw(self, sentence: str, bundle: dict[str, Any]) -> None:
