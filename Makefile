@@ -25,9 +25,6 @@ $(READY): environment.lock pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@mkdir -p $(VENV)/etc/jupyter/labconfig $(VENV)/share/jupyter/lab/settings
-	@cp scripts/jupyterlab/page_config.json $(VENV)/etc/jupyter/labconfig/
-	@cp scripts/jupyterlab/overrides.json $(VENV)/share/jupyter/lab/settings/
 	@touch $@
 
 # ONLY="id ...", BUDGET=smoke, OUT=folder, P="seed=3 tof.rate_hz=10": some notebooks, short, elsewhere, with parameters.
@@ -59,7 +56,7 @@ docs: $(READY)  ## pages to read offline, with every notebook as executed: docs/
 	@$(BIN)/python -m sphinx -W --keep-going -q -j 2 docs docs/_build/html
 
 lab: $(READY)  ## open JupyterLab on the notebook to explore
-	@$(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
+	@JUPYTER_CONFIG_PATH="$(CURDIR)/scripts/jupyterlab" $(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
 GROUPS := workflow docs dev build
 lock:  ## write environment.lock anew from pyproject.toml, versions kept where they fit (needs uv)

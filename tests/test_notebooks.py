@@ -1,7 +1,9 @@
 """Every notebook through papermill at its smoke budget, with its numbers checked."""
 
+import ast
 import json
 import math
+import re
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,6 +15,7 @@ import pytest
 from steelnb.io.structures import read_structure
 from steelnb.report.claims import read_claims
 from workflow.__main__ import make_plans
+from workflow.experiments import read_experiments
 from workflow.task_notebooks import run
 
 ROOT = Path(__file__).parents[1]
@@ -38,6 +41,32 @@ def test_a_notebook_is_parameters_calls_and_no_more(path):
         assert not cell.outputs
         assert cell.execution_count is None
         assert not any(line.lstrip().startswith(("def ", "class ")) for line in cell.source.splitlines())
+
+
+LOGIC = (ast.If, ast.IfExp, ast.For, ast.While, ast.Try, ast.With, ast.Lambda, ast.FunctionDef, ast.ClassDef)
+CLAIMS = "08_claims"  # its verdicts are those of `steelnb.report.claims`
+
+
+@pytest.mark.parametrize("path", [path for path in NOTEBOOKS if path.stem != CLAIMS], ids=lambda path: path.stem)
+def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numbers(path):
+    cells = nbformat.read(path, as_version=4).cells
+    assert re.search(r"\*\*The question\.\*\*.*\?.*\*\*What you should see\.\*\*", cells[0].source, re.DOTALL)
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
+    for source in code:
+        assert not [ast.unparse(node) for node in ast.walk(ast.parse(source)) if isinstance(node, LOGIC)]
+    assert code[-1].splitlines()[-1] == ")"
+    assert "results.write_results(" in code[-1]
+    if not path.stem.startswith("00"):  # whose panel has a sentence of its own
+        assert re.search(r"^Markdown\((segmentation_)?conclusions\.\w+\(", code[-2], re.MULTILINE)
+
+
+def test_the_first_notebook_lists_the_others_as_the_file_of_experiments_does():
+    text = nbformat.read(NOTEBOOKS[0], as_version=4).cells[3].source
+    experiments = read_experiments(ROOT)
+    about = {each.notebook: each.about for each in experiments.values() if each.notebook != NOTEBOOKS[0].name}
+    assert dict(re.findall(r"^\| \[\d\d\]\((\S+)\) \| (.*) \|$", text, re.MULTILINE)) == about
+    apart = sorted(each.notebook[:2] for each in experiments.values() if each.apart)
+    assert f"all but {' and '.join(apart)}," in text
 
 
 @pytest.fixture(scope="session")

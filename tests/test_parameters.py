@@ -1,14 +1,21 @@
 """Parameters of notebooks: misspelt, mistyped and out of range ones are refused."""
 
+import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
+import papermill
 import pytest
+from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb.errors import FileMissingError, NotebookError, SettingsError
+from steelnb.report import parameters
+from steelnb.report.parameters import check_settings, fit_parameters
 from steelnb.settings import parse_parameter
-from workflow.parameters import check_settings, fit_parameters, read_parameters
+from workflow.parameters import read_parameters
 
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
     "trajectory": "vertical", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
     "any": None, "results_dir": "",
@@ -60,6 +67,67 @@ def test_settings_out_of_range_are_refused(values: dict, words: str) -> None:
     with pytest.raises(SettingsError, match=f"e: .*{words}"):
         check_settings("e", values)
     check_settings("e", {"trajectory": "orbit", "unrelated": -1})
+
+
+@pytest.fixture
+def shell() -> Iterator[InteractiveShell]:
+    """The shell of a kernel after the cell of parameters of a notebook."""
+    InteractiveShell.clear_instance()
+    shell = InteractiveShell.instance()
+    run(shell, 'noise = "random-walk"\nseed = 1  # of all\nduration_s = 20.0\nresults_dir = ""')
+    yield shell
+    InteractiveShell.clear_instance()
+
+
+def run(shell: InteractiveShell, cell: str) -> None:
+    shell.run_cell(cell, store_history=True).raise_error()
+
+
+@pytest.mark.parametrize(
+    ("injected", "words"),
+    [
+        ("sed = 2", "unknown parameter 'sed', did you mean 'seed'.* known: noise, seed, duration_s"),
+        ('seed = "two"', "seed = 'two': expected a whole number such as 1"),
+        ("duration_s = float('nan')", "duration_s = nan: expected a finite number"),
+        ("duration_s = -2", "duration_s = -2"),
+        ('noise = "wind"', "wind"),
+    ],
+)
+def test_what_papermill_injects_is_refused_by_the_notebook(shell: InteractiveShell, injected: str, words: str) -> None:
+    run(shell, f'# Parameters\nresults_dir = "out"\n{injected}\n')
+    with pytest.raises(SettingsError, match=f"parameters: .*{words}"):
+        parameters.validate()
+
+
+def test_what_papermill_injects_takes_the_type_of_its_default(shell: InteractiveShell) -> None:
+    run(shell, "x = 1")
+    parameters.validate()  # nothing was injected
+    run(shell, "# Parameters\nduration_s = 30\n")
+    run(shell, "!true\nsed = 2  # a name of the notebook's own")
+    parameters.validate()
+    assert (shell.user_ns["seed"], repr(shell.user_ns["duration_s"])) == (1, "30.0")
+
+
+def test_without_a_kernel_there_is_nothing_to_refuse() -> None:
+    InteractiveShell.clear_instance()
+    parameters.validate()
+
+
+@pytest.mark.parametrize("path", [path for path in NOTEBOOKS if "claims" not in path.stem], ids=lambda path: path.stem)
+def test_every_notebook_validates_its_parameters_before_anything_else(path: Path) -> None:
+    code = [cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
+    statements = [node for node in ast.parse(code[1]).body if not isinstance(node, ast.Import | ast.ImportFrom)]
+    assert ast.unparse(statements[0]) == "parameters.validate()"
+
+
+@pytest.mark.parametrize(("name", "value"), [("sed", 1), ("seed", "one")])
+def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path, name: str, value: object) -> None:
+    path = next(path for path in NOTEBOOKS if path.stem.startswith("00"))
+    with pytest.raises(papermill.PapermillExecutionError) as caught:
+        papermill.execute_notebook(path, tmp_path / "out.ipynb", {name: value}, progress_bar=False, cwd=path.parent)
+    assert caught.value.ename == "SettingsError"
+    assert caught.value.evalue.startswith("parameters: ")
+    assert "did you mean 'seed'" in caught.value.evalue or "seed = 'one'" in caught.value.evalue
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from steelnb.errors import FileMissingError
 from steelnb.keys import find_root
 from workflow.__main__ import main, make_plans
 from workflow.check import CheckSettings, differences, read_committed, read_results
+from workflow.experiments import read_experiments
 from workflow.merge import merge
 
 ROOT = Path(__file__).parents[1]
@@ -492,6 +493,17 @@ def test_an_experiment_apart_runs_only_when_it_is_named(project: Path) -> None:
     assert names([], "full") == ["pair"]
     assert names(["single"], "full") == ["single"]
     assert names([], "smoke") == ["pair", "single"]
+
+
+def test_no_run_of_everything_rewrites_measured_times_in_tracked_files() -> None:
+    shown = subprocess.run(["git", "ls-files", "results/*timing*"], cwd=ROOT, capture_output=True, text=True)
+    if shown.returncode:
+        pytest.skip("no repository")
+    experiments = read_experiments(ROOT)
+    apart = {name for name, each in experiments.items() if each.apart}
+    inputs = {path for each in experiments.values() for path in each.inputs if "timing" in path}
+    assert set(shown.stdout.split()) == inputs
+    assert {path.split("/")[1] for path in inputs} <= apart | {"study"}  # `make study` adds what is missing
 
 
 def test_root_is_found_upwards(finished: Path) -> None:

@@ -12,9 +12,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from steelnb.errors import FileContentError, UnsupportedFormatError, needs
+from steelnb.errors import FileContentError, UnsupportedFormatError
 from steelnb.files import reading
 from steelnb.io.text_points import TextLayout, sniff, text_chunks
+from steelnb.libraries import import_open3d
 from steelnb.types import Array
 
 CHUNK = 1 << 20
@@ -149,9 +150,7 @@ def _float64(values: Any) -> Array:
 
 def _compressed(path: Path, offset: int, size: int, count: int) -> Iterator[Array]:
     """Coordinates in a compressed PCD file, by Open3D, which would give zeros for one that is cut short."""
-    with needs("sim"):
-        import open3d as o3d
-
+    o3d = import_open3d()
     with path.open("rb") as file:
         file.seek(offset)
         packed, plain = struct.unpack("<II", file.read(8))

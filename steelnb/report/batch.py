@@ -16,6 +16,8 @@ Progress = Callable[[float], None]
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that name a run of an odometry by clouds."""
 
+REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
+"""The report's figure of segment odometry on a flight, and of odometry by clouds under a noise, as files are named."""
 REPORT_SEGMENT_ODOMETRY: dict[str, dict[str, float]] = {
     "vertical": {"raw_final_m": 4.2, "mean_m": 0.2, "max_m": 0.28, "steps": 1050},
     "orbit": {"raw_final_m": 2.1, "mean_m": 0.3, "max_m": 0.42, "steps": 800},
@@ -67,8 +69,15 @@ def make_cases(
     ]
 
 
-def run_all(cases: Sequence[ExperimentSettings], on_progress: Progress | None = None) -> list[experiment.Result]:
-    """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`."""
+def run_all(
+    cases: Sequence[ExperimentSettings],
+    on_progress: Progress | None = None,
+    on_run: Callable[[list[experiment.Result]], object] | None = None,
+) -> list[experiment.Result]:
+    """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`.
+
+    ``on_run`` is called after every run with the results that are there.
+    """
     results: dict[int, experiment.Result] = {}
     flights: dict[str, list[int]] = {}
     for k, case in enumerate(cases):
@@ -78,7 +87,18 @@ def run_all(cases: Sequence[ExperimentSettings], on_progress: Progress | None = 
         for k in members:
             within = share_of(on_progress, len(results), len(cases))
             results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, within)
+            if on_run:
+                on_run([results[done] for done in sorted(results)])
     return [results[k] for k in range(len(cases))]
+
+
+def by_method(results: Sequence[experiment.Result], trajectory: str) -> dict[str, experiment.Result]:
+    """The runs on one flight, by method; the first of each."""
+    found: dict[str, experiment.Result] = {}
+    for result in results:
+        if result.settings.flight.trajectory == trajectory:
+            found.setdefault(result.settings.odometry.method, result)
+    return found
 
 
 def share_of(on_progress: Progress | None, k: int, total: int) -> Progress | None:

@@ -1,16 +1,15 @@
-"""Notebook 00: a short flight for any choice of settings, which are chosen in a panel, and a scene to turn around."""
+"""Notebook 00: a short flight for any choice of settings, and a scene to turn around."""
 
 import functools
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from steelnb import experiment
-from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.tube import MIN_VOTES, tube_radius
 from steelnb.metrics import position_error_m
@@ -27,17 +26,16 @@ from steelnb.report.style import (
     style,
     thinned,
 )
-from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, TrajectoryName
+from steelnb.simulation import Tower, build_tower
 from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
 
 if TYPE_CHECKING:
-    from IPython.display import DisplayHandle
     from plotly.graph_objects import Figure as PlotlyFigure
     from plotly.graph_objects import Scatter3d
 
 POINTS_MAX = 20_000
-NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
 HEIGHT_PX = 860
 PLOTLY_TYPE = "application/vnd.plotly.v1+json"
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
@@ -74,6 +72,23 @@ class View:
         )
 
 
+def flight_settings(
+    trajectory: TrajectoryName,
+    noise: str,
+    level: float,
+    sensor: str,
+    method: str,
+    seed: int,
+    duration_s: float,
+    overrides: Mapping[str, Any] | None = None,
+) -> ExperimentSettings:
+    """The settings of a flight with ``level`` times the drift of a noise. Raises `SettingsError`."""
+    return ExperimentSettings.preset(
+        trajectory, at_level(noise, level), sensor=sensor, seed=seed, duration_s=duration_s,
+        overrides=dict(overrides or {}), method=method,
+    )  # fmt: skip
+
+
 def fly(
     trajectory: TrajectoryName,
     noise: str,
@@ -83,16 +98,22 @@ def fly(
     seed: int,
     duration_s: float,
     overrides: Mapping[str, Any] | None = None,
+    on_flown: Callable[[Trajectory, Trajectory, Tower], object] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> View:
-    """Fly, let the pose drift, correct it. Raises `SettingsError` and `CollisionError`."""
+    """Fly, let the pose drift, correct it. Raises `SettingsError` and `CollisionError`.
+
+    ``on_flown`` is called with the drifting and the true poses and the tower as soon as they are there: casting the
+    scans and correcting the poses takes longer.
+    """
     began = time.perf_counter()
-    settings = ExperimentSettings.preset(
-        trajectory, at_level(noise, level), sensor=sensor, seed=seed, duration_s=duration_s,
-        overrides=dict(overrides or {}), method=method,
-    )  # fmt: skip
+    settings = flight_settings(trajectory, noise, level, sensor, method, seed, duration_s, overrides)
+    if on_flown:
+        quick, truly = experiment.simulate_anew(settings)
+        on_flown(quick.prior, truly.at(quick.prior.stamp_s), build_tower(settings.tower))
     plain = ExperimentSettings.preset(trajectory, "none", sensor=sensor, seed=seed, duration_s=duration_s)
     flight, truth = _flown(plain.replace(tower=settings.tower, flight=settings.flight, tof=settings.tof))
-    result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth)
+    result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth, on_progress)
     cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
     segments = result.segments
     if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
@@ -105,10 +126,10 @@ _flown = functools.lru_cache(maxsize=4)(experiment.simulate)
 
 def figure_scene(
     prior: Trajectory,
-    corrected: Trajectory,
+    corrected: Trajectory | None,
     truth: Trajectory | None,
-    cloud: Array,
-    segments: Segments,
+    cloud: Array | None = None,
+    segments: Segments | None = None,
     members: Array | None = None,
     method: str = "best",
 ) -> "PlotlyFigure":
@@ -116,14 +137,14 @@ def figure_scene(
 
     ``cloud (N, 3)`` are the scans at the corrected poses, ``segments`` the bars found in them, ``members``
     ``(M, 2, 3)`` the true ones, all in the world frame; errors are those at the stamps of ``truth``. The corrected
-    trajectory has the colour of the ``method``.
+    trajectory has the colour of the ``method``. What is None is not there yet.
     """
     from plotly.graph_objects import Scatter, Scatter3d
     from plotly.subplots import make_subplots
 
     tracks, errors = tracks_and_errors(prior, corrected, truth)
     colours = {name: COLOURS[key] for name, key in track_keys(method).items()}
-    low, high = corners(cloud, tracks)
+    low, high = corners(np.zeros((0, 3)) if cloud is None else cloud, tracks)
     rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
     if not errors:
         rows = {"rows": 1, "specs": [[{"type": "scene"}]]}
@@ -133,9 +154,11 @@ def figure_scene(
         low[2] = 0.0
         members = members[(members[:, :, 2] <= high[2]).all(axis=1)]
         traces.append(_path(_apart(members), "true members", COLOURS["member"], 2))
-    marker = {"size": 1, "color": COLOURS["points"], "opacity": 0.5}
-    traces.append(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker))
-    traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["bars found"], 6))
+    if cloud is not None:
+        marker = {"size": 1, "color": COLOURS["points"], "opacity": 0.5}
+        traces.append(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker))
+    if segments is not None:
+        traces.append(_path(_apart(end_points(segments)), "bars found", COLOURS["bars found"], 6))
     traces += [_path(at, name, colours[name], WIDTHS[name], legendgroup=name) for name, at in tracks.items()]
     figure.add_traces(traces, rows=1, cols=1)
     for name, (time_s, error) in errors.items():
@@ -168,14 +191,15 @@ def plotly_bundle(figure: "PlotlyFigure", text: str) -> dict[str, Any]:
 
 
 def tracks_and_errors(
-    prior: Trajectory, corrected: Trajectory, truth: Trajectory | None
+    prior: Trajectory, corrected: Trajectory | None, truth: Trajectory | None
 ) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
     """Positions ``(N, 3)`` of each trajectory, and where there is truth the times ``(N,)`` and errors ``(N,)`` of both
     others."""
-    tracks = {"drifting": prior.position, "corrected": corrected.position}
+    paths = {"drifting": prior} if corrected is None else {"drifting": prior, "corrected": corrected}
+    tracks = {name: path.position for name, path in paths.items()}
     if truth is None:
         return tracks, {}
-    time_s, paths = truth.stamp_s - truth.stamp_s[0], {"drifting": prior, "corrected": corrected}
+    time_s = truth.stamp_s - truth.stamp_s[0]
     errors = {name: (time_s, position_error_m(path.at(truth.stamp_s), truth)) for name, path in paths.items()}
     return {"true": truth.position, **tracks}, errors
 
@@ -230,70 +254,3 @@ def figure_flight(view: View) -> Figure:
     gather_legend(figure, ncols=3, markerscale=8)
     figure.suptitle(f"{caption([view.result])}, {LABELS[method]}")
     return figure
-
-
-class Panel:
-    """Controls above a view that follows them: every change flies again and redraws the picture in its place."""
-
-    def __init__(self, first: View, noise: str, level: float, overrides: Mapping[str, Any] | None = None) -> None:
-        """``first`` is shown before anything is changed; it was flown with ``noise``, ``level`` and ``overrides``."""
-        import ipywidgets as widgets
-
-        s = first.result.settings
-        self.view, self.overrides = first, dict(overrides or {})
-        method, wide = s.odometry.method, {"description_width": "5em"}
-        names = [(LABELS.get(name, name), name) for name in METHODS]
-        self.controls = {
-            "trajectory": widgets.ToggleButtons(options=TRAJECTORIES, value=s.flight.trajectory),
-            "sensor": widgets.ToggleButtons(options=SENSORS, value=s.sensor),
-            "noise": widgets.Dropdown(options=list(dict.fromkeys((*NOISES, noise))), value=noise),
-            "level": widgets.FloatSlider(level, min=0, max=max(5.0, level), step=0.25, continuous_update=False),
-            "method": widgets.Dropdown(options=names, value=method),
-            "seed": widgets.IntSlider(s.seed, min=0, max=max(50, s.seed), continuous_update=False),
-        }
-        for name, control in self.controls.items():
-            control.description, control.style = f"{name} ×" if name == "level" else name, wide
-            control.layout.width = "26em"
-            control.observe(self._follow, "value")
-        self.controls["level"].tooltip = "times the report's drift"
-        self.status = widgets.Label(self._took())
-        self._sentence: DisplayHandle | None = None
-        self._picture: DisplayHandle | None = None
-
-    def show(self) -> None:
-        """Display controls, sentence and picture below the current cell."""
-        import ipywidgets as widgets
-        from IPython.display import Markdown, display
-
-        flow = widgets.Layout(display="flex", flex_flow="row wrap", align_items="center")
-        display(widgets.Box([*self.controls.values(), self.status], layout=flow))
-        self._sentence = display(Markdown(self.view.summary), display_id=True)
-        self._picture = display(self._bundle(), raw=True, display_id=True)
-
-    def _follow(self, change: Mapping[str, Any]) -> None:
-        """Fly with what the controls say; a fault is told in the status line, and the picture stays."""
-        from IPython.display import Markdown
-
-        chosen = {name: control.value for name, control in self.controls.items()}
-        self.status.value = "flying …"
-        duration_s = self.view.result.settings.flight.duration_s
-        try:
-            self.view = fly(**chosen, duration_s=duration_s, overrides=self.overrides)
-        except SteelnbError as fault:
-            self.status.value = str(fault)
-            return
-        if self._picture is not None and self._sentence is not None:
-            self._sentence.update(Markdown(self.view.summary))
-            # The renderer of Plotly leaves what it has drawn as it is; one of another type in between ends it.
-            self._picture.update({"text/html": f"<div style='height: {HEIGHT_PX}px'></div>"}, raw=True)
-            self._picture.update(self._bundle(), raw=True)
-        self.status.value = self._took()
-
-    def _took(self) -> str:
-        return f"computed in {self.view.seconds:.1f} s"
-
-    def _bundle(self) -> dict[str, Any]:
-        view = self.view
-        members, method = view.result.truth.tower.axes, view.result.settings.odometry.method
-        picture = figure_scene(*view.trajectories, view.cloud, view.segments, members, method)
-        return plotly_bundle(picture, view.summary)

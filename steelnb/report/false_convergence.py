@@ -1,6 +1,7 @@
 """Notebook 05: basins of convergence of a registration, and flights that converge to a wrong bar (Figure 3.10)."""
 
 import copy
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -9,21 +10,89 @@ import pandas as pd
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle
 
+from steelnb import experiment
 from steelnb.experiment import Result
 from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
-from steelnb.report.batch import caption, case_of
+from steelnb.report.batch import caption, case_of, make_cases
 from steelnb.report.style import BLACK, COLOURS, GREY, Figure, draw_legend, style
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.simulation import Truth
-from steelnb.study.row import WRONG_M
+from steelnb.study.row import WRONG_M, paired_clouds
 from steelnb.types import Array, Flight
 
 WRONG_SHARE_MAX = 0.05
 """A flight in which more of the scans with pairs ended farther than `WRONG_M` from the truth has converged wrongly."""
 RIGHT_M = 0.1
 """An end within this distance of the truth is right: the edge of the report's voxel."""
+
+
+def basin_cases(
+    trajectory: TrajectoryName,
+    sensor: str,
+    noise: str,
+    correspondence_m: Sequence[float],
+    seed: int,
+    duration_s: float,
+    overrides: dict[str, Any],
+) -> dict[str, ExperimentSettings]:
+    """The registrations whose basins are compared, by label: 3-DoF ICP with each largest distance, GICP, ``best``."""
+    methods: list[str | tuple[str, dict[str, Any]]] = [*narrowed(correspondence_m), "gicp", "best"]
+    cases = make_cases([trajectory], sensor, [noise], methods, seed, duration_s, overrides)
+    labels = [*map(label, cases[: len(correspondence_m)]), f"GICP, {_reach_m(cases[-2]):g} m", "best"]
+    return dict(zip(labels, cases, strict=True))
+
+
+def search_cases(
+    trajectory: Sequence[TrajectoryName],
+    sensor: str,
+    noise: Sequence[str],
+    correspondence_m: Sequence[float],
+    seed: Sequence[int],
+    duration_s: float,
+    blind_s: Sequence[Sequence[float]],
+    overrides: dict[str, Any],
+) -> list[ExperimentSettings]:
+    """3-DoF ICP with each largest distance, on every seed, flight and noise, with the tower in sight all the time and
+    with the gaps ``blind_s`` that end before the flight does."""
+    gaps = [list(gap) for gap in blind_s if gap[1] < duration_s]
+    return [
+        case
+        for one, flight, sight in itertools.product(seed, trajectory, ({}, {"tof.blind_s": gaps}))
+        for case in make_cases(
+            [flight], sensor, noise, narrowed(correspondence_m), one, duration_s, {**overrides, **sight}
+        )
+    ]
+
+
+def narrowed(correspondence_m: Sequence[float]) -> list[tuple[str, dict[str, Any]]]:
+    """3-DoF ICP with each of some largest distances of a pair, as `batch.make_cases` takes it."""
+    return [("icp-3dof", {"clouds.max_correspondence_m": distance}) for distance in correspondence_m]
+
+
+def label(settings: ExperimentSettings) -> str:
+    """Name of 3-DoF ICP with its largest distance of a pair."""
+    return f"3-DoF ICP, {_reach_m(settings):g} m"
+
+
+def _reach_m(settings: ExperimentSettings) -> float:
+    return float(getattr(settings.odometry.clouds, "max_correspondence_m", np.nan))
+
+
+def beside_best(result: Result, overrides: dict[str, Any]) -> tuple[dict[str, Result], dict[str, tuple[Array, Array]]]:
+    """A run of 3-DoF ICP and one of ``best`` on the same scans, by label, and the built and the true cloud of each.
+
+    ``overrides`` are those of the run, but for its method and its gaps.
+    """
+    case = result.settings
+    more = {**overrides, "tof.blind_s": [list(gap) for gap in case.tof.blind_s]}
+    (best,) = make_cases(
+        [case.flight.trajectory], case.sensor, [case.noise_name], ["best"], case.seed, case.flight.duration_s, more
+    )
+    flight, truth = experiment.simulate(case)
+    pair = {label(case): result, "best": experiment.estimate(best, experiment.redrift(best, flight, truth), truth)}
+    return pair, {name: paired_clouds(flight, run, every=2) for name, run in pair.items()}
 
 
 def find_basin(
@@ -135,7 +204,7 @@ def find_slips(results: Sequence[Result]) -> pd.DataFrame:
     """False convergence in flight, a row a run.
 
     ``wrong_share`` of the scans that had pairs ended farther than `WRONG_M` from the truth; ``slip_m`` is the largest
-    growth of the error within a second over such scans, at ``slip_s``.
+    growth of the error within a second over such scans, at ``slip_s``. More than `WRONG_SHARE_MAX` is ``wrong``.
     """
     rows = []
     for result in results:
@@ -146,7 +215,7 @@ def find_slips(results: Sequence[Result]) -> pd.DataFrame:
         rows.append(
             {
                 **case_of(settings),
-                "max_correspondence_m": getattr(settings.odometry.clouds, "max_correspondence_m", np.nan),
+                "max_correspondence_m": _reach_m(settings),
                 "blind_s": sum(last - first for first, last in settings.tof.blind_s),
                 "ate_rmse_m": result.metrics["ate_rmse_m"],
                 "error_final_m": result.metrics["error_final_m"],
@@ -155,4 +224,5 @@ def find_slips(results: Sequence[Result]) -> pd.DataFrame:
                 "slip_s": float(result.corrected.stamp_s[scan]),
             }
         )
-    return pd.DataFrame(rows)
+    slips = pd.DataFrame(rows)
+    return slips.assign(wrong=slips["wrong_share"] > WRONG_SHARE_MAX)

@@ -113,17 +113,20 @@ def _draw_report(panel: Axes, shown: Range | None, raw_end: Range | None, label:
 
 
 @style()
-def figure_cloud_errors(results: Sequence[Result]) -> Figure:
+def figure_cloud_errors(results: Sequence[Result], methods: Sequence[str]) -> Figure:
     """Rows of methods × columns of flights, all with the same axes: the distance to the truth over the scans, raw and
-    corrected. ``results`` hold one noise and sensor. The grey band is the range that the report's figure shows."""
-    cases = {(str(result.settings.odometry.method), result.settings.flight.trajectory): result for result in results}
-    methods, flights = (list(dict.fromkeys(names)) for names in zip(*cases, strict=True))
+    corrected. ``results`` hold one noise and sensor; drawn is the first of each of the ``methods`` and flight. The grey
+    band is the range that the report's figure shows."""
+    cases: dict[tuple[str, str], Result] = {}
+    for result in results:
+        cases.setdefault((result.settings.odometry.method, result.settings.flight.trajectory), result)
+    flights = list(dict.fromkeys(flight for _, flight in cases))
     report = REPORT_CLOUD_ODOMETRY.get(results[0].settings.noise_name, {})
     figure = Figure(figsize=(5.4 * len(flights) + 0.4, 2.6 * len(methods) + 1.0))
     panels = figure.subplots(len(methods), len(flights), squeeze=False, sharex="col", sharey=True)
     for (row, column), panel in np.ndenumerate(panels):
         method, flight = methods[row], flights[column]
-        result = cases[method, flight]  # type: ignore[index]
+        result = cases[method, flight]
         raw, error = (position_error_m(path, result.truth.trajectory) for path in (result.prior, result.corrected))
         panel.plot(raw, color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
         panel.plot(error, color=COLOURS[method], linewidth=1.8, label=LABELS[method])

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from steelnb.report.style import BLUE, COLOURS, GREEN, LABELS, PINK, Figure, gather_legend, style, thinned
-from steelnb.types import Array, Scan, Trajectory
+from steelnb.types import Array, Flight, Scan, Trajectory
 
 AXES = {"x": BLUE, "y": PINK, "z": GREEN}
 POINTS_MAX = 40_000
@@ -33,6 +33,13 @@ def figure_scan(scan: Scan, poses: Trajectory, truth: Trajectory | None, title: 
     gather_legend(figure, "outside lower right", ncols=5)
     figure.suptitle(title, fontsize=12)
     return figure
+
+
+def figure_middle_scan(flight: Flight, truth: Trajectory | None) -> Figure:
+    """`figure_scan` of the first scan with a point in the second half of a flight, or of its last one."""
+    later = flight.scans[len(flight) // 2 :]
+    scan = next((scan for scan in later if scan.points.size), later[-1])
+    return figure_scan(scan, flight.prior, truth, flight.name)
 
 
 def _draw_ranges(panel: Axes, points: Array):  # type: ignore[no-untyped-def]

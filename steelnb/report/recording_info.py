@@ -1,18 +1,35 @@
-"""`steelnb info`: the content of a recorded flight on one screen."""
+"""A recording to look at: its content on one screen (`steelnb info`), and one that is simulated (notebook 09)."""
 
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb import experiment
+from steelnb.io import write_flight
 from steelnb.io.scans import described, rate, span
+from steelnb.settings import ExperimentSettings
 from steelnb.types import Array, Flight, Trajectory
 
 LONG_GAP = 1.5
 """Of the median time between two scans: longer is a gap."""
 FAULTS_SHOWN = 10
 _IN_PLACE = ("form", "scans", "poses", "extrinsics", "imu")
+
+
+def given_or_flown(
+    recording: str, folder: str, settings: ExperimentSettings, on_progress: Callable[[float], None] | None = None
+) -> tuple[Path, ExperimentSettings | None]:
+    """The path of a recording, or where none is named that of a bag in a folder, which is flown now, and its
+    settings."""
+    if recording:
+        return Path(recording), None
+    path = Path(folder, "flight.bag")
+    flight, truth = experiment.simulate(settings)
+    write_flight(path, flight, truth.trajectory, on_progress)
+    return path, settings
 
 
 def describe_flight(

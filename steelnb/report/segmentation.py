@@ -1,9 +1,8 @@
 """Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials and tables."""
 
-import itertools
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,11 @@ import pandas as pd
 
 from steelnb import rng
 from steelnb.errors import FileMissingError
-from steelnb.hough import suggest_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.points import voxel_grid
 from steelnb.report.batch import flat
-from steelnb.settings import FlightSettings, SegmentationSettings, TofSettings, TowerSettings
+from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.views import View, Viewer, pose_on_path
 from steelnb.types import Array, Segments
@@ -31,6 +29,8 @@ MEASURES = ("recall", "precision", "duplicates", "angle_deg", "offset_m")
 ANGLE_MAX_RAD = math.radians(10)
 """A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
 LEAN_SIGMA_RAD = math.radians(2)
+Options = Mapping[str, Mapping[str, Any]]
+"""Method → its options."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Scene:
     across: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
     """The segments of one method in one scene, their score and the seconds they took."""
 
@@ -135,7 +135,69 @@ def attempt(method: str, scene: Scene, label: str | None = None, **options: Any)
     return Trial(label or method, scene, segments, score, seconds)
 
 
-def warm_up(scene: Scene, methods: Iterable[str], options: Mapping[str, Mapping[str, Any]]) -> None:
+def attempt_all(
+    methods: Iterable[str],
+    scenes: Iterable[Scene],
+    options: Options,
+    slow: Container[str] = (),
+    every: int = 1,
+    on_progress: Callable[[float], None] | None = None,
+) -> list[Trial]:
+    """A trial of each method, with its ``options``, on each scene in turn; those of ``slow`` methods on the first scene
+    and then on one in ``every``."""
+    scenes, trials = list(scenes), []
+    for k, scene in enumerate(scenes):
+        chosen = [method for method in methods if k % every == 0 or method not in slow]
+        trials += [attempt(method, scene, **options.get(method, {})) for method in chosen]
+        if on_progress:
+            on_progress((k + 1) / len(scenes))
+    return trials
+
+
+def attempt_variants(views: Mapping[int, Sequence[Scene]], trials: int, sample: int) -> list[Trial]:
+    """Variants of the methods on views by seed: RANSAC whose two points are drawn anywhere, a single pass of the Hough
+    transform, and mixtures, on the first view of a seed, that are told the number of bars."""
+    scenes = [scene for some in views.values() for scene in some]
+    found = [attempt("ransac-lines", each, "ransac-lines-uniform", trials=trials, sample_m=1e3) for each in scenes]
+    found += [attempt("hough-once", each) for each in scenes]
+    for first, *_ in views.values():
+        bars = int(first.members.observed().sum())
+        found.append(attempt("gmm", first, "gmm-told", components=[2 * bars], sample=sample))
+    return found
+
+
+def attempt_conditions(
+    scenes: Scenes,
+    trials: Iterable[Trial],
+    usual: Mapping[int, Sequence[Scene]],
+    levels: Mapping[str, Iterable[float]],
+    methods: Sequence[str],
+    options: Options,
+    slow: Container[str] = (),
+    on_progress: Callable[[float], None] | None = None,
+) -> list[Trial]:
+    """The methods under other values of one of `USUAL` at a time, ``levels``, on as many views of each seed as
+    ``usual`` has; before them those of the ``trials`` on ``usual`` itself. Slow methods see the first seed alone, under
+    other conditions its first view."""
+    places = {id(scene): seed for seed, some in usual.items() for scene in some}
+    seeds = list(usual)
+    found = [
+        trial
+        for trial in trials
+        if id(trial.scene) in places
+        and trial.method in methods
+        and (trial.method not in slow or places[id(trial.scene)] == seeds[0])
+    ]
+    others = [(name, value) for name, values in levels.items() for value in values if value != USUAL[name]]
+    for k, (name, value) in enumerate(others):
+        views = [scene for seed in seeds for scene in scenes.frames(seed, len(usual[seed]), **{name: value})]
+        found += attempt_all(methods, views, options, slow, every=len(views))
+        if on_progress:
+            on_progress((k + 1) / len(others))
+    return found
+
+
+def warm_up(scene: Scene, methods: Iterable[str], options: Options) -> None:
     """Run each method once on a part of a scene, so that no time holds a compilation or an import."""
     few = replace(scene, points=scene.points[:: max(1, len(scene.points) // 1000)])
     for method in methods:
@@ -199,54 +261,6 @@ def segmentation_metrics(rows: pd.DataFrame) -> dict[str, float]:
     """The finite means over the seeds at the usual noise, clutter and density, ``<scene>.<method>.<metric>``."""
     usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
     return flat(over_cases(rows[usual]), ("scene", "method"), MEASURES)
-
-
-FIXED, CHOSEN, REFERENCE = "fixed", "from the points", "diagonal/64"
-"""Origin of a dx of `tuning_map`: given, `steelnb.hough.suggest_dx`, or the reference program's default."""
-
-
-def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
-    """Hough on the scenes of each noise with every dx × every least number of votes: means over all frames, a row each.
-
-    The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
-    """
-    rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
-    rows = []
-    for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
-        settings = SegmentationSettings(points_min=votes)
-        own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
-        trials = [
-            attempt("hough", scene, settings=settings, dx=each)
-            for scene, each in zip(scenes[noise_m], own, strict=True)
-        ]
-        means = over_cases(trial_table(trials)).iloc[0][list(MEASURES)].to_dict()
-        rows.append({"noise_m": noise_m, "rule": rule, "dx_m": float(np.mean(own)), "min_votes": votes, **means})
-    return pd.DataFrame(rows)
-
-
-def _dx(rule: str, width: float, points: Array) -> float:
-    if rule == CHOSEN:
-        return suggest_dx(points)
-    return width if rule == FIXED else float(np.linalg.norm(np.ptp(points, axis=0))) / 64
-
-
-def cost_of_rules(tuning: pd.DataFrame) -> pd.DataFrame:
-    """The loss of each rule for dx against the best fixed dx of each noise and least number of votes.
-
-    The best has the largest mean of recall and precision. Columns: ``best_dx_m``, ``dx_m`` of the rule, and how much
-    ``recall`` and ``precision`` are below the best one's.
-    """
-    by = ["noise_m", "min_votes"]
-    fixed = tuning[tuning["rule"] == FIXED]
-    best = fixed.loc[(fixed["recall"] + fixed["precision"]).groupby([fixed[name] for name in by]).idxmax()]
-    cost = (
-        tuning[tuning["rule"] != FIXED]
-        .merge(best, on=by, suffixes=("", "_best"))
-        .rename(columns={"dx_m_best": "best_dx_m"})
-    )
-    for name in ("recall", "precision"):
-        cost[f"{name}_lost"] = cost[f"{name}_best"] - cost[name]
-    return cost[[*by, "rule", "best_dx_m", "dx_m", "recall_lost", "precision_lost"]]
 
 
 def frame_runs(folder: Path) -> pd.DataFrame:

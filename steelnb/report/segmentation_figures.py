@@ -8,7 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from steelnb.report.batch import seeds_text
-from steelnb.report.segmentation import CHOSEN, CLUTTER, FIXED, NOISE_M, REFERENCE, USUAL, Scene, Trial
+from steelnb.report.segmentation import CLUTTER, NOISE_M, USUAL, Scene, Trial
+from steelnb.report.segmentation_tuning import CHOSEN, FIXED, REFERENCE
 from steelnb.report.style import (
     BLACK,
     COLOURS,
@@ -177,8 +178,8 @@ def figure_sequence(trials: Sequence[Trial]) -> Figure:
 def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame, seeds: Sequence[int]) -> Figure:
     """Maps of recall and precision over dx: by least number of votes (left) and by range noise (right).
 
-    Both are `segmentation.tuning_map` of a frame of each of these seeds. Beside the fixed dx stand the two rules that
-    need no tuning, with their dx.
+    Both are `segmentation_tuning.tuning_map` of a frame of each of these seeds. Beside the fixed dx stand the two rules
+    that need no tuning, with their dx.
     """
     figure = Figure(figsize=(12.0, 8.6))
     panels = figure.subplots(2, 2, squeeze=False)

@@ -1,6 +1,7 @@
 """Notebooks 10 and 12: structures from flights at true, drifting and corrected poses, at once and frame by frame; their
 tables, the goals set for them, and the near-side bias."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
 from steelnb.odometry import SegmentOdometry
-from steelnb.report.batch import Progress, case_of
+from steelnb.report.batch import Progress, case_of, share_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 from steelnb.types import Array, Flight, IntArray, Segments
 
@@ -133,6 +134,11 @@ def rebuild(
     return runs
 
 
+def by_poses(runs: Sequence[Rebuilt], method: str) -> dict[str, Rebuilt]:
+    """The structures of one method, by the poses that they were built from."""
+    return {run.poses: run for run in runs if run.method == method}
+
+
 def _frame_by_frame(source: StructureFlight, poses: str) -> Structure:
     """The map of `SegmentOdometry`, which is given the poses and corrects nothing, as a structure."""
     s = source.result.settings
@@ -177,6 +183,18 @@ def structure_table(runs: Sequence[Rebuilt]) -> pd.DataFrame:
         measured = {"toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses], "seconds": run.seconds}
         rows.append(case | run.score.metrics | measured)
     return pd.DataFrame(rows)[[*CASE, *NUMBERS, "seconds"]]
+
+
+def tower_tables(
+    tower: Sequence[str], seeds: Sequence[int], structure_method: Sequence[str], on_progress: Progress, **flight: Any
+) -> pd.DataFrame:
+    """`structure_table` of every tower and seed, from corrected poses; ``flight`` are the other arguments of
+    `fly_tower`. One flight is in memory at a time."""
+    cases, tables = list(itertools.product(tower, seeds)), []
+    for k, (name, seed) in enumerate(cases):
+        source = fly_tower(tower=name, seed=seed, on_progress=share_of(on_progress, k, len(cases)), **flight)
+        tables.append(structure_table(rebuild(source, structure_method, ["corrected"])))
+    return pd.concat(tables, ignore_index=True)
 
 
 def structure_summary(table: pd.DataFrame) -> pd.DataFrame:

@@ -1,5 +1,6 @@
 """A quadrotor-sized rigid body flown along a path in PyBullet, with true poses and IMU readings at every step."""
 
+import itertools
 import math
 import os
 import sys
@@ -8,7 +9,6 @@ from types import ModuleType
 from typing import cast
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
@@ -77,7 +77,8 @@ def _gusts(settings: FlightSettings, seed: int, steps: int) -> list[list[float]]
     """Wind velocity at each step, m/s: standard deviation ``gust_sigma_m_s``, correlation time `GUST_TIME_S`."""
     keep = math.exp(-STEP_S / GUST_TIME_S)
     shocks = rng.stream(seed, "gust").standard_normal((steps, 3)) * settings.gust_sigma_m_s * math.sqrt(1 - keep**2)
-    return lfilter([1.0], [1.0, -keep], shocks, axis=0).tolist()  # type: ignore[no-any-return]
+    # Not scipy.signal.lfilter, which gives the same bits: to import it takes longer than a short flight.
+    return np.array(list(itertools.accumulate(shocks, lambda wind, shock: keep * wind + shock))).tolist()
 
 
 def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: float) -> int:  # type: ignore[no-untyped-def]

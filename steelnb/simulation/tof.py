@@ -1,14 +1,13 @@
 """A Time-of-Flight camera on a flight, by ray casting against the tower's mesh (Open3D, Embree) on one thread."""
 
 import itertools
-import os
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from steelnb import rng
-from steelnb.errors import needs
+from steelnb.libraries import import_open3d
 from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
@@ -146,10 +145,7 @@ class Scene(NamedTuple):
 
 def make_scene(tower: Tower) -> Scene:
     """The scene of a tower that stands on z = 0."""
-    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
-    with needs("sim"):
-        import open3d
-
+    open3d = import_open3d()
     corners = GROUND_M * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     vertices = np.concatenate([tower.vertices, corners]).astype(np.float32)
     n = len(tower.vertices)
@@ -162,8 +158,7 @@ def make_scene(tower: Tower) -> Scene:
 def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
     """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
     −1 for the ground and for none. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
-    import open3d
-
+    open3d = import_open3d()
     flat = ray.reshape(-1, 3).astype(np.float32)
     bundle = np.empty((len(T_world_sensor), len(flat), 6), dtype=np.float32)
     bundle[:, :, :3] = T_world_sensor[:, None, :3, 3]

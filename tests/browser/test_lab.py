@@ -1,4 +1,4 @@
-"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change."""
+"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change, save."""
 
 import os
 import shutil
@@ -27,7 +27,8 @@ CHANGED = f"before => {{ const now = ({ERRORS})(); return now.length && now.join
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[str]:
-    """The address of a JupyterLab on a copy of the notebook, with nobody's settings; ended with all its kernels."""
+    """The address of a JupyterLab on a copy of the notebook, with the project's settings and nobody else's; ended with
+    all its kernels."""
     (tmp_path / "notebooks").mkdir()
     for name in ("00_explore.ipynb", "experiments.toml"):
         shutil.copy(ROOT / "notebooks" / name, tmp_path / "notebooks")
@@ -36,6 +37,7 @@ def lab(tmp_path: Path) -> Iterator[str]:
         port = free.getsockname()[1]
     mark = f"lab-{os.getpid()}-{time.time_ns()}:"
     seen = {name: value for name, value in environment(tmp_path, mark).items() if name != "STEELNB_PROGRESS_FILE"}
+    seen["JUPYTER_CONFIG_PATH"] = str(ROOT / "scripts" / "jupyterlab")
     command = [sys.executable, "-m", "jupyterlab", "--no-browser", f"--port={port}", "--ServerApp.port_retries=0"]
     command += [f"--notebook-dir={tmp_path}", "--IdentityProvider.token=", "--allow-root"]
     with (tmp_path / "log.txt").open("wb") as log:
@@ -66,7 +68,7 @@ def page(chromium: Browser, lab: str) -> Iterator[Page]:
         yield context.new_page()
 
 
-def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: Page, lab: str) -> None:
+def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: Page, lab: str, tmp_path: Path) -> None:
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(f"{lab}/lab/tree/notebooks/00_explore.ipynb?reset")
@@ -91,4 +93,16 @@ def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: P
     assert not np.allclose(after, before, atol=1e-6)
     assert sentence.inner_text() != text
     assert page.locator(DRAWN).count() > 0
+
+    copy = tmp_path / "notebooks" / "00_explore.ipynb"
+    source, before_ns = copy.read_bytes(), copy.stat().st_mtime_ns
+    page.keyboard.press("Control+s")
+    for _ in range(100):
+        if copy.stat().st_mtime_ns != before_ns:
+            break
+        page.wait_for_timeout(100)
+    assert copy.stat().st_mtime_ns != before_ns, "nothing was saved"
+    assert copy.read_bytes() == source == (ROOT / "notebooks" / "00_explore.ipynb").read_bytes()
+    assert page.locator(DRAWN).count() > 0, "the picture stays"
+    assert page.locator(".jp-Dialog").count() == 0
     assert errors == []

@@ -6,7 +6,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import SettingsError
-from steelnb.report import batch, false_convergence
+from steelnb.report import batch, false_convergence, world
 from steelnb.study.row import paired_clouds
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -16,7 +16,10 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 def runs():
     wanted = ["icp-3dof", ("icp-3dof", {"clouds.accumulate": True}), "gicp"]
     cases = batch.make_cases(["vertical"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
-    return batch.run_all(cases)
+    seen: list[int] = []
+    found = batch.run_all(cases, on_run=lambda runs: seen.append(len(runs)))
+    assert seen == [1, 2, 3]
+    return found
 
 
 def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
@@ -93,3 +96,44 @@ def test_the_ranking_says_which_pairs_are_in_the_order_claimed(monkeypatch):
     assert batch.beside_report(rows, "none").empty
     assert beside["method"].tolist() == ["a"]
     assert beside["within_report"].tolist() == [False]
+
+
+def test_the_first_run_of_each_method_on_a_flight(runs):
+    assert list(batch.by_method(runs, "vertical").items()) == [("icp-3dof", runs[0]), ("gicp", runs[2])]
+    assert batch.by_method(runs, "orbit") == {}
+
+
+def test_the_flight_is_drawn_with_every_drift_before_anything_is_corrected(runs):
+    noises = ["random-walk", "constant-drift"]
+    cases = batch.make_cases(["vertical"], "starling2", noises, ["none", "gicp"], 3, 6.0, SHORT)
+    _, truth, drifts = world.fly_and_drift(cases)
+    np.testing.assert_array_equal(drifts["random-walk"].T_world_drone, runs[0].prior.T_world_drone)
+    np.testing.assert_array_equal(truth.stamp_s, runs[0].prior.stamp_s)
+    assert not np.allclose(drifts["constant-drift"].position, drifts["random-walk"].position)
+    scene, curve = world.figure_flight(cases).axes
+    assert [line.get_label() for line in curve.lines] == ["drifting: random-walk", "drifting: constant-drift"]
+    assert "true path" in scene.get_legend_handles_labels()[1]
+
+
+def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():
+    basins = false_convergence.basin_cases("orbit", "report", "random-walk", [0.1, 0.5], 1, 20.0, {"tof.rate_hz": 2.5})
+    assert list(basins) == ["3-DoF ICP, 0.1 m", "3-DoF ICP, 0.5 m", "GICP, 0.3 m", "best"]
+    assert {case.tof.rate_hz for case in basins.values()} == {2.5}
+    gaps = [[5.0, 8.0], [15.0, 25.0]]  # the second outlasts the flight
+    search = false_convergence.search_cases(
+        ["orbit", "vertical"], "report", ["random-walk"], [0.1, 0.5], [1, 2], 20.0, gaps, {}
+    )
+    assert [case.seed for case in search] == [1] * 8 + [2] * 8
+    assert [len(case.tof.blind_s) for case in search[:8]] == [0, 0, 1, 1] * 2
+    assert [case.odometry.clouds.max_correspondence_m for case in search[:2]] == [0.1, 0.5]
+
+
+def test_the_worst_flight_is_flown_again_with_best_on_the_same_scans(runs):
+    pair, clouds = false_convergence.beside_best(runs[0], SHORT)
+    assert list(pair) == list(clouds) == ["3-DoF ICP, 0.1 m", "best"]
+    one, best = pair.values()
+    assert one is runs[0]
+    assert best.settings.odometry.method == "best"
+    np.testing.assert_array_equal(best.prior.T_world_drone, one.prior.T_world_drone)
+    for built, true in clouds.values():
+        assert built.shape == true.shape

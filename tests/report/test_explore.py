@@ -1,7 +1,6 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import ipywidgets
 import numpy as np
@@ -12,15 +11,16 @@ from steelnb import experiment
 from steelnb.errors import CollisionError, SettingsError
 from steelnb.report import batch, explore
 from steelnb.report.explore import PLOTLY_TYPE
+from steelnb.report.panel import Panel
 from steelnb.settings import NoiseSettings
 
-NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 SHORT = {"tof.rate_hz": 2.5}
+FIRST = ("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
 
 
 @pytest.fixture(scope="module")
 def view() -> explore.View:
-    return explore.fly("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
+    return explore.fly(*FIRST)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -87,15 +87,20 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict]]:
     InteractiveShell.clear_instance()
 
 
-def test_the_panel_redraws_the_picture_when_a_control_moves(view: explore.View, shown: list) -> None:
-    panel = explore.Panel(view, "random-walk", 1.0, SHORT)
-    panel.show()
-    kinds = [(kind, next(iter(data))) for kind, data in shown]
-    assert kinds[-1] == ("display", PLOTLY_TYPE)
+def names(figure: dict) -> set[str]:
+    return {trace["name"] for trace in figure["data"]}
+
+
+def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_control_moves(shown: list) -> None:
+    panel = Panel(*FIRST)
+    seen: list[float] = []
+    view = panel.show(seen.append)
+    assert view is panel.view
+    assert seen[-1] == 1.0
+    (first,) = (data[PLOTLY_TYPE] for kind, data in shown if kind == "display" and PLOTLY_TYPE in data)
+    assert names(first) == {"true members", "true", "drifting"}
     drawn = shown[-1][1][PLOTLY_TYPE]
-    assert {trace["name"] for trace in drawn["data"]} == {
-        "true members", "cloud", "bars found", "true", "drifting", "corrected"
-    }  # fmt: skip
+    assert names(drawn) == names(first) | {"cloud", "bars found", "corrected"}
     assert len(json.dumps(drawn)) < 1_000_000
     del shown[:]
     assert isinstance(panel.controls["level"], ipywidgets.FloatSlider)
@@ -110,29 +115,26 @@ def test_the_panel_redraws_the_picture_when_a_control_moves(view: explore.View, 
     assert panel.status.value.startswith("computed in")
 
 
-def test_a_flight_that_fails_is_told_and_the_picture_stays(
-    view: explore.View, shown: list, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypatch: pytest.MonkeyPatch) -> None:
     def collide(*_: object, **__: object) -> explore.View:
         raise CollisionError("the drone touched the tower")
 
-    panel = explore.Panel(view, "random-walk", 1.0, SHORT)
-    panel.show()
+    panel = Panel(*FIRST)
+    view = panel.show()
     del shown[:]
-    monkeypatch.setattr(explore, "fly", collide)
+    monkeypatch.setattr("steelnb.report.panel.fly", collide)
     panel.controls["seed"].value = 7
     assert panel.status.value == "the drone touched the tower"
     assert panel.view is view
     assert not shown
 
 
-def test_the_first_notebook_links_every_other_one() -> None:
-    text = (NOTEBOOKS / "00_explore.ipynb").read_text(encoding="utf-8")
-    others = {path.name for path in NOTEBOOKS.glob("*.ipynb")} - {"00_explore.ipynb"}
-    assert {name for name in others if f"]({name})" not in text} == set()
+def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name() -> None:
+    with pytest.raises(SettingsError, match="'spiral'"):
+        Panel("spiral", *FIRST[1:])  # type: ignore[arg-type]
 
 
 def test_plotly_and_widgets_are_imported_only_when_they_are_wanted() -> None:
-    code = "import sys, steelnb.report.explore; print({'plotly', 'ipywidgets', 'IPython'} & set(sys.modules))"
+    code = "import sys, steelnb.report.panel; print({'plotly', 'ipywidgets', 'IPython'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

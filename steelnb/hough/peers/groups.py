@@ -3,14 +3,13 @@
 These packages are imported when a method is called, since they take seconds.
 """
 
-import os
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from steelnb.errors import SettingsError
 from steelnb.hough.peers.bars import bars_of_groups, prepared, refine
+from steelnb.libraries import import_open3d
 from steelnb.rng import stream
 from steelnb.settings import SegmentationSettings
 from steelnb.types import Array, Segments
@@ -34,7 +33,7 @@ def segment_by_ransac_planes(
     points, settings, dx = prepared(points, settings, dx)
     if trials < 1 or planes_max < 1:
         raise SettingsError(f"trials = {trials}, planes_max = {planes_max}: expected at least 1 each")
-    open3d = _open3d()
+    open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
     label = np.full(len(points), -1, dtype=np.int64)
     for plane in range(planes_max):
@@ -65,7 +64,7 @@ def segment_by_dbscan(
     points, settings, dx = prepared(points, settings, dx)
     if neighbours_min < 1:
         raise SettingsError(f"neighbours_min = {neighbours_min}: expected at least 1")
-    open3d = _open3d()
+    open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     label = np.asarray(cloud.cluster_dbscan(eps=dx, min_points=neighbours_min), dtype=np.int64)
     return refine(points, bars_of_groups(points, label, settings), dx, settings)
@@ -102,10 +101,3 @@ def segment_by_gmm(
         best = min(mixtures, key=lambda mixture: mixture.bic(some))
         label = best.predict(points).astype(np.int64)
     return refine(points, bars_of_groups(points, label, settings), dx, settings)
-
-
-def _open3d() -> Any:
-    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
-    import open3d
-
-    return open3d

@@ -1,0 +1,115 @@
+"""The parameters of a notebook: misspelt names, mistyped values and settings out of range are refused before anything
+runs, whether our workflow, papermill alone or a reader has set them. Nothing here imports a heavy library."""
+
+import ast
+import difflib
+import inspect
+import itertools
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from steelnb.errors import SettingsError
+from steelnb.settings import ExperimentSettings
+
+FLOAT_MAX = sys.float_info.max
+PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters)
+FOLDER = "results_dir"
+"""The parameter that every notebook has, and that the workflow sets."""
+INJECTED = "# Parameters\n"
+"""The first line of the cell that papermill inserts behind the one tagged ``parameters``."""
+
+
+def validate() -> None:
+    """Refuse what papermill has set in the running notebook, and give numbers the type of their defaults.
+
+    For the first cell after the parameters: papermill itself only warns of a name that the notebook does not have, and
+    would run the defaults. Where nothing was set by papermill, or without IPython, nothing is done. Raises
+    `SettingsError`.
+    """
+    loaded = sys.modules.get("IPython")  # which a kernel has loaded
+    shell = loaded.get_ipython() if loaded else None
+    if shell is None:
+        return
+    cells, names = shell.user_ns["In"], shell.user_ns
+    place = max((k for k, cell in enumerate(cells) if cell.startswith(INJECTED)), default=0)
+    tagged = [cell for cell in cells[:place] if f"\n{FOLDER} = " in cell and not cell.startswith(INJECTED)]
+    if tagged:
+        defaults, given = literals(tagged[-1]), [name for name in assigned(cells[place]) if name != FOLDER]
+        values = fit_parameters("parameters", {name: names[name] for name in given}, defaults)
+        check_settings("parameters", {**defaults, **values})
+        names.update(values)
+
+
+def assigned(source: str) -> dict[str, ast.expr]:
+    """The names that the code of a cell assigns, and the expressions. Raises SyntaxError."""
+    found: dict[str, ast.expr] = {}
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            found |= {target.id: statement.value for target in targets if isinstance(target, ast.Name)}
+    return found
+
+
+def literals(source: str) -> dict[str, Any]:
+    """The names and values of a cell of plain literals. Raises SyntaxError and ValueError."""
+    return {name: ast.literal_eval(value) for name, value in assigned(source).items()}
+
+
+def fit_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` with every name known and every value of its default's type. Raises `SettingsError`."""
+    known = [name for name in defaults if name != FOLDER]
+    for name in given:
+        if name == FOLDER:
+            raise SettingsError(f"{experiment}: results_dir is set by the workflow; name a folder with OUT=folder")
+        if name not in known:
+            raise SettingsError(
+                f"{experiment}: unknown parameter {name!r}{guess(name, known)}; known: {', '.join(known)}"
+            )
+    try:
+        return {name: _fit(name, value, defaults[name]) for name, value in given.items()}
+    except SettingsError as fault:
+        raise SettingsError(f"{experiment}: {fault}") from None
+
+
+def _fit(name: str, value: Any, default: Any) -> Any:
+    """``value`` in the type of ``default``: an int becomes a float, the elements of a list follow the default's."""
+    kind = type(default)
+    if default is None or (kind in (bool, int, str) and type(value) is kind):
+        return value
+    if kind is float and isinstance(value, int | float) and type(value) is not bool and abs(value) < FLOAT_MAX:
+        return float(value)
+    if kind in (list, tuple) and isinstance(value, list | tuple):
+        return [_fit(f"{name}[{index}]", item, default[0]) if default else item for index, item in enumerate(value)]
+    if kind is dict and isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return value
+    raise SettingsError(f"{name} = {value!r}: expected {_EXPECTED.get(kind, 'a value')} such as {default!r}")
+
+
+_EXPECTED = {
+    bool: "true or false,",
+    int: "a whole number",
+    float: "a finite number",
+    str: "a text",
+    list: "a list",
+    tuple: "a list",
+    dict: "a table",
+}
+
+
+def check_settings(experiment: str, values: Mapping[str, Any]) -> None:
+    """Build the settings that the parameters stand for, every combination where they are lists, so that a value out of
+    range is refused before a notebook starts. Raises `SettingsError`."""
+    names = [name for name in PRESET_ARGUMENTS if name in values]
+    choices = [values[name] if isinstance(values[name], list | tuple) else [values[name]] for name in names]
+    for combination in itertools.product(*choices) if names else ():
+        try:
+            ExperimentSettings.preset(**dict(zip(names, combination, strict=True)))
+        except SettingsError as fault:
+            raise SettingsError(f"{experiment}: {fault}") from None
+
+
+def guess(name: str, known: Iterable[str]) -> str:
+    """`, did you mean ...?` where a known name is near, else nothing."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {near[0]!r}?" if near else ""
