@@ -1,4 +1,4 @@
-"""Notebook 02: why the error of Figure 3.2 climbs above the waist, and for which towers and flights it does not."""
+"""Notebooks 02 and 08: why the error of Figure 3.2 climbs above the waist, and for which towers it does not."""
 
 import re
 from typing import Any
@@ -14,6 +14,7 @@ from steelnb.metrics.matching import match_members
 from steelnb.odometry.segments import segments_in
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, caption, case_of
+from steelnb.report.conclusions import bullets
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
 from steelnb.settings import TowerSettings
 from steelnb.types import Flight
@@ -22,6 +23,7 @@ KINDS = ("leg", "ring", "bracing", "arm")
 ANGLE_MAX_RAD, DISTANCE_MAX_M = 0.26, 0.2
 """A segment of one noisy scan, whose points lie on the near faces, belongs to the member within these."""
 WINDOW_S = 10.0
+REPORT_MAX_M = REPORT_SEGMENT_ODOMETRY["vertical"]["max_m"]
 AXES = {"waist": "tower.waist_width_m", "standoff": "flight.standoff_m", "crop": "preprocess.crop_m"}
 
 
@@ -51,9 +53,9 @@ def pairs_of(run: Result, flight: Flight, every: int = 5) -> pd.DataFrame:
 
 
 def waist_s(run: Result) -> float:
-    """The time at which the drone passes the waist of the tower for the last time from below, NaN if never."""
+    """The last time at which the drone is below the waist of the tower, the end of the flight if it never passes it."""
     below = run.truth.trajectory.position[:, 2] < run.settings.tower.waist_height_m
-    return float(run.truth.trajectory.stamp_s[np.flatnonzero(below)[-1]]) if below.any() and not below.all() else np.nan
+    return float(run.truth.trajectory.stamp_s[below][-1]) if below.any() else 0.0
 
 
 def waist_table(pairs: pd.DataFrame, run: Result, every: int = 5) -> pd.DataFrame:
@@ -78,22 +80,27 @@ def leg_bend_deg(tower: TowerSettings) -> float:
     return float(np.degrees(np.arccos(np.clip(lower @ upper, -1, 1))))
 
 
-def waist_sentence(table: pd.DataFrame, run: Result) -> str:
-    """What changes at the waist, in numbers."""
-    fusion = run.settings.odometry.fusion
-    limit_deg = np.degrees(fusion.angle_max_rad) if fusion else np.nan
-    error, apart = position_error_m(run.corrected, run.truth.trajectory), run.corrected.stamp_s > waist_s(run)
-    offset = run.corrected.position - run.truth.trajectory.at(run.corrected.stamp_s).position
-    upright = float(np.mean(offset[apart, 2] ** 2) / np.mean(error[apart] ** 2)) if apart.any() else np.nan
-    pairs = table[list(KINDS)].sum(axis=1)
-    legs, other = table["leg"] / pairs.clip(lower=1e-9), table["on_another_member"]
-    return (
-        f"A scan has {pairs.iloc[0]:.1f} pairs below the waist and {pairs.iloc[1]:.1f} above it, but others: "
-        f"{legs.iloc[1]:.0%} of them are legs, against {legs.iloc[0]:.0%} below. Legs stand upright, so they cannot "
-        f"tell the height, and {upright:.0%} of the squared error above the waist is height. And {other.iloc[1]:.0%} "
-        f"of the pairs there, {other.iloc[0]:.0%} below, join a segment to the bar of another member: a leg bends by "
-        f"{leg_bend_deg(run.settings.tower):.1f}° at the waist, less than the {limit_deg:.0f}° that the report's rule "
-        "allows, so its upper piece is laid on the lower one, drawn out."
+def conclusion(run: Result, pairs: pd.DataFrame, every: int = 5) -> str:
+    """What the pairs are, and what changes at the waist where the flight passes it, as a list in Markdown."""
+    table = waist_table(pairs, run, every)
+    counts, other = table[list(KINDS)].sum(axis=1), table["on_another_member"]
+    legs = table["leg"] / counts.clip(lower=1e-9)
+    apart = run.corrected.stamp_s > waist_s(run)
+    if not apart.any() or not counts.iloc[1]:
+        return bullets([f"A scan has {counts.iloc[0]:.1f} pairs, of which {legs.iloc[0]:.0%} are legs."])
+    offset = (run.corrected.position - run.truth.trajectory.at(run.corrected.stamp_s).position)[apart]
+    limit_deg = np.degrees(run.settings.odometry.fusion.angle_max_rad) if run.settings.odometry.fusion else np.nan
+    bend_deg = leg_bend_deg(run.settings.tower)
+    within = "within" if bend_deg < limit_deg else "beyond"
+    return bullets(
+        [
+            f"A scan has {counts.iloc[0]:.1f} pairs below the waist and {counts.iloc[1]:.1f} above it, of which legs "
+            f"are {legs.iloc[0]:.0%} and {legs.iloc[1]:.0%}. Legs stand upright and cannot tell the height, which is "
+            f"{np.mean(offset[:, 2] ** 2) / np.mean((offset**2).sum(axis=1)):.0%} of the squared error above.",
+            f"{other.iloc[0]:.0%} of the pairs below and {other.iloc[1]:.0%} above join a segment to the bar of "
+            f"another member. A leg bends by {bend_deg:.1f}° at the waist, {within} the {limit_deg:.0f}° that the rule takes "
+            "for one bar.",
+        ]
     )
 
 
@@ -106,7 +113,9 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     stamps = run.corrected.stamp_s
     top.plot(stamps, position_error_m(run.prior, run.truth.trajectory), color=COLOURS["none"], linestyle="--")
     top.plot(stamps, position_error_m(run.corrected, run.truth.trajectory), color=COLOURS[run.settings.odometry.method])
-    top.axhline(REPORT_SEGMENT_ODOMETRY["vertical"]["max_m"], color=COLOURS["report"], linestyle="-.")
+    top.axhline(
+        REPORT_SEGMENT_ODOMETRY[run.settings.flight.trajectory]["max_m"], color=COLOURS["report"], linestyle="-."
+    )
     top.set(ylabel="error (m)", ylim=(0, None))
     edges = np.arange(0.0, stamps[-1] + WINDOW_S, WINDOW_S)
     scans = np.histogram(stamps[::every], edges)[0]
@@ -120,7 +129,8 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     below.plot(middle, other, "o-", color=COLOURS["wrong"], markeredgecolor="white", markersize=7, linewidth=2.4)
     below.set(xlabel="time (s)", ylabel="pairs a scan", xlim=(0, stamps[-1]))
     for panel in (top, below):
-        panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":")
+        if waist_s(run) < stamps[-1]:
+            panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":")
     keys = {
         LABELS["none"]: {"color": COLOURS["none"], "ls": "--"},
         LABELS[run.settings.odometry.method]: {"color": COLOURS[run.settings.odometry.method]},
@@ -145,7 +155,7 @@ def sweep_rows(runs: pd.DataFrame) -> pd.DataFrame:
     return chosen[chosen["status"] == "ok"].groupby(list(AXES)).agg(**named).reset_index()
 
 
-def sweep_sentence(rows: pd.DataFrame, limit_m: float) -> str:
+def sweep_sentence(rows: pd.DataFrame, limit_m: float = REPORT_MAX_M) -> str:
     """For which combinations the report's largest error holds."""
     within = rows[rows["error_max_m"] <= limit_m]
     by_waist = within.groupby("waist").size().reindex(rows["waist"].unique(), fill_value=0)
@@ -158,7 +168,7 @@ def sweep_sentence(rows: pd.DataFrame, limit_m: float) -> str:
 
 
 @style()
-def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float) -> Figure:
+def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float = REPORT_MAX_M) -> Figure:
     """Largest error over width at the waist and stand-off, a panel a crop; what is within the report's is framed."""
     crops = sorted(rows["crop"].unique())
     figure = Figure(figsize=(4.2 * len(crops) + 1.6, 4.4))

@@ -40,8 +40,9 @@ def test_pairs_name_the_member_of_the_segment_and_of_the_bar(flown):
     below = (run.corrected.stamp_s[::2] <= passed).sum()
     total = table[list(waist.KINDS)].sum(axis=1).to_numpy()
     assert total @ [below, scans - below] == pytest.approx(len(pairs))
-    text = waist.waist_sentence(table, run)
+    text = waist.conclusion(run, pairs, every=2)
     assert f"{total[0]:.1f} pairs below the waist and {total[1]:.1f} above" in text
+    assert "within the 10° that the rule takes for one bar" in text
     top, counts = waist.figure_waist(run, pairs, every=2).axes
     drawn = sum(patch.get_height() for patch in counts.patches)
     assert drawn > 0
