@@ -133,6 +133,8 @@ def study(
             nonlocal ended
             ended += 1
             shown.show(f"running {counted(left, 'run')}", ended / left)
+            if ended == left:
+                shown.show("writing the tables")
             if row["status"] == "failed":
                 shown.say(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}")
 

@@ -1,6 +1,5 @@
 """Options that commands share. Names that one takes are listed in its help, completed by the shell, and checked."""
 
-import difflib
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import typer
 
 from steelnb.errors import SettingsError
+from steelnb.report.words import guess
 
 
 def _tables(name: str) -> tuple[str, ...]:
@@ -41,9 +41,8 @@ def one_of(
             for name in named(given):
                 if name not in names:
                     quoted = ", ".join(map(repr, names))
-                    raise SettingsError(
-                        f"{option.opts[0]} {given!r}: {_near(name, names)}expected one of {quoted}{also}"
-                    )
+                    near = guess(name, names)
+                    raise SettingsError(f"{option.opts[0]}: unknown {name!r}{near}; expected one of {quoted}{also}")
         return value
 
     def complete(incomplete: str) -> list[str]:
@@ -52,11 +51,6 @@ def one_of(
 
     text = about.format(names=", ".join(names))
     return typer.Option(help=text, callback=check, autocompletion=complete, **{"metavar": "NAME", **more})
-
-
-def _near(name: str, names: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, names, n=1)
-    return f"did you mean {near[0]!r}? " if near else ""
 
 
 def sensor_option() -> Any:

@@ -91,13 +91,13 @@ BAD = [
     (["run", "{bag}", "--settings", "nope.toml"], ["nope.toml", "expected a settings file"]),
     (
         ["run", "{bag}", "--odometry", "beest"],
-        ["--odometry 'beest': did you mean 'best'? expected one of 'none', 'average'"],
+        ["--odometry: unknown 'beest', did you mean 'best'?; expected one of 'none', 'average'"],
     ),
-    (["run", "{bag}", "--odometry", "best", "--odometry", "gcip"], ["'gcip': did you mean 'gicp'?"]),
+    (["run", "{bag}", "--odometry", "best", "--odometry", "gcip"], ["unknown 'gcip', did you mean 'gicp'?"]),
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (
         ["run", "{bag}", "--sensor", "lidar"],
-        ["--sensor 'lidar': expected one of 'report', 'starling2', or a file FILE.toml"],
+        ["--sensor: unknown 'lidar'; expected one of 'report', 'starling2', or a file FILE.toml"],
     ),
     (["run", "{bag}", "--sensor", "starling"], ["did you mean 'starling2'?"]),
     (["run", "{bag}", "--sensor", "mine.toml"], ["mine.toml", "a sensor's preset"]),
@@ -124,7 +124,7 @@ BAD = [
     (["record", "file", *SMALL, "--force"], ["file", "no such recording"]),
     (["record", ".", *SMALL, "--force"], ["no such recording"]),
     (["record", "file/b.bag", *SMALL], ["file/b.bag", "cannot be written"]),
-    (["record", "b.bag", "--trajectory", "obit"], ["--trajectory 'obit': did you mean 'orbit'?"]),
+    (["record", "b.bag", "--trajectory", "obit"], ["--trajectory: unknown 'obit', did you mean 'orbit'?"]),
     (["record", "b.bag", "--noise", "walk"], ["'walk'"]),
 ]
 

@@ -13,8 +13,9 @@ from pydantic import Field
 
 from steelnb.errors import OutputError, SettingsError, UnknownExperimentError
 from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
+from steelnb.report.words import guess
 from steelnb.settings import Settings, read_toml
-from workflow.parameters import check_settings, fit_parameters, guess, read_cells, read_parameters, source
+from workflow.parameters import check_settings, fit_parameters, read_cells, read_parameters, source
 
 FOLDERS = {"full": "results", "smoke": "results-smoke"}
 

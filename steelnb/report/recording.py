@@ -28,6 +28,7 @@ from steelnb.report.recording_numbers import TIMES, measure_recording, summary_l
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments
+from steelnb.report.words import guess
 from steelnb.settings import METHODS, ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
@@ -86,7 +87,8 @@ def recording_settings(
     ``floor_m`` replace the preset's crop in all directions and its floor in the world. Raises `SettingsError`.
     """
     if method not in (*METHODS, "segments"):
-        raise SettingsError(f"odometry = {method!r}: expected one of {', '.join(map(repr, (*METHODS, 'segments')))}")
+        near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
+        raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
     chosen = "least_squares" if method == "segments" else method
     preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
     seen = {} if range_max_m is None else {"range_max_m": range_max_m}

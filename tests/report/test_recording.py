@@ -176,7 +176,7 @@ def test_range_and_floor_reach_odometry_and_structure(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "bset"}, "odometry = 'bset'"), ({"sensor": "lidar"}, "sensor = 'lidar'"),
+        ({"method": "bset"}, "odometry = 'bset', did you mean 'best'"), ({"sensor": "lidar"}, "sensor = 'lidar'"),
         ({"seed": -1}, "seed = -1"), ({"range_max_m": -1.0}, "crop_m = -1.0"),
         ({"overrides": {"preprocess.leaf": 1}}, "unknown setting 'preprocess.leaf'"),
     ],
