@@ -1,7 +1,4 @@
-"""The command line: thin commands, one line for each error, exit codes that a script can use.
-
-0: done; 1: runs of a study failed, or `structure` found a difference; 2: bad input; 130: interrupted.
-"""
+"""The command line: thin commands, one line for each error, and the exit codes of `EXIT_CODES`."""
 
 import io
 import os
@@ -14,10 +11,19 @@ import typer
 
 import steelnb
 from steelnb import cli_clouds, cli_recordings
+from steelnb.cli_options import examples, output_option
+from steelnb.cli_progress import progress
 from steelnb.errors import SteelnbError
+from steelnb.report.words import counted
 
-LINE_PERIOD_S = 30.0
 INTERRUPTED = 130
+EXIT_CODES = """\b
+Exit codes:
+  0    done
+  1    runs of a study failed, or `structure` found a difference
+  2    bad input, told in one line; nothing was written
+  130  interrupted (Ctrl-C); 128 + N by signal N
+"""
 STUDY_FILE, STUDY_FOLDER = Path("notebooks", "study.toml"), Path("results", "study")
 REMOVED = {
     "reproduce": "notebooks are run by `make reproduce`",
@@ -30,7 +36,8 @@ REMOVED = {
 }
 """Former commands, and where to go instead."""
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+# Plain help: rich's shows <bool> at every flag, and wraps examples.
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EXIT_CODES)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -88,7 +95,13 @@ def _options(
     """Drone mapping of steel structures: recorded flights, point clouds, and studies over many seeds."""
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "steelnb study my-study.toml --dry-run",
+        "steelnb study my-study.toml -o my-results --workers 4",
+        codes="0 done; 1 runs failed; 2 bad input; 130 interrupted: the next call goes on.",
+    )
+)
 def study(
     path: Annotated[Path, typer.Argument(metavar="[STUDY.toml]")] = STUDY_FILE,
     workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")] = None,
@@ -96,40 +109,46 @@ def study(
         str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster of yours, such as tls://HOST:8786.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it would take, and run nothing.")] = False,
-    out: Annotated[Path, typer.Option("--out", help="Folder of the table.")] = STUDY_FOLDER,
+    output: Annotated[Path, output_option("For the table.")] = STUDY_FOLDER,
 ) -> None:
-    """Run many seeds, flights, noises, sensors and methods; only those not run yet. Exit 1 if some failed.
+    """Run many seeds, sensors and methods.
+
+    Only runs that the output folder does not hold yet are run, and those that failed.
 
     Whoever reaches a scheduler at tcp://HOST:PORT can run code as its owner, on it and on its workers; Dask's
     documentation says how to set up tls://HOST:PORT.
     """
-    from tqdm import tqdm
+    with progress() as shown:
+        from steelnb.report.results import machine
+        from steelnb.study.cluster import forecast, run_study
+        from steelnb.study.plan import by_flight, read_plan
 
-    from steelnb.report.results import machine
-    from steelnb.study.cluster import forecast, run_study
-    from steelnb.study.plan import by_flight, read_plan
-
-    runs = read_plan(path)
-    done, core_s = forecast(runs, out)
-    left = len(runs) - done
-    if dry_run:
-        print(f"{len(runs)} runs on {len(by_flight(runs))} flights, {done} of them done")
-        print(f"{left} to run: {core_s / 60:.0f} core minutes")
-        return
-    # Shown from the first second on, so that what is wrong at once is told in one line.
-    period_s = 0.5 if sys.stderr.isatty() else LINE_PERIOD_S
-    with tqdm(total=left, unit="run", mininterval=period_s, delay=1.0, disable=not left) as bar:
+        shown.show(f"planning {path}")
+        runs = read_plan(path)
+        done, core_s = forecast(runs, output)
+        left = len(runs) - done
+        ended = 0
 
         def show(row: dict[str, Any]) -> None:
-            bar.update()
+            nonlocal ended
+            ended += 1
+            shown.show(f"running {counted(left, 'run')}", ended / left)
+            if ended == left:
+                shown.show("writing the tables")
             if row["status"] == "failed":
-                bar.write(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}", file=sys.stderr)
+                shown.say(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}")
 
-        described = machine() if scheduler is None else "a cluster of the user's"
-        failed = run_study(runs, out, workers, scheduler, described, show)
-    print(f"{out / 'runs.parquet'} written: {len(runs)} runs, {left} of them run now")
+        if not dry_run:
+            shown.show(f"starting workers for {counted(left, 'run')}")
+            described = machine() if scheduler is None else "a cluster of the user's"
+            failed = run_study(runs, output, workers, scheduler, described, show)
+    if dry_run:
+        print(f"{counted(len(runs), 'run')} on {counted(len(by_flight(runs)), 'flight')}, {done} of them done")
+        print(f"{left} to run: {counted(round(core_s / 60), 'core minute')}")
+        return
+    print(f"{output / 'runs.parquet'} written: {counted(len(runs), 'run')}, {left} of them run now")
     if failed:
-        print(f"{len(failed)} runs failed; the next call tries them again, and their tracebacks are in the table")
+        print(f"{counted(len(failed), 'run')} failed; the next call tries again, and tracebacks are in the table")
         raise typer.Exit(1)
 
 

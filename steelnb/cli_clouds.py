@@ -5,15 +5,17 @@ from typing import Annotated
 
 import typer
 
+from steelnb.cli_options import examples, output_option
+from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog=examples("steelnb segment tower.ply", "steelnb segment tower.laz --dx 0.08 -o bars"))
 def segment(
     cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT, CSV, PTS or ASC file.")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the segments.")] = None,
+    output: Annotated[Path | None, output_option("For bars, joints and a picture.", "NAME_segments here")] = None,
     voxel: Annotated[float | None, typer.Option(help="Voxel size in metres; default: from the point spacing.")] = None,
     dx: Annotated[
         float | None, typer.Option(help="Radius of a bar's tube of points in metres; default: from the point spacing.")
@@ -21,19 +23,31 @@ def segment(
     min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
     structure: Annotated[bool, typer.Option(help="Write structure.json too: bars tied at joints.")] = True,
 ) -> None:
-    """Find the straight bars in a point cloud, and the joints that tie them."""
-    from steelnb.report.cloud import segment_file
+    """Find the straight bars in a point cloud.
 
-    result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes, structure=structure)
+    And the joints that tie them.
+    """
+    with progress() as shown:
+        from steelnb.report.cloud import segment_file
+
+        shown.show(f"finding bars in {cloud.name}")
+        result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes, structure=structure)
     print("\n".join(result.summary))
 
 
-@app.command()
+@app.command(
+    epilog=examples(
+        "steelnb structure bars/structure.json",
+        "steelnb structure before.json after.json -o differences",
+        "steelnb structure bars/structure.json --to tower.dxf",
+        codes="0 done, and two structures equal; 1 they differ; 2 bad input, nothing written; 130 interrupted.",
+    )
+)
 def structure(
     first: Annotated[Path, typer.Argument(metavar="A.json", help="A structure as steelnb wrote it.")],
     second: Annotated[Path | None, typer.Argument(metavar="[B.json]", help="Another one, in the same frame.")] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for differences.csv and differences.png.")
+        Path | None, output_option("For differences.csv and differences.png.", "none are written")
     ] = None,
     to: Annotated[
         Path | None, typer.Option("--to", help="Write A to this file: .json, .csv, .dxf, .glb or .ifc.")
@@ -44,9 +58,10 @@ def structure(
     end: Annotated[float | None, typer.Option(help="Metres up to which its ends have not moved.")] = None,
     joint: Annotated[float | None, typer.Option(help="Metres up to which a joint has not moved.")] = None,
 ) -> None:
-    """Describe a structure; compare it with another (exit 1 if they differ); or convert it with --to.
+    """Describe, compare or convert structures.
 
-    Tolerances are by default those of steelnb.settings.Tolerance.
+    One is described, or converted with --to; two are compared. Tolerances are by default those of
+    steelnb.settings.Tolerance.
     """
     from steelnb.report.structure_files import compare_files, convert_file, describe_file
     from steelnb.settings import Tolerance

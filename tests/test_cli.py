@@ -1,5 +1,6 @@
 """The command line: what it prints, and the exit codes."""
 
+import io
 import os
 import subprocess
 import sys
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import steelnb
-from steelnb import cli
+from steelnb import cli, cli_options, cli_progress, settings
 from steelnb.io.clouds import write_ply
 from tests.lattice import lattice, scanned
 
@@ -32,10 +33,95 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(command in shown for command in ("study", "structure", "segment"))
 
 
+@pytest.mark.parametrize("command", ["study", "record", "run", "info", "segment", "structure"])
+def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
+    capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert cli.main([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert f"\n  Examples:\n    steelnb {command} " in shown
+    assert "\n  Exit codes: 0 done" in shown
+    assert "bool" not in shown
+    cli.main(["--help"])
+    shown = capsys.readouterr().out
+    assert [line.split()[0] for line in shown.partition("Exit codes:")[2].splitlines() if line] == [
+        "0",
+        "1",
+        "2",
+        "130",
+    ]
+    (about,) = (line for line in shown.splitlines() if line.split()[:1] == [command])
+    assert about.endswith(".")
+    assert "..." not in about
+
+
+def test_the_names_of_options_are_those_of_the_settings() -> None:
+    assert set(cli_options.METHODS) == {*settings.METHODS, "segments"}
+    assert cli_options.SENSORS == settings.SENSORS
+    assert cli_options.TRAJECTORIES == settings.TRAJECTORIES
+    assert set(cli_options.NOISES) == {*settings.REPORT_NOISE, "none"}
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("steelnb re", ["record"]),
+        ("steelnb run a.bag --odometry be", ["best"]),
+        ("steelnb run a.bag --odometry best --odometry gicp-", ["gicp-4dof"]),
+        ("steelnb run a.bag --noise random-walk:0.002+y", ["random-walk:0.002+yaw-random-walk"]),
+        ("steelnb run a.bag --sensor s", ["starling2"]),
+        ("steelnb record a.bag --trajectory o", ["orbit"]),
+        ("steelnb run --fo", ["--force"]),
+    ],
+)
+def test_the_shell_completes_commands_options_and_names(line: str, expected: list[str]) -> None:
+    """By the protocol of the script that `steelnb --show-completion` prints, and without loading anything heavy."""
+    words = line.split(" ")
+    given = {"_STEELNB_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    code = (
+        "import sys\nfrom steelnb import cli\ntry:\n    cli.main([])\nfinally:\n    assert 'numpy' not in sys.modules"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | given, capture_output=True, text=True, check=True
+    )
+    assert shown.stdout.split() == expected
+
+
+def test_a_bar_moves_on_a_terminal_until_the_end_of_a_stage_and_beyond(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    with cli_progress.progress() as shown:
+        assert "loading libraries" in terminal.getvalue(), "before anything is imported"
+        shown.show("correcting", 1.0)
+        shown.show("writing")
+        (task,) = shown._bars.tasks  # type: ignore[attr-defined]
+        assert (task.description, task.finished, task.total) == ("writing", False, None)
+        shown.say("a run failed")
+    assert "a run failed" in terminal.getvalue()
+    assert terminal.getvalue().endswith("\x1b[2K"), "the line is gone at the end"
+
+
+def test_where_there_is_no_terminal_a_stage_is_told_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(cli_progress.time, "monotonic", lambda: now_s)
+    with cli_progress.progress() as shown:
+        for now_s in (101.0, 109.0, 111.0, 120.0, 122.0):
+            shown.show("correcting", (now_s - 100.0) / 40)
+    assert capsys.readouterr().err == "correcting: 28%, 0:00:26 left\ncorrecting: 55%, 0:00:17 left\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["bogus"], ["bogus"]),
+        (["segmnt", "x.ply"], ["'segmnt'", "Did you mean 'segment'?"]),
         (["segment"], ["Missing argument"]),
         (["segment", "x.ply", "--voxel", "small"], ["--voxel"]),
     ],

@@ -58,7 +58,7 @@ def test_record_info_and_run(place, capfd):
     for words in ("15 with a pose at 5 Hz, 45 x 60 organised (/tof/points)", "truth     376 at 125 Hz",
                   "imu       376 at 125 Hz", "recording a.mcap: ROS 2 MCAP", "skipped   nothing"):  # fmt: skip
         assert words in shown
-    assert "valid in 1 scans read" in said(capfd, ["info", "a.mcap", "--quick"])
+    assert "valid in 1 scan read" in said(capfd, ["info", "a.mcap", "--quick"])
     shown = said(capfd, ["run", "a.mcap"])
     assert "of the drift removed" in shown
     assert "% on time" in shown
@@ -89,9 +89,26 @@ BAD = [
     (["run", "{bag}", "--poses", "/nope"], ["'/nope'", "/odom"]),
     (["run", "{bag}", "--truth", "nope.tum"], ["nope.tum"]),
     (["run", "{bag}", "--settings", "nope.toml"], ["nope.toml", "expected a settings file"]),
-    (["run", "{bag}", "--odometry", "bset"], ["'bset'", "'best'"]),
-    (["run", "{bag}", "--sensor", "lidar"], ["'lidar'", "'starling2'"]),
+    (
+        ["run", "{bag}", "--odometry", "beest"],
+        ["--odometry: unknown 'beest', did you mean 'best'?; expected one of 'none', 'average'"],
+    ),
+    (["run", "{bag}", "--odometry", "best", "--odometry", "gcip"], ["unknown 'gcip', did you mean 'gicp'?"]),
+    (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
+    (
+        ["run", "{bag}", "--sensor", "lidar"],
+        ["--sensor: unknown 'lidar'; expected one of 'report', 'starling2', or a file FILE.toml"],
+    ),
+    (["run", "{bag}", "--sensor", "starling"], ["did you mean 'starling2'?"]),
+    (["run", "{bag}", "--sensor", "mine.toml"], ["mine.toml", "a sensor's preset"]),
     (["run", "{bag}", "--noise", "walk"], ["'walk'", "random-walk"]),
+    (["run", "{bag}", "--noise", "random-walk:0.1+yaw-walk"], ["did you mean 'yaw-random-walk'?"]),
+    (["run", "{bag}", "--noise", "random-walk:much"], ["'much' is not a number"]),
+    (["run", "{bag}", "--from", "9"], ["from 9 to inf s: no scan", "0 to 3.8 s"]),
+    (["run", "{bag}", "--from", "-1"], ["from -1 to inf s"]),
+    (["run", "{bag}", "--from", "2", "--to", "1"], ["from 2 to 1 s: no scan"]),
+    (["run", "{bag}", "--to", "nan"], ["from 0 to nan s"]),
+    (["run", "{bag}", "--odometry", "best", "--odometry", "gicp", "--from", "9"], ["from 9 to inf s: no scan"]),
     (["run", "{bag}", "--range-max", "-1"], ["crop_m = -1"]),
     (["run", "{bag}", "--set", "preprocess"], ["--set preprocess", "NAME=VALUE"]),
     (["run", "{bag}", "--set", "preprocess.leaf=1"], ["preprocess.leaf"]),
@@ -103,9 +120,11 @@ BAD = [
     (["run", "{bag}", "--poses", "n" * 300], ["nnn", "File name too long"]),
     (["run", "{bag}", "-o", "n" * 300], ["nnn", "File name too long"]),
     (["record", "b.ply", *SMALL], ["'.ply'", "expected .bag, .mcap, .db3 or a folder name for ROS 2"]),
-    (["record", "file", *SMALL], ["file", "exists already"]),
+    (["record", "file", *SMALL], ["file", "exists already", "--force"]),
+    (["record", "file", *SMALL, "--force"], ["file", "no such recording"]),
+    (["record", ".", *SMALL, "--force"], ["no such recording"]),
     (["record", "file/b.bag", *SMALL], ["file/b.bag", "cannot be written"]),
-    (["record", "b.bag", "--trajectory", "loop"], ["'loop'", "orbit"]),
+    (["record", "b.bag", "--trajectory", "obit"], ["--trajectory: unknown 'obit', did you mean 'orbit'?"]),
     (["record", "b.bag", "--noise", "walk"], ["'walk'"]),
 ]
 
@@ -137,6 +156,72 @@ def test_poses_from_a_file_that_do_not_cover_the_scans(bag, place, capfd):
     assert "11 scans with a pose" in shown
     assert "9 no pose within the gap" in shown
     assert len(read_trajectory(place / "out" / "corrected.tum")) == 11
+
+
+def test_a_run_overwrites_only_where_it_is_told_to_and_leaves_no_file_of_an_earlier_one(bag, place, capfd):
+    run = ["run", str(bag), "-o", "out", "--no-viewer"]
+    (place / "out").mkdir()  # empty, so that nothing is lost
+    said(capfd, run)
+    before = {file.name: file.read_bytes() for file in (place / "out").iterdir()}
+    (place / "out" / "mine.txt").write_text("mine")
+    assert said(capfd, [*run, "--odometry", "icp"], 2) == (
+        "steelnb: error: out: exists already and is not empty; expected a new folder, or --force to overwrite\n"
+    )
+    assert {file.name: file.read_bytes() for file in (place / "out").iterdir()} == before | {"mine.txt": b"mine"}
+    said(capfd, [*run, "--odometry", "icp", "--no-structure", "--force"])
+    assert {file.name for file in (place / "out").iterdir()} == (before.keys() | {"mine.txt"}) - {"structure.json"}
+    assert (place / "out" / "corrected.tum").read_bytes() != before["corrected.tum"]
+    assert (place / "out" / "mine.txt").read_text() == "mine"
+
+
+def test_the_folder_of_a_run_has_the_name_that_its_help_says(bag, place, capfd):
+    said(capfd, ["run", str(bag), "--no-viewer", "--no-structure"])
+    assert [file.name for file in place.iterdir()] == ["a_run"]
+    assert "[default: (NAME_run here)]" in " ".join(said(capfd, ["run", "--help"]).split())
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "folder"])
+def test_record_overwrites_only_where_it_is_told_to(place, capfd, name):
+    said(capfd, ["record", name, *SMALL])
+    truth = place / f"{Path(name).stem}.truth.tum"
+    before, files = truth.read_bytes(), sorted(place.rglob("*"))
+    assert "exists already" in said(capfd, ["record", name, *SMALL, "--trajectory", "orbit"], 2)
+    assert truth.read_bytes() == before
+    shown = said(capfd, ["record", name, *SMALL[:-1], "2", "--force", "--trajectory", "orbit"])
+    assert shown.startswith(f"{name} written: 10 scans")
+    assert sorted(place.rglob("*")) == files
+    assert truth.read_bytes() != before
+    assert len(read_flight(name)) == 10
+    assert read_truth(name).position[0] == pytest.approx(read_flight(name).prior.position[0], abs=0.05)
+
+
+def test_a_recording_of_another_ending_keeps_its_truth(place, capfd):
+    said(capfd, ["record", "a.mcap", *SMALL])
+    before = (place / "a.truth.tum").read_bytes()
+    assert "holds another flight's truth" in said(capfd, ["record", "a.bag", *SMALL, "--seed", "2", "--force"], 2)
+    assert (place / "a.truth.tum").read_bytes() == before
+
+
+def test_several_odometries_are_compared_in_one_table(bag, place, capfd):
+    run = ["run", str(bag), "-o", "out", "--no-viewer", "--no-structure", "--odometry", "best", "--odometry"]
+    shown = said(capfd, [*run, "icp"])
+    assert re.search(r"odometry +rms_m.*\n +drifting .*\n +best .*\n +icp ", shown)
+    assert sorted(file.name for file in (place / "out").iterdir()) == [
+        "best",
+        "comparison.csv",
+        "comparison.png",
+        "icp",
+    ]
+    best = (place / "out" / "best" / "corrected.tum").read_bytes()
+    said(capfd, [*run[:2], "-o", "alone", *run[4:6]])
+    assert (place / "alone" / "corrected.tum").read_bytes() == best
+    assert "exists already" in said(capfd, [*run, "segments"], 2)
+    said(capfd, [*run, "segments", "--force", "--from", "1"])
+    assert {file.name for file in (place / "out").iterdir()} == {
+        "best", "comparison.csv", "comparison.png", "icp", "segments"
+    }  # fmt: skip
+    assert len(read_trajectory("out/best/corrected.tum")) == len(read_trajectory("out/segments/corrected.tum")) == 15
+    assert list(place.rglob(".steelnb-*")) == []
 
 
 @pytest.mark.parametrize(
@@ -198,20 +283,19 @@ def test_of_two_recordings_to_one_name_one_is_whole_and_one_is_refused(place):
     commands = [["record", "a.mcap", *SMALL, "--noise", "none", "--seed", seed] for seed in "45"]
     (code, _), (refused, error) = both(place, *commands)
     assert (code, refused) == (0, 2)
-    assert re.fullmatch(
-        r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or a file to replace\n", error
-    )
+    assert re.fullmatch(r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or [^\n]*\n", error)
     assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
     prior, truth = read_flight("a.mcap").prior, read_truth("a.mcap")
     np.testing.assert_allclose(prior.position, truth.at(prior.stamp_s).position, atol=1e-9)
 
 
-def test_of_two_runs_into_one_new_folder_the_files_are_those_of_one(bag, place):
-    options = ["--no-viewer", "--no-structure", "--noise", "random-walk:0.01"]
+@pytest.mark.parametrize("force", [True, False])
+def test_of_two_runs_into_one_new_folder_the_files_are_those_of_one(bag, place, force):
+    options = ["--no-viewer", "--no-structure", "--noise", "random-walk:0.01", *(["--force"] if force else [])]
     for seed in "45":
         assert cli.main(["run", str(bag), "-o", seed, "--seed", seed, *options]) == 0
     ended = both(place, *(["run", str(bag), "-o", "out", "--seed", seed, *options] for seed in "45"))
-    assert [code for code, _ in ended] == [0, 0], ended
+    assert [code for code, _ in ended] == [0, 0 if force else 2], ended
     assert sorted(file.name for file in place.iterdir()) == ["4", "5", "out"]
     assert os.listdir(place / "4") != []
     same = ["prior.tum", "corrected.tum", "map.ply", "trajectories.png"]
@@ -232,9 +316,10 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(bag, place, capfd, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("steelnb.report.recording.measure_recording", interrupted)
-    assert cli.main(["run", str(bag), "-o", "out", "--no-structure"]) == 130
-    assert "interrupted" in capfd.readouterr().err
-    assert list(place.iterdir()) == []
+    for several in ([], ["--odometry", "best", "--odometry", "icp"]):
+        assert cli.main(["run", str(bag), "-o", "out", "--no-structure", *several]) == 130
+        assert "interrupted" in capfd.readouterr().err
+        assert list(place.iterdir()) == []
 
 
 @pytest.mark.parametrize("module", ["steelnb.errors", "steelnb.cli", "typer", "numpy", "numba", "matplotlib"])

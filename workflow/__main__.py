@@ -22,7 +22,7 @@ from workflow.task_notebooks import Plan, Report, run
 
 STUDY = Path("results", "study")
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
 Budget = Annotated[str, typer.Option(help="full, or smoke: a short run of every method.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Notebooks run at once.")]

@@ -13,7 +13,8 @@ from pydantic import Field
 
 from steelnb.errors import OutputError, SettingsError, UnknownExperimentError
 from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
-from steelnb.report.parameters import check_settings, fit_parameters, guess
+from steelnb.report.parameters import check_settings, fit_parameters
+from steelnb.report.words import guess
 from steelnb.settings import Settings, read_toml
 from workflow.parameters import read_cells, read_parameters, source
 

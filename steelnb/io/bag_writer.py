@@ -17,6 +17,7 @@ from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, 
 from steelnb.files import new_folder
 from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY
+from steelnb.io.replace import replace_files
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 
@@ -25,6 +26,8 @@ WORLD, BODY, SENSOR = "odom", "base_link", "tof"
 TOPICS = {
     "/tf_static": TRANSFORMS[0], "/tf": TRANSFORMS[0], "/odom": ODOMETRY, "/imu": IMU, "/tof/points": CLOUD,
 }  # fmt: skip
+BAG_FILES = ("metadata.yaml", *(f"*{ending}" for ending in STORAGES))
+"""What a ROS 2 folder consists of."""
 Entry = tuple[int, int, str, Any]
 """Nanoseconds, rank among those of the same stamp, topic, message."""
 
@@ -34,34 +37,45 @@ def write_flight(
     flight: Flight,
     truth: Trajectory | None = None,
     on_progress: Callable[[float], None] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a flight as a drone's own nodes would record it, and the truth, if any, to ``STEM.truth.tum`` beside it.
 
     Scans (PointCloud2, float32), drifting poses (Odometry and tf), the mount (tf_static) and the IMU. A path that ends
     in .bag, .mcap or .db3 becomes that file, one without ending a ROS 2 folder. ``on_progress`` gets the share done.
-    Nothing half-written stays. Raises `UnsupportedFormatError`, `OutputError`, `RecordingError` for a stamp that bags
-    cannot hold, and what reading the scans raises.
+    ``overwrite`` replaces a recording and its truth. Nothing half-written stays. Raises `UnsupportedFormatError`,
+    `OutputError`, `RecordingError` for a stamp that bags cannot hold, and what reading the scans raises.
     """
     path = Path(path).absolute()
-    check_target(path, truth is not None)
-    with new_folder(path.parent, overwrite=False) as folder:
+    check_target(path, truth is not None, overwrite)
+    with new_folder(path.parent, overwrite=overwrite) as folder:
         try:
             _write(folder / path.name, flight, on_progress or (lambda _: None))
         except sqlite3.Error as fault:
             raise OutputError(f"{path}: cannot be written: {fault}") from None
         if truth is not None:
             write_tum(truth_path(folder / path.name), truth)
+        if overwrite and path.is_dir():  # a ROS 2 folder: folders, unlike files, cannot be renamed over others
+            replace_files(folder / path.name, path, BAG_FILES)
 
 
-def check_target(path: Path, with_truth: bool) -> None:
-    """Raise `UnsupportedFormatError` or `OutputError` for a path that `write_flight` would refuse."""
+def check_target(path: Path, with_truth: bool, overwrite: bool = False) -> None:
+    """Raise `UnsupportedFormatError` or `OutputError` for a path that `write_flight` would refuse.
+
+    With ``overwrite``, a recording of the same kind is replaced, and its truth by that of the new one. All else that
+    exists is refused: folders that hold no recording, and the truth of a recording of another ending.
+    """
     if path.suffix.lower() not in ("", ".bag", *STORAGES):
         raise UnsupportedFormatError(
             f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder name for ROS 2"
         )
-    if os.path.lexists(path):
-        raise OutputError(f"{path}: exists already; expected a new name")
-    if truth_path(path).exists():
+    there = os.path.lexists(path)
+    if there and not overwrite:
+        raise OutputError(f"{path}: exists already; expected a new name, or --force to overwrite")
+    if there and not (path.is_file() if path.suffix else (path / "metadata.yaml").is_file()):
+        raise OutputError(f"{path}: exists and is no such recording; expected a new name, or a recording to overwrite")
+    if truth_path(path).exists() and not (there and with_truth):
         why = "holds another flight's truth" if with_truth else "would be taken for this flight's truth"
         raise OutputError(f"{truth_path(path)}: {why}; expected no such file")
     place = next(folder for folder in path.absolute().parents if folder.exists())

@@ -17,6 +17,7 @@ from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.segments import GROUPS, orientation, write_segments
 from steelnb.io.structures import write_structure
 from steelnb.points import voxel_grid
+from steelnb.report.words import counted
 from steelnb.settings import StructureSettings
 from steelnb.types import Segments
 
@@ -89,13 +90,15 @@ def segment_file(
         built = _structure(cloud, dx, folder, name) if structure else None
         from steelnb.report.three_views import figure_segments
 
-        title = f"{name}: {len(found)} segments, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        title = (
+            f"{name}: {counted(len(found), 'segment')}, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        )
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
     seconds = time.perf_counter() - began
     segments = found.moved(cloud.origin)
     summary = (
         *_summary_of_cloud(name, cloud, len(points), voxel, dx),
-        f"found     {len(found)} segments, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
+        f"found     {counted(len(found), 'segment')}, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
         *_summary_of_segments(segments, groups),
@@ -161,4 +164,5 @@ def _summary_of_structure(structure: Structure) -> str:
     if not len(structure):
         return f"structure empty: {structure.reason}"
     pieces = structure.graph().number_of_edges()
-    return f"structure {len(structure)} bars, {len(structure.joint)} joints, {pieces} pieces of bars between joints"
+    bars, joints = counted(len(structure), "bar"), counted(len(structure.joint), "joint")
+    return f"structure {bars}, {joints}, {counted(pieces, 'piece')} of bars between joints"

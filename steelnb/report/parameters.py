@@ -2,14 +2,14 @@
 runs, whether our workflow, papermill alone or a reader has set them. Nothing here imports a heavy library."""
 
 import ast
-import difflib
 import inspect
 import itertools
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from steelnb.errors import SettingsError
+from steelnb.report.words import guess
 from steelnb.settings import ExperimentSettings
 
 FLOAT_MAX = sys.float_info.max
@@ -107,9 +107,3 @@ def check_settings(experiment: str, values: Mapping[str, Any]) -> None:
             ExperimentSettings.preset(**dict(zip(names, combination, strict=True)))
         except SettingsError as fault:
             raise SettingsError(f"{experiment}: {fault}") from None
-
-
-def guess(name: str, known: Iterable[str]) -> str:
-    """`, did you mean ...?` where a known name is near, else nothing."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""

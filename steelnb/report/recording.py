@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from steelnb import odometry
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
-from steelnb.files import new_folder
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, SettingsError
+from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
@@ -23,18 +22,24 @@ from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation, write_segments
 from steelnb.io.structures import write_structure
 from steelnb.io.trajectories import write_tum
-from steelnb.metrics import position_error_m, score_trajectory
+from steelnb.metrics import position_error_m
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
-from steelnb.report.recording_truth import truth_at_scans, with_drift
+from steelnb.report.recording_numbers import TIMES, measure_recording, summary_lines
+from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments
+from steelnb.report.words import guess
 from steelnb.settings import METHODS, ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
-TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
-"""Numbers of a run that differ from run to run."""
+FILES = (
+    "corrected.tum", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum", "recording.rrd", "segments.csv",
+    "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv", "trajectories.png",
+    "comparison.csv", "comparison.png",
+)  # fmt: skip
+"""All that a run may write, of one odometry or of several: those of an earlier one do not stay beside new ones."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,8 @@ def recording_settings(
     ``floor_m`` replace the preset's crop in all directions and its floor in the world. Raises `SettingsError`.
     """
     if method not in (*METHODS, "segments"):
-        raise SettingsError(f"odometry = {method!r}: expected one of {', '.join(map(repr, (*METHODS, 'segments')))}")
+        near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
+        raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
     chosen = "least_squares" if method == "segments" else method
     preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
     seen = {} if range_max_m is None else {"range_max_m": range_max_m}
@@ -91,6 +97,17 @@ def recording_settings(
     settings = preset.override({f"preprocess.{name}": value for name, value in crop.items()} | dict(overrides or {}))
     # Poses that no odometry corrected are not adjusted.
     return settings, StructureSettings().replace(adjust=method != "none", **seen, **floor)
+
+
+def default_folder(flight: Flight) -> Path:
+    """The folder of a run for which none is named: ``NAME_run`` here."""
+    return Path(f"{Path(flight.name).stem}_run")
+
+
+def check_folder(target: Path, overwrite: bool) -> None:
+    """Raise `OutputError` for a folder that holds a file, unless it may be overwritten."""
+    if not overwrite and target.is_dir() and any(not file.name.startswith(PREFIX) for file in target.iterdir()):
+        raise OutputError(f"{target}: exists already and is not empty; expected a new folder, or --force to overwrite")
 
 
 def run_recording(
@@ -103,7 +120,10 @@ def run_recording(
     structure: StructureSettings | None = None,
     rrd: bool = True,
     gap_max_s: float = GAP_MAX_S,
+    part_s: tuple[float, float] | None = None,
+    overwrite: bool = True,
     on_progress: Callable[[float], None] | None = None,
+    on_stage: Callable[[str], None] = lambda _: None,
 ) -> RecordingReport:
     """Correct a recorded flight and write the results to a folder; one scan is in memory at a time.
 
@@ -117,7 +137,10 @@ def run_recording(
     structure : settings of the final reconstruction; None leaves it out.
     rrd : write ``recording.rrd`` for rerun.
     gap_max_s : true poses further apart are not interpolated between.
+    part_s : the part to run, (from, to) in seconds since the first scan; see `part_of`.
+    overwrite : replace the files of an earlier run in the folder; without it, a folder that holds any file is refused.
     on_progress : called with the share of the scans done, 0 to 1.
+    on_stage : called with the name of each stage as it begins.
 
     Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``map.ply``, ``segments.csv`` (.json, .obj, .ply),
     ``structure.json`` (empty with the reason where none is found), ``table.csv``, ``frames.csv``, figures, and
@@ -128,13 +151,17 @@ def run_recording(
         truth = truth or read_truth(recording)
         recording = read_flight(recording, gap_max_s=gap_max_s)
     settings = settings or recording_settings()[0]
+    target = Path(output) if output else default_folder(recording)
+    check_folder(target, overwrite)
     flight, notes = recording, tuple[str, ...]()
+    if part_s is not None:
+        flight, truth, notes = part_of(flight, truth, part_s, gap_max_s)
     if added_noise is not None:
         if truth is None:
-            notes = ("the recorded poses are taken as true: errors are those of the drift added to them",)
+            notes = (*notes, "the recorded poses are taken as true: errors are those of the drift added to them")
         flight, truth = with_drift(flight, truth, NoiseSettings.parse(added_noise), settings.seed, gap_max_s)
     elif flight.facts.get("poses", "").startswith("true poses"):
-        notes = ("the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift",)
+        notes = (*notes, "the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift")
     true, remarks = truth_at_scans(flight, truth, gap_max_s)
     origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero
     flight = replace(flight, prior=flight.prior.moved(-origin))
@@ -143,8 +170,8 @@ def run_recording(
     near = settings.override({"preprocess.floor_m": floor_m}) if origin[2] else settings
     if structure is not None and origin[2]:
         structure = structure.replace(floor_m=structure.floor_m - float(origin[2]))
-    target = Path(output) if output else Path(f"{Path(flight.name).stem}_run")
-    with new_folder(target) as folder, contextlib.ExitStack() as stack:
+    with new_folder(target, FILES, overwrite) as folder, contextlib.ExitStack() as stack:
+        on_stage("warming up, which compiles what was not compiled yet")
         odometry.run(flight.first(WARM_UP_SCANS), odometry.make_odometry(near.odometry, flight.T_drone_sensor))
         estimator = odometry.make_odometry(near.odometry, flight.T_drone_sensor)
         log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
@@ -156,8 +183,12 @@ def run_recording(
                     log.map(scan.stamp_s, estimator.map_points(), estimator.map_segments())
             if on_progress is not None:
                 on_progress((k + 1) / len(flight))
+            if k + 1 == len(flight) and near.odometry.smooth:
+                on_stage("adjusting all poses and bars together")
 
+        on_stage("correcting the poses")
         estimate = odometry.run(flight, estimator, observe)
+        on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
         segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
         if log is not None:
@@ -170,6 +201,7 @@ def run_recording(
         numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
         if built is not None:
             numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
+        on_stage("drawing and writing")
         figures = _figures(flight, estimate, true, segments, settings.odometry.method)
         about = {"source": flight.name, "odometry": settings.odometry.method, "noise": added_noise}
         _write(folder, flight, estimate, true, segments, built, about, origin)
@@ -181,7 +213,7 @@ def run_recording(
         files = sorted(file.name for file in folder.iterdir())
     if estimate.unsmoothed:
         notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
-    summary = (*_summary(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
+    summary = (*summary_lines(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
 
 
@@ -197,33 +229,6 @@ def _placed(
         segments=estimate.segments.moved(origin),
     )  # fmt: skip
     return replace(flight, prior=prior), placed, truth.moved(origin) if truth is not None else None
-
-
-def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | None) -> dict[str, float]:
-    """Scans used and not used by reason, milliseconds an update, and, at the poses of ``truth``, errors in metres.
-
-    ``on_time_share``: share of updates done before the next scan.
-    """
-    total, ms = len(estimate.reason), 1e3 * estimate.update_s
-    unused = Counter(reason.partition(":")[0] for reason in estimate.reason if reason)
-    p50, p95, p99 = (float(np.percentile(ms, q)) for q in (50, 95, 99))
-    numbers: dict[str, float] = {
-        "frames": total,
-        "used": total - unused.total(),
-        **{f"not used: {reason}": count for reason, count in unused.most_common()},
-        **{f"skipped: {reason}": count for reason, count in sorted(flight.skipped.items())},
-        "duration_s": float(np.ptp(estimate.prior.stamp_s)),
-        **dict(zip(TIMES, (p50, p95, p99, float(ms.max()), estimate.on_time_share), strict=True)),
-    }
-    if truth is None:
-        return numbers
-    prior, corrected = (score_trajectory(t.at(truth.stamp_s), truth) for t in (estimate.prior, estimate.corrected))
-    numbers |= {"frames_with_truth": len(truth)}
-    numbers |= {f"prior_{name}": value for name, value in prior.items()}
-    numbers |= {f"corrected_{name}": value for name, value in corrected.items()}
-    if prior["ate_rmse_m"] > 0:
-        numbers["drift_removed_percent"] = 100 * (1 - corrected["ate_rmse_m"] / prior["ate_rmse_m"])
-    return numbers
 
 
 def _write(
@@ -260,32 +265,6 @@ def _figures(
         title = f"{name}: {len(estimate.points)} points of the map, {len(segments)} bars"
         figures["map"] = figure_segments(estimate.points, segments, orientation(segments), title)
     return figures
-
-
-def _summary(
-    flight: Flight, numbers: dict[str, float], notes: tuple[str, ...], built: Structure | None
-) -> tuple[str, ...]:
-    """The results in lines of text."""
-    unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
-    skipped = [f"{count} {reason}" for reason, count in sorted(flight.skipped.items())]
-    median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
-    lines = [
-        f"read      {flight.name}: {numbers['frames']} scans with a pose over {numbers['duration_s']:.1f} s",
-        *([f"skipped   {'; '.join(skipped)}"] if skipped else []),
-        *(f"note      {note}" for note in notes),
-        f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else ""),
-        f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
-        f"{100 * on_time:.1f} % on time",
-    ]
-    if "prior_ate_rmse_m" in numbers:
-        prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
-        removed = f", {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
-        lines.append(f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (root mean square){removed}")
-    lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars in segments.csv")
-    if built is not None:
-        found = f"{len(built)} bars, {len(built.joint)} joints" if len(built) else f"empty: {built.reason}"
-        lines.append(f"structure {found}")
-    return tuple(lines)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:

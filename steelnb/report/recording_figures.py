@@ -1,4 +1,6 @@
-"""Figures of a recorded flight (notebook 09, `steelnb run`): one scan, the path, and its errors."""
+"""Figures of a recorded flight (notebook 09, `steelnb run`): a scan, the path, its errors, odometries compared."""
+
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -101,5 +103,38 @@ def figure_recorded_trajectories(
             most = int(1.4 * inches * np.ptp(axis.get_view_interval()))
             axis.set_major_locator(MaxNLocator(max(1, min(8, most)), steps=[1, 2, 5, 10]))
     gather_legend(figure, ncols=4)
+    figure.suptitle(title, fontsize=12)
+    return figure
+
+
+@style()
+def figure_comparison(
+    curves: Mapping[str, tuple[Array, Array]], times_ms: Mapping[str, Array], period_ms: float, what: str, title: str
+) -> Figure:
+    """Odometries side by side. Left: metres ``(N,)`` over stamps ``(N,)``. Right: milliseconds ``(K,)`` a scan of each.
+
+    A dot is the median, a bar goes from it to the 95th percentile, a tick is the 99th; ``period_ms`` is the time from
+    scan to scan, infinite for a lone one. ``drifting`` among ``curves`` are the recorded poses, other names methods.
+    """
+    figure = Figure(figsize=(11, 4.6))
+    over_time, taken = figure.subplots(1, 2, width_ratios=(1.6, 1))
+    begin_s = min(stamp_s[0] for stamp_s, _ in curves.values())
+    for name, (stamp_s, distance_m) in curves.items():
+        label, rms = LABELS.get(name, name), float(np.sqrt((distance_m**2).mean()))
+        colour = COLOURS["none" if name == "drifting" else name]
+        over_time.plot(stamp_s - begin_s, distance_m, color=colour, label=f"{label}: rms {rms:.3f} m")
+    over_time.set(xlabel="time (s)", ylabel=what)
+    over_time.set_ylim(0, 1.1 * max(over_time.get_ylim()[1], 1e-3))
+    for row, (name, ms) in enumerate(times_ms.items()):
+        median, p95, p99 = np.percentile(ms, [50, 95, 99])
+        taken.plot([median, p95], [row, row], color=COLOURS[name], linewidth=9, solid_capstyle="butt")
+        taken.plot(median, row, "o", color=COLOURS[name], markersize=12)
+        taken.plot(p99, row, "|", color=COLOURS[name], markersize=18, markeredgewidth=3)
+    if np.isfinite(period_ms):
+        taken.axvline(period_ms, color=COLOURS["truth"], linestyle=":", label="time between two scans")
+    taken.set(yticks=range(len(times_ms)), yticklabels=[LABELS[name] for name in times_ms])
+    taken.set(xlabel="time a scan (ms): median, 95 %, 99 %", xscale="log", ylim=(len(times_ms) - 0.5, -0.5))
+    taken.xaxis.set_major_formatter("{x:g}")
+    gather_legend(figure, ncols=3)
     figure.suptitle(title, fontsize=12)
     return figure

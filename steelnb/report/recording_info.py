@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.io import write_flight
 from steelnb.io.scans import described, rate, span
+from steelnb.report.words import counted
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Array, Flight, Trajectory
 
@@ -54,11 +55,12 @@ def describe_flight(
             break
     gaps = np.diff(stamp_s)
     long = gaps[gaps > LONG_GAP * np.median(gaps)] if len(gaps) else gaps
+    valid_share = f"{finite / count:.0%} of the points valid" if count else "no point at all"
     lines = [
         f"recording {flight.name}: {facts.get('form', 'in memory')}{_size(path)}",
         f"duration  {np.ptp(stamp_s):.1f} s, scans from {span(stamp_s)}",
         f"scans     {len(stamp_s)} with a pose{rate(stamp_s)}, {shape}{_fact(flight, 'scans')}",
-        f"          {f'{finite / count:.0%} of the points valid' if count else 'no point at all'} in {read} scans read",
+        f"          {valid_share} in {counted(read, 'scan')} read",
         f"gaps      {f'{len(long)} between scans, up to {long.max():.3g} s' if len(long) else 'none between scans'}",
         f"poses     {facts.get('poses') or described(flight.prior)}",
         f"truth     {'none' if truth is None else described(truth)}",

@@ -1,4 +1,4 @@
-"""Drift added to a recorded flight, and the truth at its scans."""
+"""A part of a recorded flight, drift added to it, and the truth at its scans."""
 
 import math
 from dataclasses import replace
@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import RecordingError
+from steelnb.errors import RecordingError, SettingsError
 from steelnb.io.scans import subset
 from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
+from steelnb.report.words import counted
 from steelnb.settings import NoiseSettings
 from steelnb.types import Flight, Trajectory
 
@@ -19,6 +20,38 @@ STEPS_MAX = 1_800_000
 """Four hours of steps, half a gigabyte."""
 APART_M, APART_RAD = 0.5, math.radians(5)
 """Poses and truth that differ by more than this at the first scan are in different frames."""
+
+
+def part_of(
+    flight: Flight, truth: Trajectory | None, part_s: tuple[float, float], gap_max_s: float
+) -> tuple[Flight, Trajectory | None, tuple[str, ...]]:
+    """The scans from one time to another, both in seconds since the first scan, the truth there, and a note.
+
+    Scans in files stay there, and the others are not read. Poses keep their frame. They have drifted by the time the
+    part begins, which no odometry can know: the truth is moved onto the first of them, so that errors begin at zero.
+    Raises `SettingsError` for a part without a scan, and for one that begins before the first.
+    """
+    since_s, (from_s, to_s) = flight.prior.stamp_s - flight.prior.stamp_s[0], part_s
+    chosen = (since_s >= from_s - 1e-6) & (since_s <= to_s + 1e-6)
+    if not (from_s >= 0 and chosen.any()):
+        raise SettingsError(
+            f"from {from_s:g} to {to_s:g} s: no scan; expected a part of the recording, 0 to {since_s[-1]:.1f} s"
+        )
+    prior = Trajectory(flight.prior.stamp_s[chosen], flight.prior.T_world_drone[chosen])
+    notes = [f"only the scans from {since_s[chosen][0]:.1f} to {since_s[chosen][-1]:.1f} s of {since_s[-1]:.1f} s"]
+    if truth is not None:
+        # With the poses just outside, between which those at the first and the last scan lie.
+        first = max(int(np.searchsorted(truth.stamp_s, prior.stamp_s[0], "right")) - 1, 0)
+        last = max(int(np.searchsorted(truth.stamp_s, prior.stamp_s[-1])), first) + 1
+        truth = Trajectory(truth.stamp_s[first:last], truth.T_world_drone[first:last])
+        T_world_drone, known = interpolate(truth, prior.stamp_s, gap_max_s)
+        if known.any() and not chosen[0]:
+            at = int(np.argmax(known))
+            T_prior_truth = prior.T_world_drone[at] @ np.linalg.inv(T_world_drone[at])
+            apart_m = float(np.linalg.norm(prior.position[at] - T_world_drone[at, :3, 3]))
+            notes.append(f"the truth was moved by {apart_m:.3f} m onto the first pose: errors begin at zero there")
+            truth = Trajectory(truth.stamp_s, T_prior_truth @ truth.T_world_drone)
+    return replace(flight, prior=prior, scans=subset(flight.scans, chosen)), truth, tuple(notes)
 
 
 def with_drift(
@@ -67,7 +100,7 @@ def truth_at_scans(
         return None, ("no truth: nothing is said of errors",)
     T_world_drone, known = interpolate(truth, flight.prior.stamp_s, gap_max_s)
     if np.count_nonzero(known) < 2:
-        return None, (f"the truth covers {np.count_nonzero(known)} scans: nothing is said of errors",)
+        return None, (f"the truth covers {counted(int(np.count_nonzero(known)), 'scan')}: nothing is said of errors",)
     notes = []
     if not known.all():
         notes.append(f"the truth covers {np.count_nonzero(known)} of {len(known)} scans; errors are those there")

@@ -11,6 +11,7 @@ from steelnb.fusion.differences import Comparison, Mask, compare_structures
 from steelnb.fusion.structure import Structure
 from steelnb.io.segments import GROUPS, orientation
 from steelnb.io.structures import read_structure, write_structure
+from steelnb.report.words import counted
 from steelnb.settings import Tolerance
 from steelnb.types import Array, IntArray
 
@@ -107,8 +108,9 @@ def _described(name: str, structure: Structure) -> tuple[str, ...]:
     groups, length = orientation(structure.segments), structure.segments.length
     shares = [f"{groups.count(group)} {group.replace('_', ' ')}" for group in GROUPS]
     return (
-        f"{name}: {len(structure)} bars ({', '.join(shares)}), {length.sum():.1f} m; {len(structure.joint)} joints, "
-        f"{structure.graph().number_of_edges()} pieces of bars between them",
+        f"{name}: {counted(len(structure), 'bar')} ({', '.join(shares)}), {length.sum():.1f} m; "
+        f"{counted(len(structure.joint), 'joint')}, {counted(structure.graph().number_of_edges(), 'piece')} of bars "
+        "between them",
         *([f"empty     {structure.reason}"] if structure.reason else []),
     )
 

@@ -98,8 +98,8 @@ def conclusion(run: Result, pairs: pd.DataFrame, every: int = 5) -> str:
             f"are {legs.iloc[0]:.0%} and {legs.iloc[1]:.0%}. Legs stand upright and cannot tell the height, which is "
             f"{np.mean(offset[:, 2] ** 2) / np.mean((offset**2).sum(axis=1)):.0%} of the squared error above.",
             f"{other.iloc[0]:.0%} of the pairs below and {other.iloc[1]:.0%} above join a segment to the bar of "
-            f"another member. A leg bends by {bend_deg:.1f}° at the waist, {within} the {limit_deg:.0f}° that the rule takes "
-            "for one bar.",
+            f"another member. A leg bends by {bend_deg:.1f}° at the waist, {within} the {limit_deg:.0f}° that the rule "
+            "takes for one bar.",
         ]
     )
 

@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.errors import RecordingError, SettingsError
-from steelnb.io import read_cloud, read_flight, read_structure, read_trajectory, write_flight
+from steelnb.io import read_cloud, read_flight, read_structure, read_trajectory, scans, write_flight
 from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
-from steelnb.report.recording import recording_settings, run_recording
+from steelnb.report.recording import FILES, recording_settings, run_recording
+from steelnb.report.recording_comparison import compare_recording
 from steelnb.report.recording_info import describe_flight
-from steelnb.report.recording_truth import STEP_S, drifted, truth_at_scans, with_drift
+from steelnb.report.recording_truth import STEP_S, drifted, part_of, truth_at_scans, with_drift
 from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
 
@@ -95,6 +96,7 @@ def test_through_files_a_run_is_that_of_memory(simulated, report, name, tmp_path
 
 def test_a_run_writes_everything_it_says(report):
     assert {file.name for file in report.folder.iterdir()} == ALL
+    assert set(FILES) >= ALL, "or one would stay beside the files of a later run"
     assert all(name in report.summary[-1] for name in ALL)
     assert list(report.folder.parent.iterdir()) == [report.folder]
     for name, expected in (("corrected", report.estimate.corrected), ("prior", report.estimate.prior)):
@@ -156,7 +158,8 @@ def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):
 def test_a_lone_scan_is_a_run(tmp_path):
     report = run_recording(made(lattice, scans=1), tmp_path / "out", added_noise="random-walk")
     assert report.numbers["frames"] == 1
-    assert "covers 1 scans" in "\n".join(report.summary)
+    assert report.summary[0] == "read      made.bag: 1 scan with a pose over 0.0 s"
+    assert "covers 1 scan:" in "\n".join(report.summary)
 
 
 def test_range_and_floor_reach_odometry_and_structure(tmp_path):
@@ -173,7 +176,7 @@ def test_range_and_floor_reach_odometry_and_structure(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "bset"}, "odometry = 'bset'"), ({"sensor": "lidar"}, "sensor = 'lidar'"),
+        ({"method": "bset"}, "odometry = 'bset', did you mean 'best'"), ({"sensor": "lidar"}, "sensor = 'lidar'"),
         ({"seed": -1}, "seed = -1"), ({"range_max_m": -1.0}, "crop_m = -1.0"),
         ({"overrides": {"preprocess.leaf": 1}}, "unknown setting 'preprocess.leaf'"),
     ],
@@ -272,6 +275,114 @@ def test_noise_goes_onto_the_truth_and_not_onto_drifting_poses():
         [scan.stamp_s for scan in found.scans] == found.prior.stamp_s.tolist() == truth.stamp_s[[0, 1, 6, 7]].tolist()
     )
     assert found.skipped == {"no true pose within the gap": 4}
+
+
+def test_a_part_of_a_flight_keeps_its_poses_and_errors_begin_at_its_first():
+    flight, truth = made(lattice, scans=21), straight(0.008 * np.arange(501), speed_m_s=0.3)
+    found, true, notes = part_of(flight, truth, (1.0, 2.0), 0.5)
+    assert [scan.stamp_s for scan in found.scans] == found.prior.stamp_s.tolist() == flight.prior.stamp_s[5:11].tolist()
+    np.testing.assert_array_equal(found.prior.T_world_drone, flight.prior.T_world_drone[5:11])
+    assert notes[0] == "only the scans from 1.0 to 2.0 s of 4.0 s"
+    assert "moved by 0.050 m onto the first pose" in notes[1]
+    at, remarks = truth_at_scans(found, true, 0.5)
+    assert remarks == ()
+    np.testing.assert_allclose(at.position[0], found.prior.position[0], atol=1e-9)
+    np.testing.assert_allclose(at.position[-1] - found.prior.position[-1], (0.05, 0, 0), atol=1e-9)
+    # the drift that is added begins with the part, too
+    drifts, _ = with_drift(found, true, NoiseSettings.parse("constant-drift:0.001"), 1, 0.5)
+    off_m = np.linalg.norm(drifts.prior.position - at.position, axis=1)
+    np.testing.assert_allclose(off_m, 0.125 * np.arange(0, 1.1, 0.2), atol=0.002)
+
+
+def test_a_part_from_the_start_leaves_the_truth_where_it_is():
+    flight, truth = made(lattice), straight(0.2 * np.arange(8), speed_m_s=0.4)
+    found, true, notes = part_of(flight, truth, (0.0, 0.7), 0.5)
+    assert len(found) == 4
+    assert len(notes) == 1
+    np.testing.assert_array_equal(true.T_world_drone, truth.T_world_drone[:4])
+    assert part_of(flight, None, (0.3, np.inf), 0.5)[1] is None
+    late = Trajectory(truth.stamp_s + 100, truth.T_world_drone)
+    assert truth_at_scans(found, part_of(flight, late, (0.3, 0.7), 0.5)[1], 0.5)[0] is None
+
+
+@pytest.mark.parametrize("part_s", [(2.0, 3.0), (-1.0, 3.0), (1.0, 0.5), (np.nan, 1.0), (0.0, np.nan)])
+def test_a_part_without_a_scan_is_refused_with_the_length(part_s):
+    with pytest.raises(
+        SettingsError, match=r"from \S+ to \S+ s: no scan; expected a part of the recording, 0 to 1.4 s"
+    ):
+        part_of(made(lattice), None, part_s, 0.5)
+
+
+def test_no_scan_outside_of_a_part_is_read(tmp_path, monkeypatch):
+    flight, read, decoded = made(lattice), [], scans._scan
+    write_flight(tmp_path / "a.mcap", flight)
+    monkeypatch.setattr(scans, "_scan", lambda stamp_s, decode: read.append(stamp_s) or decoded(stamp_s, decode))
+    report = run_recording(tmp_path / "a.mcap", tmp_path / "out", rrd=False, part_s=(0.8, 1.3))
+    assert {round(stamp_s, 1) for stamp_s in read} == {0.8, 1.0, 1.2}
+    assert len(report.estimate.corrected) == 3
+    assert "note      only the scans from 0.8 to 1.2 s of 1.4 s" in report.summary
+
+
+def test_odometries_are_compared_with_the_numbers_of_their_runs(simulated, report, tmp_path):
+    _, flight, truth = simulated
+    chosen = {name: recording_settings(name, seed=3) for name in ("best", "segments")}
+    stages, shares = [], []
+    found = compare_recording(
+        flight, tmp_path / "out", chosen, truth=truth.trajectory, rrd=False, on_stage=stages.append,
+        on_progress=shares.append,
+    )  # fmt: skip
+    table = found.table.set_index("odometry")
+    assert list(table.index) == ["drifting", "best", "segments"]
+    for name in ("ate_rmse_m", "error_max_m", "error_final_m"):
+        assert table[name]["drifting"] == report.numbers[f"prior_{name}"]
+        assert table[name]["best"] == report.numbers[f"corrected_{name}"]
+    assert (table["used"]["best"], table["structure_bars"]["best"]) == (39, len(report.structure))
+    assert len(shares) == 80
+    assert [stage for stage in stages if "correcting" in stage] == [f"{name}: correcting the poses" for name in chosen]
+    over_time, taken = found.figure.axes
+    labels = [line.get_label().partition(":")[0] for line in over_time.lines]
+    assert labels == ["drifting", "best", "least squares"]
+    assert [text.get_text() for text in taken.get_yticklabels()] == ["best", "least squares"]
+    with (tmp_path / "out" / "comparison.csv").open() as file:
+        rows = {row["odometry"]: row for row in csv.DictReader(file)}
+    assert float(rows["segments"]["ate_rmse_m"]) == pytest.approx(table["ate_rmse_m"]["segments"], rel=1e-5)
+    assert {file.name for file in (tmp_path / "out" / "best").iterdir()} == ALL - {"recording.rrd"}
+
+
+def test_without_truth_odometries_are_compared_by_their_distance_from_the_recorded_poses(simulated, tmp_path):
+    chosen = {name: (recording_settings(name)[0], None) for name in ("none", "best")}
+    found = compare_recording(simulated[1].first(12), tmp_path / "out", chosen, rrd=False)
+    table = found.table.set_index("odometry")
+    assert list(table.index) == ["none", "best"]
+    assert table["moved_max_m"]["none"] == 0
+    path = read_trajectory(tmp_path / "out" / "best" / "corrected.tum").position
+    moved_m = np.linalg.norm(path - simulated[1].prior.position[:12], axis=1)
+    assert table["moved_rms_m"]["best"] == pytest.approx(np.sqrt((moved_m**2).mean()))
+    assert table["moved_final_m"]["best"] == pytest.approx(moved_m[-1])
+    assert "ate_rmse_m" not in table
+    assert "metres are distances from the recorded poses" in "\n".join(found.summary)
+
+
+def test_one_scan_can_be_compared(tmp_path):
+    chosen = {name: (recording_settings(name)[0], None) for name in ("none", "best")}
+    found = compare_recording(made(lattice, scans=1), tmp_path / "out", chosen, rrd=False)
+    assert found.table["moved_max_m"].tolist() == [0, 0]
+    assert [line.get_label() for line in found.figure.axes[1].lines if line.get_linestyle() == ":"] == []
+
+
+def test_where_one_of_several_odometries_fails_nothing_is_left(simulated, tmp_path):
+    chosen = {name: (recording_settings(name)[0], None) for name in ("none", "best")}
+
+    def fail(stage: str) -> None:
+        if stage.startswith("best"):
+            raise RecordingError("gone")
+
+    (tmp_path / "old" / "none").mkdir(parents=True)
+    (tmp_path / "old" / "none" / "corrected.tum").write_text("old")
+    for name, files in (("new", []), ("old", ["old"])):
+        with pytest.raises(RecordingError):
+            compare_recording(simulated[1].first(5), tmp_path / name, chosen, rrd=False, on_stage=fail)
+        assert [file.read_text() for file in (tmp_path / name).rglob("*.*")] == files
 
 
 def test_truth_in_another_frame_is_moved_onto_the_first_pose():

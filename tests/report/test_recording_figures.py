@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
+from steelnb.report.recording_figures import figure_comparison, figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.style import LABELS
 from steelnb.types import Trajectory
 
@@ -52,3 +52,16 @@ def test_paths_that_stand_still_or_are_flat_can_be_drawn(scale):
     figure_recorded_trajectories(still, still, None, "none", "a.bag").savefig(io.BytesIO(), format="png", dpi=40)
     zero = np.zeros(50)
     figure_recorded_errors(still.stamp_s, zero, zero, "none", "a.bag").savefig(io.BytesIO(), format="png", dpi=40)
+
+
+def test_compared_odometries_are_drawn_over_time_and_by_their_percentiles():
+    stamp_s = 1.7e9 + np.arange(5.0)
+    curves = {"drifting": (stamp_s, np.arange(5.0)), "gicp": (stamp_s[1:], np.full(4, 0.5))}
+    times_ms = {"gicp": np.arange(101.0) + 1, "best": np.full(9, 3.0)}
+    over_time, taken = figure_comparison(curves, times_ms, 200.0, "distance to the truth (m)", "a.bag").axes
+    assert [line.get_label() for line in over_time.lines] == ["drifting: rms 2.449 m", "GICP: rms 0.500 m"]
+    np.testing.assert_array_equal(over_time.lines[1].get_xdata(), [1, 2, 3, 4])
+    bar, median, p99 = taken.lines[:3]
+    np.testing.assert_allclose([*bar.get_xdata(), *median.get_xdata(), *p99.get_xdata()], [51, 96, 51, 100])
+    assert taken.lines[-1].get_xdata() == [200, 200]
+    assert over_time.lines[1].get_color() == bar.get_color()

@@ -42,7 +42,7 @@ def test_pairs_name_the_member_of_the_segment_and_of_the_bar(flown):
     assert total @ [below, scans - below] == pytest.approx(len(pairs))
     text = waist.conclusion(run, pairs, every=2)
     assert f"{total[0]:.1f} pairs below the waist and {total[1]:.1f} above" in text
-    assert "within the 10° that the rule takes for one bar" in text
+    assert "beyond the 10° that the rule takes for one bar" in text
     top, counts = waist.figure_waist(run, pairs, every=2).axes
     drawn = sum(patch.get_height() for patch in counts.patches)
     assert drawn > 0

@@ -113,7 +113,7 @@ def test_a_study_is_plain_runs_resumed_and_widened(shared, study, tmp_path):
 def test_a_run_that_raises_is_recorded_and_tried_again(shared, study, tmp_path, capfd):
     study.write_text(FAILING)
     out = tmp_path / "out"
-    assert cli.main(["study", str(study), "--out", str(out)]) == 1
+    assert cli.main(["study", str(study), "--output", str(out)]) == 1
     shown = capfd.readouterr()
     assert "2 runs failed" in shown.out
     assert shown.err.count("CollisionError") == 2
@@ -195,7 +195,7 @@ def test_a_forecast_goes_by_known_runs_else_by_a_rule(study, tmp_path, capsys):
     study.write_text(STUDY.replace("[1, 2]", "[1, 2, 3]"))
     assert cluster.forecast(read_plan(study), tmp_path / "out") == (4, pytest.approx(7.5 + 3.0))
     before = tables(tmp_path / "out")
-    assert cli.main(["study", str(study), "--dry-run", "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["study", str(study), "--dry-run", "--output", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines == ["6 runs on 3 flights, 4 of them done", "2 to run: 0 core minutes"]
     assert tables(tmp_path / "out") == before
@@ -209,15 +209,15 @@ def test_a_forecast_goes_by_known_runs_else_by_a_rule(study, tmp_path, capsys):
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], ["workers = 2", "leave out"]),
         (["--scheduler", "tcp://127.0.0.1:1"], ["tcp://127.0.0.1:1: no answer", "tcp://HOST:8786"]),
         (["--scheduler", "bogus://here"], ["bogus://here: no answer"]),
-        (["--out", "{study}"], ["study.toml", "cannot be written"]),
-        (["--out", "{study}/below"], ["study.toml/below", "cannot be written"]),
+        (["--output", "{study}"], ["study.toml", "cannot be written"]),
+        (["--output", "{study}/below"], ["study.toml/below", "cannot be written"]),
     ],
 )
 def test_bad_options_are_one_line(study, tmp_path, capfd, monkeypatch, options, words):
     monkeypatch.setattr(cluster, "ANSWER_S", 1.0)
     given = [option.format(study=study) for option in options]
-    if "--out" not in given:
-        given += ["--out", str(tmp_path / "out")]
+    if "--output" not in given:
+        given += ["--output", str(tmp_path / "out")]
     assert cli.main(["study", str(study), *given]) == 2
     shown = capfd.readouterr().err
     assert shown.count("\n") == 1
@@ -246,7 +246,7 @@ def test_a_study_killed_at_random_moments_ends_with_the_same_bytes(shared, study
     study.write_text(WIDER)
     cluster.run_study(read_plan(study), tmp_path / "whole")
     out, stored = tmp_path / "killed", 0
-    command = [sys.executable, "-m", "steelnb.cli", "study", str(study), "--out", str(out), "--workers", "2"]
+    command = [sys.executable, "-m", "steelnb.cli", "study", str(study), "--output", str(out), "--workers", "2"]
     for _ in range(3):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         deadline = time.monotonic() + 120
