@@ -1,6 +1,5 @@
 """JupyterLab as `make lab` starts it: saving what was run changes no file of the project."""
 
-import asyncio
 import re
 import shutil
 import subprocess
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_core.utils import run_sync
 from jupyter_server.serverapp import ServerApp
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +52,7 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def save(manager, path: str, notebook: nbformat.NotebookNode) -> None:
-    asyncio.run(manager.save({"type": "notebook", "format": "json", "content": notebook}, path))
+    run_sync(manager.save)({"type": "notebook", "format": "json", "content": notebook}, path)
 
 
 def test_saving_notebooks_that_were_run_leaves_the_project_as_it_was(manager) -> None:
