@@ -113,7 +113,7 @@ def test_without_a_kernel_there_is_nothing_to_refuse() -> None:
     parameters.validate()
 
 
-@pytest.mark.parametrize("path", [path for path in NOTEBOOKS if "claims" not in path.stem], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_notebook_validates_its_parameters_before_anything_else(path: Path) -> None:
     code = [cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
     statements = [node for node in ast.parse(code[1]).body if not isinstance(node, ast.Import | ast.ImportFrom)]

@@ -44,6 +44,12 @@ def world_runs(runs: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     return found.assign(world=pd.Categorical(worlds, known)).sort_values(["world", "method", "seed"], kind="stable")
 
 
+def with_worlds(runs: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """Runs of the usual world, and below them those of `world_runs` that are of another, with their ``world``."""
+    more = other[other["world"] != USUAL_WORLD]
+    return pd.concat([runs.assign(world=USUAL_WORLD), more.assign(world=more["world"].astype(str))])
+
+
 def world_table(runs: pd.DataFrame) -> pd.DataFrame:
     """A row a world and method of `world_runs`: seeds, mean and worst ATE, that of the drift, and in how many seeds the
     correction is worse than the drift."""
