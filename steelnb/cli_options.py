@@ -20,7 +20,7 @@ PRESETS = Path(__file__).parent / "presets"
 METHODS = (*_tables("methods"), "segments")
 TRAJECTORIES = _tables("flights")
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
-NOISES = ("none", "random-walk", "constant-drift", "constant-drift-per-axis", "yaw-random-walk")
+NOISES = ("none", "random-walk", "constant-drift", "constant-drift-per-axis", "yaw-random-walk", "tilt")
 
 
 def one_of(

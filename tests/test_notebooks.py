@@ -56,7 +56,8 @@ def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numb
     assert code[-1].splitlines()[-1] == ")"
     assert "results.write_results(" in code[-1]
     if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        assert re.search(r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims)\.\w+\(", code[-2], re.MULTILINE)
+        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims)\.\w+\("
+        assert re.search(sentence, code[-2], re.MULTILINE)
 
 
 def test_the_first_notebook_lists_the_others_as_the_file_of_experiments_does():
