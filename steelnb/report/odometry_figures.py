@@ -215,8 +215,7 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
     ``result`` is that of any of the methods: it names the flight. Points of both clouds lie in turn above each other.
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
-    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0)
-    low, high = low - 0.4, high + 0.4
+    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + [[-0.4], [0.4]]
     wide = (high - low)[:2]
     scale = min(6.0 / (high - low)[2], (14.0 / len(clouds) - 0.9) / wide.sum(), 5.0 / wide.sum())
     figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.0))
@@ -293,8 +292,9 @@ def figure_bend(bends: Mapping[str, Bend], axis: Array, result: Result) -> Figur
     for panel in panels:
         panel.minorticks_off()
         panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    for panel in panels[[0, 2]]:
-        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        if panel.get_xscale() == "log":  # beyond three decades the labels of every half would run into each other
+            wide = np.ptp(np.log10(panel.get_xlim())) > 3
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 3.0)))
     gather_legend(figure, ncols=len(bends))
     figure.suptitle(caption([result]))
     return figure
