@@ -215,7 +215,7 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
     ``result`` is that of any of the methods: it names the flight. Points of both clouds lie in turn above each other.
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
-    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + [[-0.4], [0.4]]
+    low, high = np.add(np.quantile(everything, [0.0005, 0.9995], axis=0), [[-0.4], [0.4]])
     wide = (high - low)[:2]
     scale = min(6.0 / (high - low)[2], (14.0 / len(clouds) - 0.9) / wide.sum(), 5.0 / wide.sum())
     figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.0))
