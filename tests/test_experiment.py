@@ -91,7 +91,8 @@ def test_figures_show_every_curve_with_units(runs):
         true, wrong, right = (len(lines.get_segments()) for lines in panel.collections)
         assert (true, wrong + right) == (len(run.truth.tower.members), len(run.segments))
         assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
-    for panel, run in zip(odometry_figures.figure_cloud_errors(runs[:3]).axes, runs[:3], strict=True):
+    methods = [run.settings.odometry.method for run in runs[:3]]
+    for panel, run in zip(odometry_figures.figure_cloud_errors(runs[:3], methods).axes, runs[:3], strict=True):
         low, high = panel.get_ylim()
         assert (low, high) == (0.005, 6.0), "all panels have one scale"
         assert max(line.get_ydata().max() for line in panel.lines) < high, "nothing leaves the panel"

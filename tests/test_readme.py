@@ -46,9 +46,11 @@ def test_every_claim_stands_in_its_table_with_its_verdict():
     assert len(claims) >= 25
     for row in claims:
         line = lines[row["claim"]]
-        assert line.rstrip(" |").endswith(row["condition"] or row["verdict"])
-        assert f" | {row['verdict']}" in line
-        assert ("[" in line) == bool(row["estimate"])
+        verdict = line.split(" | ")[2]
+        assert verdict.startswith(f"**{row['verdict']}**")
+        assert verdict.endswith(row["where"] or "**")
+        if row["cells"] not in ("", "0"):
+            assert f" | {row['as_claimed']}, {row['not_as_claimed']}, {row['cells']} | " in line
 
 
 def test_a_table_that_is_not_that_of_the_results_is_told(tmp_path):
