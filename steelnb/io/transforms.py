@@ -1,12 +1,12 @@
 """The tree of frames that a bag's tf messages hold: extrinsics from fixed transforms, poses from moving ones."""
 
 from array import array
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
@@ -56,7 +56,7 @@ class Transforms:
         self._first: dict[tuple[str, str], Array] = {}
         self._moving: set[tuple[str, str]] = set()
         self._all: dict[tuple[str, str], array[float]] = {}
-        self._near: dict[str, dict[str, None]] = {}
+        self._frames: nx.Graph[str] = nx.Graph()
 
     def add(self, parent: str, child: str, stamp_s: float, pose: Sequence[float]) -> bool:
         """Take ``T_parent_child`` as x, y, z and a quaternion xyzw; False where it is no transform."""
@@ -72,8 +72,7 @@ class Transforms:
         edge = (parent, child)
         first = self._first.setdefault(edge, numbers)
         if first is numbers:
-            self._near.setdefault(parent, {})[child] = None
-            self._near.setdefault(child, {})[parent] = None
+            self._frames.add_edge(parent, child)
         if _moved(first, numbers):
             self._moving.add(edge)
         if self._series:
@@ -120,25 +119,16 @@ class Transforms:
 
     def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
         """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""
-        before: dict[str, str] = {start: start}
-        queue = deque([start])
-        while queue and goal not in before:
-            here = queue.popleft()
-            for there in self._near.get(here, ()):
-                edge = (here, there) if (here, there) in self._first else (there, here)
-                if there not in before and (moving or edge not in self._moving):
-                    before[there] = here
-                    queue.append(there)
-        if goal not in before:
-            return None
-        way = [goal]
-        while way[-1] != start:
-            way.append(before[way[-1]])
-        way.reverse()
-        return [
-            ((here, there), True) if (here, there) in self._first else ((there, here), False)
-            for here, there in pairwise(way)
-        ]
+        self._frames.add_nodes_from((start, goal))
+        usable = nx.subgraph_view(
+            self._frames, filter_edge=lambda a, b: moving or self._edge(a, b)[0] not in self._moving
+        )
+        way = nx.single_source_shortest_path(usable, start).get(goal)
+        return None if way is None else [self._edge(here, there) for here, there in pairwise(way)]
+
+    def _edge(self, here: str, there: str) -> tuple[tuple[str, str], bool]:
+        """The transform between two neighbours, and whether it is passed from parent to child."""
+        return ((here, there), True) if (here, there) in self._first else ((there, here), False)
 
 
 def plain(frame: str) -> str:
