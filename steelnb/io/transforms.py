@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.io.calibration import T_OPTICAL_SENSOR
 from steelnb.io.clouds import FARTHEST_M
+from steelnb.io.trajectories import matrices
 from steelnb.types import Array, Trajectory
 
 MOVED = 1e-6
@@ -86,7 +87,7 @@ class Transforms:
             return None
         T_target_source = np.eye(4)
         for edge, forward in path:
-            T = _matrices(self._first[edge][None, 1:])[0]
+            T = self._fixed(edge)
             T_target_source = T_target_source @ (T if forward else np.linalg.inv(T))
         return T_target_source
 
@@ -108,14 +109,19 @@ class Transforms:
                 T, known = interpolate(self._samples(edge), stamp_s, np.inf)
                 covered &= known
             else:
-                T = _matrices(self._first[edge][None, 1:])
+                T = self._fixed(edge)
             T_world_body = T_world_body @ (T if forward else np.linalg.inv(T))
         return Trajectory(stamp_s[covered], T_world_body[covered])
 
     def _samples(self, edge: tuple[str, str]) -> Trajectory:
         rows = np.frombuffer(self._all[edge]).reshape(-1, 8)
         _, order = np.unique(rows[:, 0], return_index=True)
-        return Trajectory(rows[order, 0], _matrices(rows[order, 1:]))
+        return Trajectory(rows[order, 0], matrices(rows[order, 1:4], rows[order, 4:]))
+
+    def _fixed(self, edge: tuple[str, str]) -> Array:
+        """``T_parent_child (4, 4)`` as it was first."""
+        first = self._first[edge][None]
+        return matrices(first[:, 1:4], first[:, 4:])[0]
 
     def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
         """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""
@@ -140,14 +146,6 @@ def _moved(first: Array, now: Array) -> bool:
     same = np.abs(now[1:] - first[1:]).max() <= MOVED
     turned_over = np.abs(np.r_[now[1:4] - first[1:4], now[4:] + first[4:]]).max() <= MOVED  # q and −q are one
     return not (same or turned_over)
-
-
-def _matrices(pose: Array) -> Array:
-    """``(N, 7)`` as ``(N, 4, 4)``."""
-    T = np.tile(np.eye(4), (len(pose), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(pose[:, 3:]).as_matrix()
-    T[:, :3, 3] = pose[:, :3]
-    return T
 
 
 def is_optical(frame: str) -> bool:
