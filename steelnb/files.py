@@ -111,6 +111,18 @@ def new_folder(target: Path | str, stale: Sequence[str] = (), overwrite: bool = 
         yield folder
 
 
+def replace_files(folder: Path, target: Path, stale: Sequence[str]) -> None:
+    """Move all files of a finished ``folder``, which is gone then, to an existing one on the same disk.
+
+    Files there of the same names are replaced, those that match a pattern of ``stale`` removed, and all others stay.
+    Raises `OutputError` as `new_folder`.
+    """
+    with new_folder(target, stale) as new:
+        for file in folder.iterdir():
+            os.replace(file, new / file.name)
+        folder.rmdir()
+
+
 @contextlib.contextmanager
 def _scratch(target: Path, shown: str, stale: Sequence[str] = (), overwrite: bool = True) -> Iterator[Path]:
     """The hidden folder for ``target``; messages name ``shown``, the path that the user gave."""

@@ -141,7 +141,7 @@ def test_bad_input_is_one_line_and_exit_2(
 
 @pytest.mark.parametrize("command", sorted(cli.REMOVED))
 def test_a_removed_command_names_its_successor(project: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
-    assert cli.main([command, "x"]) == 2
+    assert cli.main([command, "x", "--rate", "max", "-o"]) == 2
     shown = capsys.readouterr().err
     assert shown == f"steelnb: error: {command}: no longer a command; {cli.REMOVED[command]}\n"
     assert files(project) == []

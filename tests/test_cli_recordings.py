@@ -73,13 +73,6 @@ def test_record_info_and_run(place, capfd):
     assert drift_m == pytest.approx(0.0005 * 125 * prior.stamp_s[-1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("command", "instead"), [("play", "on time"), ("convert", "evo_traj"), ("view", "rerun FILE")])
-def test_a_command_that_is_gone_says_where_to_go(place, capfd, command, instead):
-    shown = said(capfd, [command, "a.bag", "--rate", "max", "-o"], 2)
-    assert f"{command}: no longer a command" in shown
-    assert instead in shown
-
-
 BAD = [
     (["info", "nothing.bag"], ["nothing.bag", "does not exist"]),
     (["info", "file"], ["file", "expected .bag, .mcap, .db3"]),
@@ -137,20 +130,8 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(bag, place, capfd, argume
     assert [file.name for file in place.iterdir()] == ["file"]
 
 
-def test_truncated_bags_are_one_line(bag, place, capfd):
-    whole, cut = bag.read_bytes(), place / "cut.bag"
-    for tenth in range(10):
-        cut.write_bytes(whole[: len(whole) * tenth // 10])
-        assert "cut.bag" in said(capfd, ["info", "cut.bag"], 2)
-        said(capfd, ["run", "cut.bag", "--no-structure", "--no-viewer", "-o", "out"], 2)
-        assert [file.name for file in place.iterdir()] == ["cut.bag"]
-
-
-def test_poses_from_a_file_that_do_not_cover_the_scans(bag, place, capfd):
+def test_poses_from_a_file_that_do_not_cover_all_scans(bag, place, capfd):
     poses = read_truth(bag)
-    write_tum(place / "late.tum", Trajectory(poses.stamp_s + 1000.0, poses.T_world_drone))
-    shown = said(capfd, ["run", str(bag), "--poses", "late.tum", "-o", "out"], 2)
-    assert "no pose at any scan: 0.000 to 3.800 s of scans, 1000.000 to 1004.000 s of poses" in shown
     write_tum(place / "half.tum", Trajectory(poses.stamp_s[:251], poses.T_world_drone[:251]))
     shown = said(capfd, ["run", str(bag), "--poses", "half.tum", "-o", "out", "--no-viewer"])
     assert "11 scans with a pose" in shown
@@ -224,31 +205,23 @@ def test_several_odometries_are_compared_in_one_table(bag, place, capfd):
     assert list(place.rglob(".steelnb-*")) == []
 
 
-@pytest.mark.parametrize(
-    ("arguments", "limit"),
-    [
-        ("run {bag} -o deep/out", 20_000),
-        ("run {bag} -o deep/out --no-structure --no-viewer", 20_000),
-        ("record deep/b.mcap --duration 1", 300_000),
-    ],
-)
-def test_where_files_may_not_grow_nothing_is_left(bag, place, arguments, limit):
+@pytest.mark.parametrize("options", [[], ["--no-structure", "--no-viewer"]])
+def test_where_files_may_not_grow_nothing_is_left(bag, place, options):
     """As on a full disk: writing fails in the middle, in another process, whose files may hold so many bytes."""
-    given = [word.replace("{bag}", str(bag)) for word in arguments.split()]
     shown = subprocess.run(
-        [sys.executable, "-m", "steelnb.cli", *given],
+        [sys.executable, "-m", "steelnb.cli", "run", str(bag), "-o", "deep/out", *options],
         cwd=place,
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
     )
     assert shown.returncode == 2, shown.stderr
-    assert shown.stderr.startswith("steelnb: error: ")
-    assert shown.stderr.count("\n") == 1, shown.stderr
-    assert "deep" in shown.stderr
-    assert ".steelnb-" not in shown.stderr  # the folder beside, which is gone
-    assert "cannot be written" in shown.stderr
+    *stages, error = shown.stderr.splitlines()  # on a slow machine stages are told before
+    assert error.startswith("steelnb: error: deep/out")
+    assert "cannot be written" in error
+    assert ".steelnb-" not in error  # the folder beside, which is gone
+    assert not [line for line in stages if "rror" in line or "Traceback" in line], stages
     assert list(place.iterdir()) == []
 
 
@@ -283,7 +256,9 @@ def test_of_two_recordings_to_one_name_one_is_whole_and_one_is_refused(place):
     commands = [["record", "a.mcap", *SMALL, "--noise", "none", "--seed", seed] for seed in "45"]
     (code, _), (refused, error) = both(place, *commands)
     assert (code, refused) == (0, 2)
-    assert re.fullmatch(r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or [^\n]*\n", error)
+    *stages, error = error.splitlines()  # on a slow machine stages are told before
+    assert re.fullmatch(r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or .*", error)
+    assert not [line for line in stages if "rror" in line or "Traceback" in line], stages
     assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
     prior, truth = read_flight("a.mcap").prior, read_truth("a.mcap")
     np.testing.assert_allclose(prior.position, truth.at(prior.stamp_s).position, atol=1e-9)

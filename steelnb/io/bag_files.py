@@ -12,7 +12,6 @@ import os
 import shutil
 import struct
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -204,11 +203,6 @@ def typestore(ros: int) -> Any:
         if kind not in store.types:
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
     return store
-
-
-def tally(skipped: Counter[str], kind: str) -> None:
-    """Count a malformed message of a type."""
-    skipped[f"malformed {kind.rpartition('/')[2]}"] += 1
 
 
 def _files(path: Path) -> list[Path]:

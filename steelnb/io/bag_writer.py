@@ -14,10 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
-from steelnb.files import new_folder
+from steelnb.files import new_folder, replace_files
 from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY
-from steelnb.io.replace import replace_files
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 

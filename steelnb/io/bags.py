@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steelnb.errors import FileContentError, RecordingError, TopicError
-from steelnb.io.bag_files import DEPTHS, TRANSFORMS, Bag, Message, decode_depth, decode_points, tally
+from steelnb.io.bag_files import DEPTHS, TRANSFORMS, Bag, Message, decode_depth, decode_points
 from steelnb.io.calibration import Intrinsics, depth_points, from_optical, read_settings
 from steelnb.io.scans import Decode, Parts
 from steelnb.io.trajectories import count, read_trajectory, rising, trajectory_of
@@ -122,7 +122,7 @@ class Contents:
             try:
                 self._take(message, kind, skipped)
             except FileContentError:
-                tally(skipped, kind)
+                skipped[f"malformed {kind.rpartition('/')[2]}"] += 1
                 if kind in (CLOUD, IMAGE):  # in step with the messages
                     self._rows[message.topic].extend((np.nan, message.received_ns / 1e9))
 

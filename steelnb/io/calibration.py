@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import ExtrinsicsError, SettingsError
 from steelnb.settings import read_toml
+from steelnb.settings.base import describe_fault
 from steelnb.types import Array
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -83,9 +84,7 @@ def read_settings(path: Path | str | None) -> tuple[Array | None, Intrinsics | N
     try:
         settings = _Settings(**read_toml(Path(path), "a settings file"))
     except ValidationError as fault:
-        first = fault.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise SettingsError(f"{path}: {where}: {first['msg']}, got {str(first['input'])[:60]}") from None
+        raise SettingsError(describe_fault(str(path), fault)) from None
     extrinsics = settings.extrinsics
     return extrinsics.T_drone_sensor(f"{path}, [extrinsics]") if extrinsics else None, settings.intrinsics
 

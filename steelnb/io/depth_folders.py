@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
 from steelnb.files import reading, text_lines
 from steelnb.io.bag_files import PIXELS_MAX
-from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points, read_settings
-from steelnb.io.folders import TRAJECTORY, named_file, settings_file, walk_files
+from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points
+from steelnb.io.folders import TRAJECTORY, folder_settings, named_file, walk_files
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_stamps, read_trajectory, trajectory_of_matrices
 from steelnb.types import Array, Trajectory
@@ -87,14 +87,14 @@ def open_scenes(path: Path, scans: str | None, poses: str | None, truth: str | N
 
 def read_depth_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:
     """The drone's true poses from the camera's: of the trajectory named, ``groundtruth.txt`` or the frames' poses."""
-    T_drone_sensor, _ = read_settings(settings_file(path, settings))
+    T_drone_sensor, _, _ = folder_settings(path, settings)
     if truth is not None or is_tum(path):
         file = named_file(path, truth) if truth else path / GROUNDTRUTH
         found = read_trajectory(file) if file.is_file() else None
     else:
         files, stamp_s, _ = _frames(path)
         found = _frame_poses(path, files, stamp_s, Counter())
-    return None if found is None else _of_drone(found, np.eye(4) if T_drone_sensor is None else T_drone_sensor)
+    return None if found is None else _of_drone(found, T_drone_sensor)
 
 
 def _read_depth_points(file: Path, camera: Intrinsics, scale: float, invalid: int) -> Array:
@@ -121,10 +121,8 @@ def _camera(
     path: Path, settings: Path | None, images: Sequence[Path], published: str
 ) -> tuple[Array, Intrinsics, dict[str, str]]:
     """``T_drone_sensor``, and the camera of settings, or as published for images of its size."""
-    file = settings_file(path, settings)
-    T_drone_sensor, camera = read_settings(file)
-    source = str(file)
-    size = _size(images)
+    T_drone_sensor, camera, file = folder_settings(path, settings)
+    source, size = str(file), _size(images)
     if camera is None and size in (None, (480, 640)):
         fx, fy, cx, cy = CAMERAS[published]
         camera, source = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=640, height=480), f"published for {published}"
@@ -136,7 +134,7 @@ def _camera(
     if size and (fault := camera.differs(*size)):
         raise SettingsError(f"{path}: images of {fault}, as the intrinsics of {source} say")
     said = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g}: {source}"
-    return np.eye(4) if T_drone_sensor is None else T_drone_sensor, camera, {"intrinsics": said}
+    return T_drone_sensor, camera, {"intrinsics": said}
 
 
 def _size(images: Sequence[Path]) -> tuple[int, int] | None:

@@ -8,12 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import (
-    FileMissingError,
-    RecordingError,
-    TopicError,
-)
-from steelnb.io.calibration import read_settings
+from steelnb.errors import FileMissingError, RecordingError, TopicError
+from steelnb.io.calibration import Intrinsics, read_settings
 from steelnb.io.clouds import read_points
 from steelnb.io.scans import Decode, Parts
 from steelnb.io.trajectories import (
@@ -47,7 +43,7 @@ def open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | N
     """
     skipped: Counter[str] = Counter()
     files = _cloud_files(path, scans)
-    T_drone_sensor, _ = read_settings(settings_file(path, settings))
+    T_drone_sensor, _, _ = folder_settings(path, settings)
     stamp_s, source = _scan_stamps(path, files)
     file = named_file(path, poses) if poses else _trajectory_file(path)
     prior = read_trajectory(file, skipped, stamp_s)
@@ -60,10 +56,8 @@ def open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | N
         stamp_s, source = prior.stamp_s, file.name
     said = f"true poses, {file.name}" if file.stem.lower() in TRUE else file.name
     facts = {"form": "folder of clouds", "scans": f"{len(files)} × {files[0].suffix.lower()}", "stamps": source}
-    mount = np.eye(4) if T_drone_sensor is None else T_drone_sensor
-    return Parts(
-        stamp_s, partial(walk_files, files, read_points), prior, mount, facts | {"poses": said}, skipped=skipped
-    )
+    walk = partial(walk_files, files, read_points)
+    return Parts(stamp_s, walk, prior, T_drone_sensor, facts | {"poses": said}, skipped=skipped)
 
 
 def read_clouds_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:
@@ -79,9 +73,11 @@ def walk_files(files: Sequence[Path], load: Callable[[Path], Array], number: Int
     return (partial(load, files[k]) for k in number.tolist())
 
 
-def settings_file(path: Path, settings: Path | None) -> Path | None:
-    """The settings that a user names, or those in the folder."""
-    return settings or next((path / name for name in SETTINGS_FILES if (path / name).is_file()), None)
+def folder_settings(path: Path, settings: Path | None) -> tuple[Array, Intrinsics | None, Path | None]:
+    """``T_drone_sensor``, by default the identity, intrinsics, and their file: named by the user, or in the folder."""
+    file = settings or next((path / name for name in SETTINGS_FILES if (path / name).is_file()), None)
+    T_drone_sensor, camera = read_settings(file)
+    return np.eye(4) if T_drone_sensor is None else T_drone_sensor, camera, file
 
 
 def named_file(path: Path, name: str) -> Path:

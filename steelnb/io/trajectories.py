@@ -101,10 +101,15 @@ def trajectory_of(
     good = good[~repeated]
     if not len(good):
         raise RecordingError(f"{path}: {len(numbers)} poses, none of use; expected finite numbers and unit quaternions")
-    T_world_drone = np.tile(np.eye(4), (len(good), 1, 1))
-    T_world_drone[:, :3, :3] = Rotation.from_quat(quaternion_xyzw[good] / largest[good, None]).as_matrix()
-    T_world_drone[:, :3, 3] = position[good]
+    T_world_drone = matrices(position[good], quaternion_xyzw[good] / largest[good, None])
     return Trajectory(np.ascontiguousarray(stamp_s[good]), T_world_drone)
+
+
+def matrices(position: Array, quaternion_xyzw: Array) -> Array:
+    """Transforms ``(N, 4, 4)`` from positions ``(N, 3)`` and quaternions ``(N, 4)``."""
+    T = np.tile(np.eye(4), (len(position), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(quaternion_xyzw).as_matrix(), position
+    return T
 
 
 def trajectory_of_matrices(path: Path, stamp_s: Array, T_world_drone: Array, skipped: Counter[str]) -> Trajectory:

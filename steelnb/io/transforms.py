@@ -1,18 +1,19 @@
 """The tree of frames that a bag's tf messages hold: extrinsics from fixed transforms, poses from moving ones."""
 
 from array import array
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.io.calibration import T_OPTICAL_SENSOR
 from steelnb.io.clouds import FARTHEST_M
+from steelnb.io.trajectories import matrices
 from steelnb.types import Array, Trajectory
 
 MOVED = 1e-6
@@ -56,7 +57,7 @@ class Transforms:
         self._first: dict[tuple[str, str], Array] = {}
         self._moving: set[tuple[str, str]] = set()
         self._all: dict[tuple[str, str], array[float]] = {}
-        self._near: dict[str, dict[str, None]] = {}
+        self._frames: nx.Graph[str] = nx.Graph()
 
     def add(self, parent: str, child: str, stamp_s: float, pose: Sequence[float]) -> bool:
         """Take ``T_parent_child`` as x, y, z and a quaternion xyzw; False where it is no transform."""
@@ -72,8 +73,7 @@ class Transforms:
         edge = (parent, child)
         first = self._first.setdefault(edge, numbers)
         if first is numbers:
-            self._near.setdefault(parent, {})[child] = None
-            self._near.setdefault(child, {})[parent] = None
+            self._frames.add_edge(parent, child)
         if _moved(first, numbers):
             self._moving.add(edge)
         if self._series:
@@ -87,7 +87,7 @@ class Transforms:
             return None
         T_target_source = np.eye(4)
         for edge, forward in path:
-            T = _matrices(self._first[edge][None, 1:])[0]
+            T = self._fixed(edge)
             T_target_source = T_target_source @ (T if forward else np.linalg.inv(T))
         return T_target_source
 
@@ -109,36 +109,32 @@ class Transforms:
                 T, known = interpolate(self._samples(edge), stamp_s, np.inf)
                 covered &= known
             else:
-                T = _matrices(self._first[edge][None, 1:])
+                T = self._fixed(edge)
             T_world_body = T_world_body @ (T if forward else np.linalg.inv(T))
         return Trajectory(stamp_s[covered], T_world_body[covered])
 
     def _samples(self, edge: tuple[str, str]) -> Trajectory:
         rows = np.frombuffer(self._all[edge]).reshape(-1, 8)
         _, order = np.unique(rows[:, 0], return_index=True)
-        return Trajectory(rows[order, 0], _matrices(rows[order, 1:]))
+        return Trajectory(rows[order, 0], matrices(rows[order, 1:4], rows[order, 4:]))
+
+    def _fixed(self, edge: tuple[str, str]) -> Array:
+        """``T_parent_child (4, 4)`` as it was first."""
+        first = self._first[edge][None]
+        return matrices(first[:, 1:4], first[:, 4:])[0]
 
     def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
         """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""
-        before: dict[str, str] = {start: start}
-        queue = deque([start])
-        while queue and goal not in before:
-            here = queue.popleft()
-            for there in self._near.get(here, ()):
-                edge = (here, there) if (here, there) in self._first else (there, here)
-                if there not in before and (moving or edge not in self._moving):
-                    before[there] = here
-                    queue.append(there)
-        if goal not in before:
-            return None
-        way = [goal]
-        while way[-1] != start:
-            way.append(before[way[-1]])
-        way.reverse()
-        return [
-            ((here, there), True) if (here, there) in self._first else ((there, here), False)
-            for here, there in pairwise(way)
-        ]
+        self._frames.add_nodes_from((start, goal))
+        usable = nx.subgraph_view(
+            self._frames, filter_edge=lambda a, b: moving or self._edge(a, b)[0] not in self._moving
+        )
+        way = nx.single_source_shortest_path(usable, start).get(goal)
+        return None if way is None else [self._edge(here, there) for here, there in pairwise(way)]
+
+    def _edge(self, here: str, there: str) -> tuple[tuple[str, str], bool]:
+        """The transform between two neighbours, and whether it is passed from parent to child."""
+        return ((here, there), True) if (here, there) in self._first else ((there, here), False)
 
 
 def plain(frame: str) -> str:
@@ -150,14 +146,6 @@ def _moved(first: Array, now: Array) -> bool:
     same = np.abs(now[1:] - first[1:]).max() <= MOVED
     turned_over = np.abs(np.r_[now[1:4] - first[1:4], now[4:] + first[4:]]).max() <= MOVED  # q and −q are one
     return not (same or turned_over)
-
-
-def _matrices(pose: Array) -> Array:
-    """``(N, 7)`` as ``(N, 4, 4)``."""
-    T = np.tile(np.eye(4), (len(pose), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(pose[:, 3:]).as_matrix()
-    T[:, :3, 3] = pose[:, :3]
-    return T
 
 
 def is_optical(frame: str) -> bool:

@@ -189,14 +189,14 @@ def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | No
     return {name: float(value) for name, value in named.items() if np.isfinite(value)}
 
 
-def ranking(rows: pd.DataFrame, methods: Sequence[str], by: str = "error_mean_m") -> pd.DataFrame:
-    """The order of some methods, a row for each flight and noise.
+def ranking(rows: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
+    """The order of some methods by their mean error, a row for each flight and noise.
 
-    ``rows`` has a row a run; columns are the value of each method, ``order`` from best to worst, ``as_claimed``,
+    ``rows`` has a row a run; columns are the error of each method, ``order`` from best to worst, ``as_claimed``,
     whether each of ``methods`` is better than the one before it, and ``pairs_as_claimed`` of all pairs, 0 to 1.
     """
     chosen = rows[rows["method"].isin(methods)].drop_duplicates(["trajectory", "noise", "method"])
-    wide = chosen.pivot_table(index=["trajectory", "noise"], columns="method", values=by, sort=False)[list(methods)]
+    wide = chosen.pivot_table("error_mean_m", ["trajectory", "noise"], "method", sort=False)[list(methods)]
     pairs = list(itertools.combinations(methods, 2))
     agree = np.mean([wide[later] < wide[earlier] for earlier, later in pairs], axis=0)
     order = [" < ".join(wide.columns[np.argsort(values)]) for values in wide.to_numpy()]

@@ -90,29 +90,21 @@ def flight_settings(
 
 
 def fly(
-    trajectory: TrajectoryName,
-    noise: str,
-    level: float,
-    sensor: str,
-    method: str,
-    seed: int,
-    duration_s: float,
-    overrides: Mapping[str, Any] | None = None,
+    settings: ExperimentSettings,
     on_flown: Callable[[Trajectory, Trajectory, Tower], object] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> View:
-    """Fly, let the pose drift, correct it. Raises `SettingsError` and `CollisionError`.
+    """Fly, let the pose drift, correct it. Raises `CollisionError`.
 
     ``on_flown`` is called with the drifting and the true poses and the tower as soon as they are there: casting the
     scans and correcting the poses takes longer.
     """
     began = time.perf_counter()
-    settings = flight_settings(trajectory, noise, level, sensor, method, seed, duration_s, overrides)
     if on_flown:
         quick, truly = experiment.simulate_anew(settings)
         on_flown(quick.prior, truly.at(quick.prior.stamp_s), build_tower(settings.tower))
-    plain = ExperimentSettings.preset(trajectory, "none", sensor=sensor, seed=seed, duration_s=duration_s)
-    flight, truth = _flown(plain.replace(tower=settings.tower, flight=settings.flight, tof=settings.tof))
+    same = {name: getattr(settings, name) for name in ("tower", "flight", "tof", "sensor", "seed")}
+    flight, truth = _flown(ExperimentSettings.preset(noise="none").replace(**same))
     result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth, on_progress)
     cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
     segments = result.segments

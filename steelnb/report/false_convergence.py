@@ -26,6 +26,7 @@ WRONG_SHARE_MAX = 0.05
 """A flight in which more of the scans with pairs ended farther than `WRONG_M` from the truth has converged wrongly."""
 RIGHT_M = 0.1
 """An end within this distance of the truth is right: the edge of the report's voxel."""
+MAP_EVERY = 4
 
 
 def basin_cases(
@@ -101,11 +102,10 @@ def find_basin(
     truth: Truth,
     frame: int,
     offset_m: Array,
-    every: int = 4,
     on_progress: Callable[[float], None] | None = None,
 ) -> pd.DataFrame:
     """Basin of convergence: register scan ``frame`` from starts ``offset_m (N, 3)`` beside its true pose, to a map of
-    every so many other scans at their true poses; a row a start.
+    one in `MAP_EVERY` of the other scans at their true poses; a row a start.
 
     ``x_m``, ``y_m``, ``z_m`` of the start and ``error_m`` of the end from the truth; ``refused`` by the odometry; else
     ``right`` within `RIGHT_M`, or ``wrong``, of which those ``stayed`` that hardly left their start, since the
@@ -114,7 +114,7 @@ def find_basin(
     """
     odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
-    for k in range(0, len(flight.scans), every):
+    for k in range(0, len(flight.scans), MAP_EVERY):
         if k != frame:
             points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
             odometry.insert(points, true[k])

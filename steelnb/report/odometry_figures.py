@@ -38,7 +38,7 @@ REPORT_FIGURES = {
     "random-walk+yaw-random-walk": {"gicp": "5.2, 5.3"},
 }
 """The report's figures of clouds: noise → method → number."""
-SMOOTHED_S = 10.0
+SMOOTHED_S, REACH_M = 10.0, 2.2
 Range = tuple[float, float]
 
 
@@ -234,15 +234,13 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
 
 
 @style()
-def figure_slip(
-    results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int, reach_m: float = 2.2
-) -> Figure:
+def figure_slip(results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int) -> Figure:
     """The error over the scans (left) and, for each label, the built and the true cloud around where the drone was at
     ``scan`` (right)."""
     first = next(iter(results.values()))
     drone = first.truth.trajectory.at(first.corrected.stamp_s).position[scan]
     cloud = next(iter(clouds.values()))[1]
-    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * reach_m], axis=0)
+    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * REACH_M], axis=0)
     figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.6))
     curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
     _draw_errors(curve, results)
@@ -253,9 +251,9 @@ def figure_slip(
         curve.axvspan(*span, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
     curve.set(xlabel=_scans(first), ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
     for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
-        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * reach_m).all(axis=1)
+        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * REACH_M).all(axis=1)
         _draw_clouds(panel, built[near], true[near], results[label].settings.odometry.method, 0, size=2.0)
-        panel.set(xlim=centre[0] + reach_m * np.array([-1, 1]), ylim=centre[2] + reach_m * np.array([-1, 1]))
+        panel.set(xlim=centre[0] + REACH_M * np.array([-1, 1]), ylim=centre[2] + REACH_M * np.array([-1, 1]))
         panel.set(title=label, ylabel="z (m)")
     gather_legend(figure, ncols=4)
     figure.suptitle(caption([first]))

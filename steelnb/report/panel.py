@@ -75,9 +75,8 @@ class Panel:
 
     def _fly(self, on_flown: Callable[..., object] | None = None, on_progress: Any = None) -> View:
         chosen = {name: control.value for name, control in self.controls.items()}
-        self.view = view = fly(
-            **chosen, duration_s=self.duration_s, overrides=self.overrides, on_flown=on_flown, on_progress=on_progress
-        )
+        settings = flight_settings(**chosen, duration_s=self.duration_s, overrides=self.overrides)
+        self.view = view = fly(settings, on_flown, on_progress)
         members, method = view.result.truth.tower.axes, view.result.settings.odometry.method
         scene = figure_scene(*view.trajectories, view.cloud, view.segments, members, method)
         self._draw(view.summary, plotly_bundle(scene, view.summary))

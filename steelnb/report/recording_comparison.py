@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb.errors import SettingsError
-from steelnb.files import new_folder
-from steelnb.io.replace import replace_files
+from steelnb.files import new_folder, replace_files
 from steelnb.metrics import position_error_m
 from steelnb.report.recording import FILES, RecordingReport, check_folder, default_folder, run_recording
 from steelnb.report.recording_figures import figure_comparison

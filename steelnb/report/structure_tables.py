@@ -218,8 +218,8 @@ def structure_goals(table: pd.DataFrame, trajectory: TrajectoryName) -> pd.DataF
     return goals.assign(reached=above.where(goals["side"] == "at least", below))
 
 
-def recall_by_points(runs: Sequence[Rebuilt], per_decade: int = 2) -> pd.DataFrame:
-    """Share of members found, by the points seen of them, ``per_decade`` classes to a power of ten from 10 on.
+def recall_by_points(runs: Sequence[Rebuilt]) -> pd.DataFrame:
+    """Share of members found, by the points seen of them, two classes to a power of ten from 10 on.
 
     A row for each poses, method and class ``points_from`` ≤ points < ``points_to``: ``members`` and ``recall``. All
     members with a point count, also those that the measures do not call observed.
@@ -228,7 +228,7 @@ def recall_by_points(runs: Sequence[Rebuilt], per_decade: int = 2) -> pd.DataFra
     for run in runs:
         hits = run.source.result.truth.visibility.returns
         decades = math.ceil(math.log10(max(int(hits.max()), 11)))
-        edges = 10.0 ** (1 + np.arange((decades - 1) * per_decade + 1) / per_decade)
+        edges = 10.0 ** (1 + np.arange(2 * decades - 1) / 2)
         k = np.searchsorted(edges, hits, side="right") - 1
         inside = (k >= 0) & (k < len(edges) - 1)
         found = pd.Series(run.score.found[inside]).groupby(k[inside]).agg(members="size", recall="mean")

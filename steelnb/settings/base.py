@@ -35,7 +35,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as fault:
-            raise SettingsError(describe_fault(type(self).__name__, fault)[:_SHOWN]) from None
+            raise SettingsError(describe_fault(type(self).__name__, fault)) from None
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked like the original."""
@@ -48,8 +48,8 @@ def describe_fault(where: str, fault: ValidationError) -> str:
     message = first["msg"].removeprefix("Value error, ")
     message = f"{message[:1].lower()}{message[1:]}"
     if not first["loc"]:
-        return f"{where}: {message}"
-    return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"
+        return f"{where}: {message}"[:_SHOWN]
+    return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"[:_SHOWN]
 
 
 def quoted(names: Any) -> str:

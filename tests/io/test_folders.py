@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, TopicError
 from steelnb.io import read_flight, read_truth, write_tum
+from steelnb.io.clouds import write_ply
 from tests.io.samples import poses
+from tests.io.test_clouds import by_laspy, by_pcl
 
 CAMERA = "[intrinsics]\nfx = 500.0\nfy = 400.0\ncx = 319.5\ncy = 239.5\n"
 # A camera that looks north (world y) from 2 m up: its x is east, its y down, its z north.
@@ -18,29 +20,7 @@ T_WORLD_OPTICAL = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 2], [0, 0, 0,
 T_LEVEL = np.array([[1, 0, 0, 0], [0, 1, 0, -1], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
-def ply(path: Path, points: np.ndarray) -> None:
-    from plyfile import PlyData, PlyElement
-
-    records = np.ascontiguousarray(points, "<f4").view([(axis, "<f4") for axis in "xyz"]).reshape(-1)
-    PlyData([PlyElement.describe(records, "vertex")], byte_order="<").write(str(path))
-
-
-def pcd(path: Path, points: np.ndarray) -> None:
-    import open3d
-
-    open3d.io.write_point_cloud(str(path), open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points)))
-
-
-def laz(path: Path, points: np.ndarray) -> None:
-    import laspy
-
-    file = laspy.create(point_format=3)
-    file.header.scales = np.full(3, 1e-4)
-    file.x, file.y, file.z = points.T
-    file.write(str(path))
-
-
-WRITE = {".npy": np.save, ".ply": ply, ".pcd": pcd, ".las": laz, ".laz": laz}
+WRITE = {".npy": np.save, ".ply": write_ply, ".pcd": by_pcl, ".las": by_laspy, ".laz": by_laspy}
 
 
 def laid_out(folder: Path, names: list[str], count: int = 5) -> Path:
@@ -141,7 +121,7 @@ def test_sub_folders_and_endings_that_are_not_clear_are_listed(tmp_path):
     assert len(read_flight(folder, scans="right")) == 5
     with pytest.raises(TopicError, match=r"no folder 'up'; expected one of left, right"):
         read_flight(folder, scans="up")
-    ply(folder / "left" / "1.ply", np.ones((3, 3)))
+    write_ply(folder / "left" / "1.ply", np.ones((3, 3)))
     with pytest.raises(TopicError, match=r"end with .npy, .ply"):
         read_flight(folder, scans="left")
 

@@ -96,6 +96,7 @@ def test_poses_that_are_none_are_counted_and_the_others_sorted_and_normalised(tm
         (f"1 {POSE}\n\n2 {POSE} 9\n", FileContentError, "line 3"),
         ("1.5,0,0,0,1,0,0,0\n", FileContentError, "whole nanoseconds"),
         (f"nan {POSE}\n", RecordingError, "1 poses, none of use"),
+        ("1 1e300 0 0 0 0 0 1\n", RecordingError, "1 poses, none of use"),
         ("1 2\0", FileContentError, "zero bytes"),
     ],
 )

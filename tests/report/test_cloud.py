@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from steelnb import cli
-from steelnb.errors import EmptyCloudError, FileMissingError, SettingsError, SteelnbError
+from steelnb.errors import SettingsError, SteelnbError
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.tube import point_spacing, tube_radius
 from steelnb.io import clouds, point_files
@@ -178,15 +178,6 @@ def test_the_folder_is_named_after_the_cloud(saved: Path, tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path / "here")
     assert segment_file(saved).folder == Path("tower_segments")
     assert {path.name for path in (tmp_path / "here" / "tower_segments").iterdir()} == FILES
-
-
-def test_bad_input_leaves_nothing_behind(tmp_path: Path) -> None:
-    empty = tmp_path / "empty.xyz"
-    empty.write_text("nan nan nan\n")
-    for path, error in ((empty, EmptyCloudError), (tmp_path / "none.ply", FileMissingError)):
-        with pytest.raises(error):
-            segment_file(path, tmp_path / "deep" / "er")
-    assert [path.name for path in tmp_path.iterdir()] == ["empty.xyz"]
 
 
 def test_a_second_run_replaces_its_files_and_no_others(saved: Path, tmp_path: Path) -> None:

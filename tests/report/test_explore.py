@@ -20,7 +20,7 @@ FIRST = ("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
 
 @pytest.fixture(scope="module")
 def view() -> explore.View:
-    return explore.fly(*FIRST)  # type: ignore[arg-type]
+    return explore.fly(explore.flight_settings(*FIRST))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -53,10 +53,11 @@ def test_a_flight_is_the_experiment_of_the_same_settings(view: explore.View) -> 
 
 
 def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: explore.View) -> None:
-    more = explore.fly("orbit", "constant-drift", 3.0, "report", "icp-3dof", 1, 6.0, SHORT)
+    flown = view.result.settings
+    more = explore.fly(flown.replace(noise=NoiseSettings.parse("constant-drift")))
     assert more.result.truth is view.result.truth
     assert not np.allclose(more.result.prior.position, view.result.prior.position)
-    other = explore.fly("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, {**SHORT, "tof.columns": 32})
+    other = explore.fly(flown.override({"tof.columns": 32}))
     assert other.result.truth is not view.result.truth
 
 
