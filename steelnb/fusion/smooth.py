@@ -46,7 +46,7 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
     try:
         pose, bar = uncertainty.marginals(state, seen, prior, stamp_s)
         pose_covariance = uncertainty.pose_covariances(pose, T, mount)
-        axis_covariance = uncertainty.axis_covariances(bar[known], segments, across)
+        axis_covariance = uncertainty.axis_covariances(bar[known], segments, across, state.sigma_ratio)
     except SingularError as fault:
         unsure = str(fault)
     points = map_scans(flight.scans, T, settings, every=3).means()

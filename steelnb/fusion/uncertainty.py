@@ -19,12 +19,14 @@ from steelnb.fusion.bundle import BAR, POSE, Bundle, Observations, chain, coupli
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 
-SHARED_SIGMA_M = 0.004
+SHARED_SIGMA_M = 0.005
 """Standard deviation, an axis, of the displacement that all points of a bar in a scan share, at the range noise of
-`points.ranges`; it grows with that noise, as the misfit of sections does. Calibrated in benchmarks/uncertainty.md."""
-END_SIGMA_M = 0.005
+`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds 11 and 12;
+see benchmarks/uncertainty.md."""
+END_SIGMA_M = 0.006
 """Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section that
-is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former."""
+is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.
+It grows with the range noise."""
 ATTITUDE_SIGMA_RAD = 0.01
 """Standard deviation of roll and pitch, which are the prior's: half a degree, as of attitude filters on small drones.
 Simulated attitudes are exact unless the noise has tilt, so there it is too large. The position does not contain it."""
@@ -49,12 +51,12 @@ def marginals(
 ) -> Marginals:
     """The marginal covariances of the state of an adjustment; the arguments are those of `bundle.improve`.
 
-    ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the ``sigma_ratio`` of the state. Raises `SingularError` where
-    the equations are not finite or nothing holds a pose, with the direction that is free.
+    ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
+    `SingularError` where the equations are not finite or nothing holds a pose, with the direction that is free.
     """
     equations = linearised(bundle, seen)
     matrix, n, poses = equations.matrix, len(equations.block), len(equations.matrix)
-    sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio if shared_sigma_m is None else shared_sigma_m
+    sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
     cross, shares = equations.cross, equations.shares
     unknown = np.zeros_like(shares)
     if sigma_m:
@@ -111,9 +113,10 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
     return result
 
 
-def axis_covariances(bar: Array, segments: Segments, across: Array) -> Array:
-    """Covariances ``(B, 4, 4)`` of the axes of bars, with `END_SIGMA_M`, from their marginals in the frames ``across``.
+def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio: float = 1.0) -> Array:
+    """Covariances ``(B, 4, 4)`` of the axes of bars, from their marginals in the frames ``across``.
 
+    They contain `END_SIGMA_M` times ``sigma_ratio``, the range noise as a multiple of that of `points.ranges`.
     In the frame `sections.frames` of each segment's direction: two of the place of its middle across, metres, and two
     of its direction, metres across for a metre along.
     """
@@ -121,8 +124,9 @@ def axis_covariances(bar: Array, segments: Segments, across: Array) -> Array:
     both = np.zeros((len(bar), 4, 4))
     both[:, :2, :2] = both[:, 2:, 2:] = turn
     result = both @ bar[:, :4, :4] @ both.transpose(0, 2, 1)
-    result[:, [0, 1], [0, 1]] += 0.5 * END_SIGMA_M**2
-    result[:, [2, 3], [2, 3]] += 2.0 * (END_SIGMA_M / np.maximum(segments.length, 1e-9))[:, None] ** 2
+    end_m2 = (END_SIGMA_M * sigma_ratio) ** 2
+    result[:, [0, 1], [0, 1]] += 0.5 * end_m2
+    result[:, [2, 3], [2, 3]] += 2.0 * end_m2 / np.maximum(segments.length, 1e-9)[:, None] ** 2
     return np.asarray(result)
 
 

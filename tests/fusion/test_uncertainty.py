@@ -1,5 +1,7 @@
 """Covariances of smoothing: against a dense inverse, against many runs, and where nothing holds a direction."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -9,9 +11,13 @@ from steelnb.errors import SingularError
 from steelnb.fusion import bundle, sections, uncertainty
 from steelnb.fusion.bundle import BAR, POSE
 from tests.fusion.made import bars_of
-from tests.fusion.test_smooth import made_up
+from tests.fusion.test_smooth import made_up as made_up_anew
 
 STAMP_S = 0.2 * np.arange(40)
+
+
+made_up = functools.cache(made_up_anew)
+"""The same problem for many tests, none of which changes it."""
 
 
 def state_of(T, bars) -> bundle.Bundle:
@@ -83,7 +89,7 @@ def test_many_runs_scatter_as_they_say():
         prior[1:, :3, 3] += np.cumsum(drift[:, :3], axis=0)
         turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 3]), [0, 0, 1])).as_matrix()
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
-        state = bundle.start(prior, prior, bars)
+        state = bundle.start(T, prior, bars)
         for _ in range(4):
             state = bundle.improve(state, seen, prior, STAMP_S)
         pose, _ = uncertainty.marginals(state, seen, prior, STAMP_S, 0.0)
