@@ -76,6 +76,10 @@ class EmptyStructureError(SteelnbError):
     """A structure without a bar, where there should be something to draw."""
 
 
+class SingularError(SteelnbError):
+    """A covariance that is not finite or not positive definite, since nothing holds some direction."""
+
+
 class MissingExtraError(SteelnbError):
     """An optional library that is asked for and not installed."""
 

@@ -210,6 +210,11 @@ class Estimate:
     frame. Per scan: ``matches (K,)`` pairs; ``reason``, why it corrected nothing, empty where it did; ``seconds`` maps
     each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update. ``unsmoothed`` is the reason
     why the flight could not be smoothed, where that was asked for; else empty.
+
+    A smoothed flight has covariances, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
+    corrected poses, metres and radians, in the axes of the world (`fusion.uncertainty.pose_covariances`; that of the
+    first pose is zero), and ``axis_covariance (M, 4, 4)`` of place and direction of each segment
+    (`fusion.uncertainty.axis_covariances`). ``unsure`` is the reason why a smoothed flight has none.
     """
 
     prior: Trajectory
@@ -221,6 +226,9 @@ class Estimate:
     seconds: Mapping[str, Array]
     update_s: Array
     unsmoothed: str = ""
+    pose_covariance: Array | None = None
+    axis_covariance: Array | None = None
+    unsure: str = ""
 
     @property
     def period_s(self) -> Array:

@@ -54,6 +54,11 @@ class Observations(NamedTuple):
     pair_bar: IntArray
     pair_first: IntArray
 
+    @property
+    def pair_scan(self) -> IntArray:
+        """The scan of each pair of a scan and a bar ``(P,)``."""
+        return np.repeat(np.arange(len(self.pair_first) - 1), np.diff(self.pair_first))
+
     @classmethod
     def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]], T_world_sensor: Array) -> "Observations":
         """From points in the world frame at given poses, as `fusion.reconstruct` yields them scan by scan."""
@@ -73,6 +78,20 @@ class Observations(NamedTuple):
             np.concatenate([np.zeros(0, np.int64), *pairs]),
             pair_first,
         )
+
+
+class Equations(NamedTuple):
+    """Normal equations of all points: of the poses ``matrix (K, 4, 4)``, ``vector (K, 4)``, of the bars ``block
+    (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan and a bar: between both ``cross (P, 4, 6)``, and its share
+    of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in standard deviations."""
+
+    matrix: Array
+    vector: Array
+    cross: Array
+    block: Array
+    right: Array
+    shares: Array
+    residuals: Array
 
 
 @dataclass(frozen=True)
@@ -118,36 +137,56 @@ def improve(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array) ->
     The range noise is taken from the residuals before the step (their median).
     """
     T, bars = bundle.T_world_sensor, bundle.bars
-    segments, known = bars.segments, np.isfinite(bars.flange)
-    poses, n = len(T), len(segments)
-    corner = sections.outlines(bars.turn, np.where(known, bars.flange, 0.05))
-    matrix, vector = np.zeros((poses, POSE, POSE)), np.zeros((poses, POSE))
-    cross = np.zeros((len(seen.pair_bar), POSE, BAR))
-    block, right, residuals = np.zeros((n, BAR, BAR)), np.zeros((n, BAR)), np.zeros(MEDIAN_BINS)
-    _gather(
-        *seen, T, known, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
-        bundle.sigma_ratio, matrix, vector, cross, block, right, residuals,
-    )  # fmt: skip
+    equations = linearised(bundle, seen)
+    vector, right, n, known = equations.vector, equations.right, len(bars.turn), np.isfinite(bars.flange)
     right[known, 4:] -= (np.column_stack([bars.turn, bars.flange]) - bundle.fitted)[known] * BAR_SIGMA[4:] ** -2.0
-    band = _chain(T, prior, stamp_s, matrix, vector)
-    row = POSE * np.repeat(np.arange(poses), np.diff(seen.pair_first))[:, None, None] + np.arange(POSE)[:, None]
-    column = BAR * seen.pair_bar[:, None, None] + np.arange(BAR)
-    where = (np.broadcast_to(row, cross.shape).ravel(), np.broadcast_to(column, cross.shape).ravel())
-    between = csr_array((cross.ravel(), where), shape=(POSE * poses, BAR * n))
+    band = chain(T, prior, stamp_s, equations.matrix, vector)
+    between = coupling(seen, equations.cross, n)
     solved = cho_solve_banded(
         (cholesky_banded(band), False), np.column_stack([between.toarray(), vector.ravel()]), overwrite_b=True
     )
-    schur = -(between.T @ solved[:, :-1])
-    for b in range(n):
+    schur = reduced(equations.block, between, solved[:, :-1])
+    moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
+    step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(-1, POSE)
+    bars = _moved_bars(bars, moved.reshape(n, BAR))
+    return Bundle(_moved_poses(T, step), bars, _ratio(equations.residuals, bundle), bundle.fitted, step)
+
+
+def linearised(bundle: Bundle, seen: Observations) -> Equations:
+    """The normal equations of all points, without what is known beforehand."""
+    bars, poses, n = bundle.bars, len(bundle.T_world_sensor), len(bundle.bars.turn)
+    segments, known = bars.segments, np.isfinite(bars.flange)
+    corner = sections.outlines(bars.turn, np.where(known, bars.flange, 0.05))
+    pairs = len(seen.pair_bar)
+    result = Equations(
+        np.zeros((poses, POSE, POSE)), np.zeros((poses, POSE)), np.zeros((pairs, POSE, BAR)), np.zeros((n, BAR, BAR)),
+        np.zeros((n, BAR)), np.zeros((pairs, BAR, BAR)), np.zeros(MEDIAN_BINS),
+    )  # fmt: skip
+    _gather(
+        *seen, bundle.T_world_sensor, known, segments.start, segments.direction, segments.length, bars.across, corner,
+        bars.flange, bundle.sigma_ratio, *result,
+    )  # fmt: skip
+    return result
+
+
+def coupling(seen: Observations, cross: Array, n: int) -> csr_array:
+    """The part of the normal equations between poses and ``n`` bars, ``(4 K, 6 n)``, from that of each pair."""
+    row = POSE * seen.pair_scan[:, None, None] + np.arange(POSE)[:, None]
+    column = BAR * seen.pair_bar[:, None, None] + np.arange(BAR)
+    where = (np.broadcast_to(row, cross.shape).ravel(), np.broadcast_to(column, cross.shape).ravel())
+    return csr_array((cross.ravel(), where), shape=(POSE * (len(seen.first) - 1), BAR * n))
+
+
+def reduced(block: Array, between: csr_array, solved: Array) -> Array:
+    """The normal equations of the bars ``(6 B, 6 B)`` once the poses are eliminated (Schur complement)."""
+    schur = -(between.T @ solved)
+    for b in range(len(block)):
         place = slice(BAR * b, BAR * b + BAR)
         schur[place, place] += block[b] + np.diag(BAR_SIGMA**-2.0)
-    moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
-    step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(poses, POSE)
-    bars = _moved_bars(bars, moved.reshape(n, BAR))
-    return Bundle(_moved_poses(T, step), bars, _ratio(residuals, bundle), bundle.fitted, step)
+    return np.asarray(schur)
 
 
-def _chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) -> Array:
+def chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) -> Array:
     """Add the increments of the prior and the first pose to the normal equations of the poses, ``(K, 4, 4)`` and
     ``(K, 4)``, and give their matrix as the band ``(8, 4 K)`` that LAPACK wants."""
     time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
@@ -212,11 +251,9 @@ def yaw_of(rotation: Array) -> Array:
 @njit(cache=True, error_model="numpy")
 def _gather(  # type: ignore[no-untyped-def]
     point, bar, first, pair_bar, pair_first, T, known, start, direction, length, across, corner, flange, ratio,
-    matrix, vector, cross, block, right, residuals,
+    matrix, vector, cross, block, right, shares, residuals,
 ):  # fmt: skip
-    """Add all points to the normal equations of the poses ``matrix (K, 4, 4)``, ``vector (K, 4)``, of the bars
-    ``block (B, 6, 6)``, ``right (B, 6)``, and between both ``cross (P, 4, 6)``; the magnitudes of their residuals in
-    standard deviations to a histogram."""
+    """Add all points to `Equations`."""
     pose, place, pair_of = np.empty(4), np.empty(6), np.zeros(len(length), np.int64)
     for k in range(len(T)):
         for pair in range(pair_first[k], pair_first[k + 1]):
@@ -279,3 +316,4 @@ def _gather(  # type: ignore[no-untyped-def]
                 right[b, n] -= weighed * residual
                 for m in range(6):
                     block[b, n, m] += weighed * place[m]
+                    shares[pair, n, m] += weighed * place[m]

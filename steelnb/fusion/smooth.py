@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.errors import EmptyCloudError
-from steelnb.fusion import bundle
+from steelnb.errors import EmptyCloudError, SingularError
+from steelnb.fusion import bundle, uncertainty
 from steelnb.fusion.reconstruct import map_and_fit, map_scans
 from steelnb.settings import StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
@@ -40,7 +40,18 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
             for _ in range(steps):
                 state = bundle.improve(state, seen, prior, stamp_s)
         T = state.T_world_sensor
-    segments = state.bars.segments.take(np.isfinite(state.bars.flange))
+    known = np.isfinite(state.bars.flange)
+    segments, across = state.bars.segments.take(known), state.bars.across[known]
+    pose_covariance, axis_covariance, unsure = None, None, ""
+    try:
+        pose, bar = uncertainty.marginals(state, seen, prior, stamp_s)
+        pose_covariance = uncertainty.pose_covariances(pose, T, mount)
+        axis_covariance = uncertainty.axis_covariances(bar[known], segments, across, state.sigma_ratio)
+    except SingularError as fault:
+        unsure = str(fault)
     points = map_scans(flight.scans, T, settings, every=3).means()
     corrected = Trajectory(stamp_s, T @ np.linalg.inv(mount))
-    return replace(estimate, corrected=corrected, points=points, segments=segments, unsmoothed="")
+    return replace(
+        estimate, corrected=corrected, points=points, segments=segments, unsmoothed="", pose_covariance=pose_covariance,
+        axis_covariance=axis_covariance, unsure=unsure,
+    )  # fmt: skip

@@ -30,18 +30,22 @@ def orientation(segments: Segments) -> list[str]:
 
 
 def write_segments(
-    folder: Path, segments: Segments, origin: Array, groups: Sequence[str], about: Mapping[str, Any]
-) -> None:
+    folder: Path, segments: Segments, origin: Array, groups: Sequence[str], about: Mapping[str, Any],
+    sigma_m: Array | None = None,
+) -> None:  # fmt: skip
     """Write segments to four files in ``folder``.
 
     ``segments`` are those of a shifted cloud and ``origin (3,)`` is its shift in metres. CSV and JSON hold the
     coordinates of the cloud's file, to a tenth of a millimetre. OBJ and PLY are for viewers, which compute in single
     precision and would round UTM coordinates to 0.25 m: they stay shifted and name the origin in a comment.
-    ``groups (M)`` names the OBJ group of each segment; ``about`` goes into the JSON file.
+    ``groups (M)`` names the OBJ group of each segment; ``about`` goes into the JSON file. ``sigma_m (M, 2)``, standard
+    deviations across the axis at start and end, are two more columns of the CSV, in millimetres.
     """
     ends = np.concatenate([segments.start, segments.end], axis=1)
     rows = np.column_stack([ends + np.tile(origin, 2), segments.length, segments.count, segments.radius]).tolist()
     table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"count": int})
+    if sigma_m is not None:
+        table[["sigma_start_mm", "sigma_end_mm"]] = (1e3 * sigma_m).round(2)
     table.to_csv(folder / "segments.csv", index=False, float_format="%.4f", lineterminator="\n")
     entries = [
         {

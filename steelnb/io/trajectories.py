@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import FileContentError, RecordingError, SteelnbError, needs
 from steelnb.files import new_file, reading, text_lines
+from steelnb.fusion.uncertainty import POSE_AXES, check_covariances
 from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Trajectory
 
@@ -136,6 +138,22 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     poses = PoseTrajectory3D(trajectory.position, np.roll(xyzw, 1, axis=1), timestamps=trajectory.stamp_s)
     with new_file(path) as file:
         write_tum_trajectory_file(file, poses)
+
+
+def write_sigma(path: Path | str, stamp_s: Array, covariance: Array) -> None:
+    """Write the standard deviations of poses, CSV: ``stamp_s``, ``sigma_x_m`` … ``sigma_yaw_deg``, a row a pose.
+
+    ``covariance (K, 6, 6)`` as `Estimate.pose_covariance`; the first pose has zeros, since it defines the world. Raises
+    `SingularError` for one that is not finite or not positive definite; nothing half-written stays.
+    """
+    check_covariances(covariance[1:], "pose", POSE_AXES, first=1)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    sigma = np.column_stack([sigma[:, :3], np.degrees(sigma[:, 3:])])
+    names = [f"sigma_{axis}_{'m' if k < 3 else 'deg'}" for k, axis in enumerate(POSE_AXES)]
+    table = pd.DataFrame(sigma, columns=names).round(6)
+    table.insert(0, "stamp_s", stamp_s)
+    with new_file(path) as file:
+        table.to_csv(file, index=False, lineterminator="\n")
 
 
 def _rows(path: Path) -> tuple[str, list[list[str]]]:

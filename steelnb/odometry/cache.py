@@ -11,6 +11,7 @@ from steelnb.odometry.run import OnStep, run
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
 
+COVARIANCES = ("pose_covariance", "axis_covariance")
 COLUMNS = tuple(field.name for field in fields(Segments))
 
 
@@ -50,6 +51,8 @@ def _pack(estimate: Estimate) -> Arrays:
         "seconds": np.array(list(estimate.seconds.values())),
         "update_s": estimate.update_s,
         "unsmoothed": np.array(estimate.unsmoothed),
+        "unsure": np.array(estimate.unsure),
+        **{name: getattr(estimate, name) for name in COVARIANCES if getattr(estimate, name) is not None},
     }
 
 
@@ -64,4 +67,6 @@ def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
         seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
         update_s=arrays["update_s"],
         unsmoothed=str(arrays["unsmoothed"]),
+        unsure=str(arrays["unsure"]),
+        **{name: arrays[name] for name in COVARIANCES if name in arrays},
     )

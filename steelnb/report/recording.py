@@ -15,14 +15,16 @@ from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, S
 from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
+from steelnb.fusion.uncertainty import axis_sigma_m
 from steelnb.io import read_flight, read_truth
 from steelnb.io.clouds import shift_of, write_ply
 from steelnb.io.flights import GAP_MAX_S
 from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation, write_segments
 from steelnb.io.structures import write_structure
-from steelnb.io.trajectories import write_tum
+from steelnb.io.trajectories import write_sigma, write_tum
 from steelnb.metrics import position_error_m
+from steelnb.metrics.matching import match_members
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.recording_numbers import TIMES, measure_recording, summary_lines
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
@@ -35,9 +37,9 @@ from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments,
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
 FILES = (
-    "corrected.tum", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum", "recording.rrd", "segments.csv",
-    "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv", "trajectories.png",
-    "comparison.csv", "comparison.png",
+    "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum",
+    "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv",
+    "trajectories.png", "comparison.csv", "comparison.png",
 )  # fmt: skip
 """All that a run may write, of one odometry or of several: those of an earlier one do not stay beside new ones."""
 
@@ -142,10 +144,10 @@ def run_recording(
     on_progress : called with the share of the scans done, 0 to 1.
     on_stage : called with the name of each stage as it begins.
 
-    Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``map.ply``, ``segments.csv`` (.json, .obj, .ply),
-    ``structure.json`` (empty with the reason where none is found), ``table.csv``, ``frames.csv``, figures, and
-    ``recording.rrd``. Nothing is written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, and what
-    reading raises.
+    Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``corrected_sigma.csv`` of a smoothed flight,
+    ``map.ply``, ``segments.csv`` (.json, .obj, .ply), ``structure.json`` (empty with the reason where none is found),
+    ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is written on an error. Raises `OutputError`,
+    `RecordingError`, `SettingsError`, and what reading raises.
     """
     if not isinstance(recording, Flight):
         truth = truth or read_truth(recording)
@@ -190,6 +192,7 @@ def run_recording(
         estimate = odometry.run(flight, estimator, observe)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
+        built = _with_sigma(built, estimate) if built is not None else None
         segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
         if log is not None:
             log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
@@ -211,6 +214,8 @@ def run_recording(
             figure.savefig(folder / f"{name}.png", dpi=150)
         stack.close()  # the .rrd file is whole before the folder is renamed
         files = sorted(file.name for file in folder.iterdir())
+    if estimate.unsure:
+        notes = (*notes, f"no uncertainty: {estimate.unsure}")
     if estimate.unsmoothed:
         notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
     summary = (*summary_lines(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
@@ -238,7 +243,13 @@ def _write(
     write_tum(folder / "prior.tum", estimate.prior)
     write_tum(folder / "corrected.tum", estimate.corrected)
     write_ply(folder / "map.ply", estimate.points, "<f8")  # world coordinates may be those of a country
-    write_segments(folder, segments.moved(-origin), origin, orientation(segments), about)
+    sigma_m = None
+    if estimate.pose_covariance is not None:
+        write_sigma(folder / "corrected_sigma.csv", estimate.corrected.stamp_s, estimate.pose_covariance)
+    if estimate.axis_covariance is not None:
+        half_m = 0.5 * segments.length
+        sigma_m = np.column_stack([axis_sigma_m(estimate.axis_covariance, along_m) for along_m in (-half_m, half_m)])
+    write_segments(folder, segments.moved(-origin), origin, orientation(segments), about, sigma_m)
     if built is not None:
         write_structure(built, folder / "structure.json", about=about)
     frames = pd.DataFrame({"stamp_s": estimate.prior.stamp_s, "matches": estimate.matches, "not_used": estimate.reason})
@@ -272,6 +283,21 @@ def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettin
         return reconstruct(flight.scans, estimate.corrected.T_world_drone, flight.T_drone_sensor, settings)
     except (EmptyCloudError, DegenerateCloudError, SettingsError) as fault:  # no return above the floor; huge extents
         return Structure.empty(str(fault))
+
+
+def _with_sigma(structure: Structure, estimate: Estimate) -> Structure:
+    """The structure with the standard deviations of the smoothed axes that its bars lie on, in the bars' middles.
+
+    A bar on none keeps that of its own fit, to which the median of the poses' is added.
+    """
+    axes, covariance = estimate.segments, estimate.axis_covariance
+    if covariance is None or estimate.pose_covariance is None or not len(structure):
+        return structure
+    on = match_members(structure.segments, np.stack([axes.start, axes.end], axis=1)).member
+    along_m = ((structure.segments.middle - axes.middle[on]) * axes.direction[on]).sum(axis=1)
+    pose_m2 = np.median(np.trace(estimate.pose_covariance[:, :3, :3], axis1=1, axis2=2)) / 3.0
+    fitted_m = np.sqrt(structure.sigma_m**2 + pose_m2)
+    return replace(structure, sigma_m=np.where(on >= 0, axis_sigma_m(covariance[on], along_m), fitted_m))
 
 
 def _index(flight: Flight, truth: Trajectory) -> list[int]:

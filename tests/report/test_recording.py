@@ -4,12 +4,15 @@ import csv
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import RecordingError, SettingsError
+from steelnb.errors import RecordingError, SettingsError, SingularError
+from steelnb.fusion.uncertainty import axis_sigma_m
 from steelnb.io import read_cloud, read_flight, read_structure, read_trajectory, scans, write_flight
+from steelnb.io.trajectories import write_sigma
 from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
 from steelnb.report.recording import FILES, recording_settings, run_recording
@@ -137,6 +140,38 @@ def test_methods_by_segments_write_their_own_map_and_nothing_is_said_without_tru
     assert not any("ate" in name for name in report.metrics)
     assert "no truth" in "\n".join(report.summary)
     assert (report.folder / "frames.csv").read_text().splitlines()[1].endswith(",,")
+
+
+def test_a_smoothed_run_writes_its_uncertainty(simulated, tmp_path):
+    settings, structure = recording_settings("best", overrides={"smooth": True})
+    report = run_recording(simulated[1], tmp_path / "out", settings, structure=structure, rrd=False)
+    estimate = report.estimate
+    assert estimate.unsmoothed == estimate.unsure == ""
+    sigma = pd.read_csv(report.folder / "corrected_sigma.csv")
+    assert list(sigma) == [
+        "stamp_s", "sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_roll_deg", "sigma_pitch_deg", "sigma_yaw_deg",
+    ]  # fmt: skip
+    stated = np.sqrt(np.diagonal(estimate.pose_covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(sigma["sigma_y_m"], stated[:, 1], atol=1e-6)
+    np.testing.assert_allclose(sigma["sigma_yaw_deg"], np.degrees(stated[:, 5]), atol=1e-6)
+    assert not sigma.iloc[0, 1:].any()
+    assert (sigma.iloc[1:, 1:] > 0).all(axis=None)
+    bars = pd.read_csv(report.folder / "segments.csv")
+    assert len(bars) == len(estimate.axis_covariance)
+    assert ((bars["sigma_start_mm"] > 1) & (bars["sigma_end_mm"] > 1)).all()
+    # bars of the structure that lie on smoothed ones have their standard deviation, not that of their own fit
+    apart = np.linalg.norm(report.structure.segments.middle[:, None] - estimate.segments.middle, axis=2)
+    bar, on = np.unravel_index(np.argmin(apart), apart.shape)
+    middle_m = axis_sigma_m(estimate.axis_covariance[[on]], np.zeros(1))[0]
+    assert report.structure.sigma_m[bar] == pytest.approx(middle_m, rel=0.2)
+
+
+def test_covariances_that_are_none_are_not_written(tmp_path):
+    covariance = np.tile(1e-4 * np.eye(6), (3, 1, 1))
+    covariance[2, 2, 2] = -1e-4
+    with pytest.raises(SingularError, match=r"pose 2 is not positive definite along 1\.00 z"):
+        write_sigma(tmp_path / "corrected_sigma.csv", np.arange(3.0), covariance)
+    assert not list(tmp_path.iterdir())
 
 
 def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):

@@ -1,0 +1,188 @@
+"""Covariances of a smoothed flight: of its poses, its bars and their joints, from the equations of `fusion.bundle`.
+
+The inverse of all normal equations is needed in its diagonal blocks alone. The poses are a chain, so those blocks
+follow from the last to the first by the factors of their band (Takahashi, Fagan, Chen 1973), and what the bars add to
+them has the rank of the bars: A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. Nothing is approximated.
+
+Points of one bar in one scan share an error: its section is fitted, mixed pixels lie at its edges, and a sensor sees
+the near side. Each scan therefore sees a bar displaced across by an unknown vector, which is eliminated: the
+information of a bar in a scan saturates, however many pixels it has. The drift enters by the increments of the prior.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky, cholesky_banded, solve_triangular
+
+from steelnb.errors import SingularError
+from steelnb.fusion.bundle import BAR, POSE, Bundle, Observations, chain, coupling, linearised, reduced
+from steelnb.fusion.sections import frames
+from steelnb.types import Array, IntArray, Segments
+
+SHARED_SIGMA_M = 0.005
+"""Standard deviation, an axis, of the displacement that all points of a bar in a scan share, at the range noise of
+`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds 11 and 12;
+see benchmarks/uncertainty.md."""
+END_SIGMA_M = 0.006
+"""Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section that
+is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.
+It grows with the range noise."""
+ATTITUDE_SIGMA_RAD = 0.01
+"""Standard deviation of roll and pitch, which are the prior's: half a degree, as of attitude filters on small drones.
+Simulated attitudes are exact unless the noise has tilt, so there it is too large. The position does not contain it."""
+FREE_SIGMA = 10.0
+"""A larger standard deviation, metres or radians, means that nothing holds that direction."""
+HOLD = 1e-6
+"""Information that keeps free directions of poses from breaking the factorisation: a standard deviation of 1 km."""
+POSE_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+class Marginals(NamedTuple):
+    """Marginal covariances: ``pose (K, 4, 4)`` of x, y, z, yaw of the sensor, the first one zero since it is held
+    there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the bar's frame ``across``, turn and
+    flange. What a bar's points do not tell has the standard deviation of `bundle.BAR_SIGMA`, half a metre a metre."""
+
+    pose: Array
+    bar: Array
+
+
+def marginals(
+    bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array, shared_sigma_m: float | None = None
+) -> Marginals:
+    """The marginal covariances of the state of an adjustment; the arguments are those of `bundle.improve`.
+
+    ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
+    `SingularError` where the equations are not finite or nothing holds a pose, with the direction that is free.
+    """
+    equations = linearised(bundle, seen)
+    matrix, n, poses = equations.matrix, len(equations.block), len(equations.matrix)
+    sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
+    cross, shares = equations.cross, equations.shares
+    unknown = np.zeros_like(shares)
+    if sigma_m:
+        unknown[:, :2, :2] = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
+    told = cross @ unknown
+    np.subtract.at(matrix, seen.pair_scan, told @ cross.transpose(0, 2, 1))
+    np.subtract.at(equations.block, seen.pair_bar, shares @ unknown @ shares)
+    matrix += HOLD * np.eye(POSE)
+    band = chain(bundle.T_world_sensor, prior, stamp_s, matrix, equations.vector)
+    if not (np.isfinite(band).all() and np.isfinite(cross).all()):
+        raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
+    between = coupling(seen, cross - told @ shares, n)
+    upper = cholesky_banded(band)
+    solved = cho_solve_banded((upper, False), between.toarray())
+    lower = cholesky(reduced(equations.block, between, solved), lower=True)
+    by_bars = solve_triangular(lower, solved.T, lower=True).reshape(BAR * n, poses, POSE)
+    pose = _chain_inverse(upper) + by_bars.transpose(1, 2, 0) @ by_bars.transpose(1, 0, 2)
+    inverse = solve_triangular(lower, np.eye(BAR * n), lower=True).reshape(BAR * n, n, BAR)
+    bar = inverse.transpose(1, 2, 0) @ inverse.transpose(1, 0, 2)
+    pose[0] = 0.0
+    check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw"), first=1)
+    return Marginals(pose, bar)
+
+
+def _chain_inverse(upper: Array) -> Array:
+    """The diagonal blocks ``(K, 4, 4)`` of the inverse of a block tridiagonal matrix, from the factor U of UᵀU as
+    LAPACK's band ``(8, 4 K)``."""
+    top, poses = 2 * POSE - 1, upper.shape[1] // POSE
+    own, later = np.zeros((poses, POSE, POSE)), np.zeros((poses - 1, POSE, POSE))
+    for a in range(POSE):
+        for b in range(a, POSE):
+            own[:, a, b] = upper[top - (b - a), b::POSE]
+        for b in range(POSE):
+            later[:, a, b] = upper[top - (POSE + b - a), POSE + b :: POSE]
+    inverse = np.linalg.inv(own)
+    gain, result = inverse[:-1] @ later, inverse @ inverse.transpose(0, 2, 1)
+    for k in range(poses - 2, -1, -1):
+        result[k] += gain[k] @ result[k + 1] @ gain[k].T
+    return result
+
+
+def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:
+    """Covariances ``(K, 6, 6)`` of the drone's poses, from those of the sensor's ``(K, 4, 4)``; metres and radians.
+
+    In the order x, y, z, roll, pitch, yaw of the perturbation δ by which the true pose is that of the estimate:
+    t + δ[:3] and exp(δ[3:]) R, both in the axes of the world. The first pose defines the world, so its block is zero.
+    """
+    arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
+    moved = np.tile(np.eye(POSE), (len(pose), 1, 1))
+    moved[:, 0, 3], moved[:, 1, 3] = -arm[:, 1], arm[:, 0]
+    result, held = np.zeros((len(pose), 6, 6)), np.array([0, 1, 2, 5])
+    result[:, held[:, None], held] = moved @ pose @ moved.transpose(0, 2, 1)
+    result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2
+    return result
+
+
+def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio: float = 1.0) -> Array:
+    """Covariances ``(B, 4, 4)`` of the axes of bars, from their marginals in the frames ``across``.
+
+    They contain `END_SIGMA_M` times ``sigma_ratio``, the range noise as a multiple of that of `points.ranges`.
+    In the frame `sections.frames` of each segment's direction: two of the place of its middle across, metres, and two
+    of its direction, metres across for a metre along.
+    """
+    turn = frames(segments.direction) @ across.transpose(0, 2, 1)
+    both = np.zeros((len(bar), 4, 4))
+    both[:, :2, :2] = both[:, 2:, 2:] = turn
+    result = both @ bar[:, :4, :4] @ both.transpose(0, 2, 1)
+    end_m2 = (END_SIGMA_M * sigma_ratio) ** 2
+    result[:, [0, 1], [0, 1]] += 0.5 * end_m2
+    result[:, [2, 3], [2, 3]] += 2.0 * end_m2 / np.maximum(segments.length, 1e-9)[:, None] ** 2
+    return np.asarray(result)
+
+
+def covariances_at(covariance: Array, along_m: Array) -> Array:
+    """Covariances ``(B, 2, 2)`` across the axes of bars at places ``along_m (B,)`` from their middles, m²."""
+    at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
+    return np.asarray(at @ covariance @ at.transpose(0, 2, 1))
+
+
+def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
+    """Standard deviation ``(B,)`` of axes across, metres, in the direction in which it is largest."""
+    return np.sqrt(np.linalg.eigvalsh(covariances_at(covariance, along_m))[:, -1])
+
+
+def joint_covariances(segments: Segments, covariance: Array, joint: Array, tie: IntArray) -> Array:
+    """Covariances ``(J, 3, 3)`` of joints, m², from those of the axes ``(B, 4, 4)`` that each ties, ``tie (T, 2)``.
+
+    A joint is the point nearest to its axes (`joints.nearest_point`). Errors of bars have a part in common, such as the
+    place of the whole, and which part is not kept: so this is the largest covariance that their sum can have (n times
+    the sum of n covariances), twice that of two bars whose errors are independent. Raises `SingularError` for a joint
+    of parallel bars.
+    """
+    across = frames(segments.direction)
+    result = np.zeros((len(joint), 3, 3))
+    for j, at in enumerate(joint):
+        bars = tie[tie[:, 0] == j, 1]
+        along_m = ((at - segments.middle[bars]) * segments.direction[bars]).sum(axis=1)
+        frame = across[bars]
+        pulled = frame.transpose(0, 2, 1) @ covariances_at(covariance[bars], along_m) @ frame
+        weight = (frame.transpose(0, 2, 1) @ frame).sum(axis=0)
+        value, vector = np.linalg.eigh(weight)
+        if value[0] < 1e-3:
+            raise SingularError(f"joint {j}: singular along {_named(vector[:, 0], 'xyz')}; expected bars that cross")
+        inverse = np.linalg.inv(weight)
+        result[j] = len(bars) * inverse @ pulled.sum(axis=0) @ inverse
+    return result
+
+
+def check_covariances(covariance: Array, what: str, axes: tuple[str, ...], first: int = 0) -> None:
+    """Raise `SingularError` for the first of N covariances ``(N, D, D)`` that is not finite, not positive definite, or
+    so large that nothing holds it (`FREE_SIGMA`); with its number from ``first`` on, and the direction."""
+    bad = ~np.isfinite(covariance).all(axis=(1, 2))
+    if bad.any():
+        raise SingularError(f"covariance of {what} {first + int(np.argmax(bad))} is not finite")
+    value, vector = np.linalg.eigh(covariance)
+    for end, wrong, says in (
+        (-1, value[:, -1] > FREE_SIGMA**2, "singular: nothing holds it"),
+        (0, value[:, 0] <= 0.0, "not positive definite"),
+    ):
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise SingularError(f"covariance of {what} {first + k} is {says} along {_named(vector[k, :, end], axes)}")
+
+
+def _named(direction: Array, axes: tuple[str, ...] | str) -> str:
+    """A direction as the names of its components, largest first, such as ``0.96 z + 0.28 x``."""
+    sign = np.sign(direction[np.argmax(np.abs(direction))])
+    order = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > 0.05]
+    return " + ".join(f"{sign * direction[k]:.2f} {axes[k]}" for k in order).replace("+ -", "- ")

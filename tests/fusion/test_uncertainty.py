@@ -1,0 +1,204 @@
+"""Covariances of smoothing: against a dense inverse, against many runs, and where nothing holds a direction."""
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import SingularError
+from steelnb.fusion import bundle, sections, uncertainty
+from steelnb.fusion.bundle import BAR, POSE
+from tests.fusion.made import bars_of
+from tests.fusion.test_smooth import made_up as made_up_anew
+
+STAMP_S = 0.2 * np.arange(40)
+
+
+made_up = functools.cache(made_up_anew)
+"""The same problem for many tests, none of which changes it."""
+
+
+def state_of(T, bars) -> bundle.Bundle:
+    return bundle.start(T, T, bars)
+
+
+def dense(state, seen, prior, stamp_s, shared_sigma_m):
+    """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
+    eq = bundle.linearised(state, seen)
+    K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
+    chained = np.zeros_like(eq.matrix)
+    band = bundle.chain(state.T_world_sensor, prior, stamp_s, chained, eq.vector)
+    size = POSE * K + BAR * n
+    whole = np.zeros((size + 2 * P, size + 2 * P))
+    for i in range(2 * POSE):
+        row = band[2 * POSE - 1 - i, i:]
+        whole[np.arange(len(row)), np.arange(len(row)) + i] = row
+        whole[np.arange(len(row)) + i, np.arange(len(row))] = row
+    for k in range(K):
+        whole[POSE * k : POSE * k + POSE, POSE * k : POSE * k + POSE] += eq.matrix[k]
+    whole[POSE * K : size, POSE * K : size] = block_diag(*(eq.block + np.diag(bundle.BAR_SIGMA**-2.0)))
+    for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
+        pose, bar = slice(POSE * k, POSE * k + POSE), slice(POSE * K + BAR * b, POSE * K + BAR * b + BAR)
+        own = slice(size + 2 * p, size + 2 * p + 2)
+        whole[pose, bar], whole[bar, pose] = eq.cross[p], eq.cross[p].T
+        whole[pose, own], whole[own, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
+        whole[bar, own], whole[own, bar] = eq.shares[p][:, :2], eq.shares[p][:, :2].T
+        whole[own, own] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
+    inverse = np.linalg.inv(whole[POSE:, POSE:])  # without the first pose, which is held
+    pose = [inverse[at : at + POSE, at : at + POSE] for at in range(0, POSE * (K - 1), POSE)]
+    bar = [inverse[at : at + BAR, at : at + BAR] for at in range(POSE * (K - 1), size - POSE, BAR)]
+    return np.array(pose), np.array(bar)
+
+
+def test_they_are_the_blocks_of_the_dense_inverse():
+    T, bars, seen = made_up(1, 0.004)
+    state = state_of(T, bars)
+    pose, bar = dense(state, seen, T, STAMP_S, 0.003)
+    found = uncertainty.marginals(state, seen, T, STAMP_S, 0.003)
+    np.testing.assert_allclose(found.pose[1:], pose, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(found.bar, bar, rtol=1e-4, atol=1e-12)
+    assert not found.pose[0].any()
+
+
+def test_the_information_of_a_bar_in_a_scan_saturates():
+    """A hundred times the points say ten times as much of a bar; with a shared error hardly more."""
+    T, bars, seen = made_up(1, 0.004)
+    state = state_of(T, bars)
+    sharp = bundle.Bundle(T, bars, 0.1 * state.sigma_ratio, state.fitted, state.step)
+    sigma = {
+        (name, shared): np.sqrt(np.median(uncertainty.marginals(each, seen, T, STAMP_S, shared).pose[1:, 0, 0]))
+        for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)
+    }  # fmt: skip
+    assert sigma["many", 0.0] < 0.25 * sigma["few", 0.0]
+    assert sigma["many", 0.01] > 0.5 * sigma["few", 0.01]
+    assert sigma["many", 0.01] > 5 * sigma["many", 0.0]
+
+
+def test_many_runs_scatter_as_they_say():
+    """60 made-up flights with noise of the stated size in ranges and increments: NEES near its degrees of freedom."""
+    rng, squared, scaled = np.random.default_rng(5), [], []
+    T, bars, exact = made_up(1, 0.0)
+    range_m = np.linalg.norm(exact.point, axis=1)[:, None]
+    for _ in range(60):
+        noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
+        seen = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
+        drift = rng.normal(size=(39, 4)) * bundle.DRIFT_SIGMA
+        prior = T.copy()
+        prior[1:, :3, 3] += np.cumsum(drift[:, :3], axis=0)
+        turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 3]), [0, 0, 1])).as_matrix()
+        prior[1:, :3, :3] = turn @ T[1:, :3, :3]
+        state = bundle.start(T, prior, bars)
+        for _ in range(4):
+            state = bundle.improve(state, seen, prior, STAMP_S)
+        pose, _ = uncertainty.marginals(state, seen, prior, STAMP_S, 0.0)
+        error = np.empty((39, 4))
+        error[:, :3] = (T - state.T_world_sensor)[1:, :3, 3]
+        error[:, 3] = bundle.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
+        squared.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pose[1:]), error).mean() / 4)
+        scaled.append(error[20] / np.sqrt(np.diag(pose[21])))
+    assert 0.8 < np.mean(squared) < 1.25
+    assert np.all((np.std(scaled, axis=0) > 0.7) & (np.std(scaled, axis=0) < 1.4))
+
+
+def wall_of_posts():
+    """Four posts alone, all seen at one height: nothing but the prior holds z."""
+    T, bars, seen = made_up(1, 0.004)
+    posts = np.arange(len(bars.flange)) < 4
+    return T, bundle.Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), seen
+
+
+def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
+    T, bars, seen = wall_of_posts()
+    pose, _ = uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+    np.testing.assert_allclose(np.sqrt(pose[:, 2, 2]), 0.01 * np.sqrt(np.arange(40)), rtol=0.01)
+    assert np.sqrt(pose[-1, 1, 1]) < 0.01
+
+
+def test_a_free_direction_is_named(monkeypatch):
+    monkeypatch.setattr(bundle, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
+    T, bars, seen = wall_of_posts()
+    with pytest.raises(SingularError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
+        uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+
+
+def test_what_no_point_tells_of_a_bar_is_half_a_metre():
+    T, bars, seen = wall_of_posts()
+    _, bar = uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), bundle.BAR_SIGMA, rtol=1e-6)
+
+
+def test_equations_that_are_not_finite_are_refused():
+    T, bars, seen = made_up(1, 0.004)
+    prior = T.copy()
+    prior[7, 0, 3] = np.nan
+    with pytest.raises(SingularError, match="not finite"):
+        uncertainty.marginals(state_of(T, bars), seen, prior, STAMP_S)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "says"),
+    [
+        (np.diag([1.0, 0.0, 1.0]), r"pose 5 is not positive definite along 1\.00 y"),
+        (np.diag([1.0, np.inf, 1.0]), "pose 5 is not finite"),
+        (np.diag([1.0, 1.0, 400.0]), r"pose 5 is singular: nothing holds it along 1\.00 z"),
+    ],
+)
+def test_covariances_that_are_none_are_named(covariance, says):
+    with pytest.raises(SingularError, match=says):
+        uncertainty.check_covariances(np.stack([np.eye(3), covariance]), "pose", ("x", "y", "z"), first=4)
+
+
+def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
+    mount = np.eye(4)
+    mount[:3, 3] = [0.5, 0.0, 0.0]
+    T = np.tile(np.eye(4), (2, 1, 1))
+    pose = np.tile(np.diag([1e-6, 1e-6, 1e-6, 1e-4]), (2, 1, 1))
+    found = uncertainty.pose_covariances(pose, T @ mount, mount)[1]
+    apart = np.random.default_rng(0).normal(size=(200_000, 4)) * [1e-3, 1e-3, 1e-3, 1e-2]
+    arm = -mount[:3, 3]
+    moved = apart[:, :3] + np.column_stack([-np.sin(apart[:, 3]), np.cos(apart[:, 3]) - 1, 0 * apart[:, 3]]) @ np.array(
+        [[arm[1], -arm[0], 0], [arm[0], arm[1], 0], [0, 0, 0]]
+    )
+    np.testing.assert_allclose(np.diag(found)[:3], moved.var(axis=0), rtol=0.03)
+    assert found[1, 5] == pytest.approx(-0.5e-4)
+    assert np.sqrt(found[3, 3]) == uncertainty.ATTITUDE_SIGMA_RAD
+
+
+def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
+    monkeypatch.setattr(uncertainty, "END_SIGMA_M", 0.0)
+    segments = bars_of([[0, 0, 0], [1, 2, 2]])
+    own = sections.frames(segments.direction)
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    across = np.array([[cosine, sine], [-sine, cosine]]) @ own
+    bar = np.zeros((1, 6, 6))
+    bar[0, :4, :4] = np.diag([4e-6, 1e-6, 9e-6, 1e-6])
+    found = uncertainty.axis_covariances(bar, segments, across)
+    in_world = across[0].T @ bar[0, :2, :2] @ across[0]
+    np.testing.assert_allclose(own[0].T @ found[0, :2, :2] @ own[0], in_world, atol=1e-15)
+    assert uncertainty.axis_sigma_m(found, np.zeros(1))[0] == pytest.approx(2e-3)
+
+
+def test_ends_of_an_axis_have_their_own_error():
+    segments = bars_of([[0, 0, 0], [0, 0, 2.0]])
+    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction))
+    for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
+        sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
+        assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)
+
+
+def test_a_joint_is_no_surer_than_its_bars_with_errors_in_common():
+    """Three bars along x, y, z that move together: so does the joint; and each alone moves it less than stated."""
+    segments = bars_of([[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]])
+    covariance = np.tile(np.diag([4e-6, 4e-6, 1e-12, 1e-12]), (3, 1, 1))
+    tie = np.array([[0, 0], [0, 1], [0, 2]])
+    found = uncertainty.joint_covariances(segments, covariance, np.zeros((1, 3)), tie)[0]
+    np.testing.assert_allclose(found, np.diag([6e-6] * 3), atol=1e-12)  # a common shift alone: 4e-6
+
+
+def test_parallel_bars_hold_no_joint():
+    segments = bars_of([[0, 0, -1], [0, 0, 1]], [[0.1, 0, -1], [0.1, 0, 1]])
+    covariance = np.tile(np.eye(4), (2, 1, 1))
+    with pytest.raises(SingularError, match=r"joint 0: singular along 1\.00 z"):
+        uncertainty.joint_covariances(segments, covariance, np.zeros((1, 3)), np.array([[0, 0], [0, 1]]))
