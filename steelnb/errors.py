@@ -76,6 +76,10 @@ class EmptyStructureError(SteelnbError):
     """A structure without a bar, where there should be something to draw."""
 
 
+class MapMismatchError(SteelnbError):
+    """A known structure that the first scans of a flight do not match: another place, or a start too far off."""
+
+
 class MissingExtraError(SteelnbError):
     """An optional library that is asked for and not installed."""
 
