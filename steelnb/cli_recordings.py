@@ -134,8 +134,8 @@ def run(
     """Take the drift out of a recorded flight.
 
     Trajectory, map, bars, structure, figures and tables go to a new folder; one that holds files is refused. Of several
-    odometries each has a folder in it, beside comparison.csv and comparison.png. With --map, changes.csv and changes.png
-    tell which bars are missing, new, moved or bent since.
+    odometries each has a folder in it, beside comparison.csv and comparison.png. With --map, changes.csv and
+    changes.png tell which bars are missing, new, moved or bent since.
     """
     with progress() as shown:
         from steelnb.io import read_flight, read_structure, read_truth

@@ -185,7 +185,7 @@ def _look(image, pixel, T, start, direction, length, across, corner, range_max, 
     for b in range(len(length)):
         through, hit = 0, 0
         for s in range(1, int(length[b] / STATION_M)):
-            square, low, along = 0.0, T[2, 3], 0.0
+            square, along = 0.0, 0.0
             for k in range(3):
                 a[k] = start[b, k] + s * STATION_M * direction[b, k]
                 c[k] = T[k, 3] - a[k]
@@ -198,8 +198,8 @@ def _look(image, pixel, T, start, direction, length, across, corner, range_max, 
                 continue
             y = -(T[0, 1] * c[0] + T[1, 1] * c[1] + T[2, 1] * c[2]) / x
             z = -(T[0, 2] * c[0] + T[1, 2] * c[1] + T[2, 2] * c[2]) / x
-            i = int(round(pixel[0, 0] * y + pixel[0, 1] * z + pixel[0, 2]))
-            j = int(round(pixel[1, 0] * y + pixel[1, 1] * z + pixel[1, 2]))
+            i = round(pixel[0, 0] * y + pixel[0, 1] * z + pixel[0, 2])
+            j = round(pixel[1, 0] * y + pixel[1, 1] * z + pixel[1, 2])
             if i < PIXEL_SLACK or j < PIXEL_SLACK or i >= rows - PIXEL_SLACK or j >= columns - PIXEL_SLACK:
                 continue
             # A line of sight through the axis meets the section, whose centroid lies on it.

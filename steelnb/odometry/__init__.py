@@ -19,6 +19,6 @@ def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdo
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry", "run",
-    "run_kept",
+    "CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry",
+    "run", "run_kept",
 ]  # fmt: skip

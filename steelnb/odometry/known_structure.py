@@ -89,9 +89,8 @@ class KnownStructureOdometry:
         T_sensor = T_init @ self.T_drone_sensor
         starts = _search(points, T_sensor, self.known) if lost else [T_sensor]
         searched = time.perf_counter()
-        fit = max(
-            (self._register(points, start, lost) for start in starts), key=lambda each: (not each.reason, each.share)
-        )
+        fits = [self._register(points, start, lost) for start in starts]
+        fit = max(fits, key=lambda each: (not each.reason, each.share))
         if fit.reason:
             if not self.located:
                 self._refuse(fit.bars)

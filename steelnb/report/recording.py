@@ -38,9 +38,9 @@ from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments,
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
 FILES = (
-    "changes.csv", "changes.png", "corrected.tum", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum", "recording.rrd", "segments.csv",
-    "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv", "trajectories.png",
-    "comparison.csv", "comparison.png",
+    "changes.csv", "changes.png", "corrected.tum", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum",
+    "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv",
+    "trajectories.png", "comparison.csv", "comparison.png",
 )  # fmt: skip
 """All that a run may write, of one odometry or of several: those of an earlier one do not stay beside new ones."""
 
@@ -50,7 +50,8 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``changes`` those of a known structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` lines of text.
+    is a cloud, of the structure; ``changes`` those of a known structure; ``numbers`` the rows of ``table.csv``;
+    ``figures`` by name; ``summary`` lines of text.
     """
 
     folder: Path
@@ -197,7 +198,11 @@ def run_recording(
         estimate = odometry.run(flight, estimator, observe)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
-        changes = _changes(flight, estimate, known, near, structure, origin, on_stage)
+        changes = None
+        if known is not None:
+            on_stage("comparing with the map")
+            poses, mount = estimate.corrected.T_world_drone, flight.T_drone_sensor
+            changes = find_changes(known.moved(-origin), flight.scans, poses, mount, structure or StructureSettings())
         segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
         if log is not None:
             log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
@@ -288,19 +293,6 @@ def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | 
     if known is None:
         return odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
     return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, settings.odometry.preprocess)
-
-
-def _changes(
-    flight: Flight, estimate: Estimate, known: Structure | None, settings: ExperimentSettings,
-    structure: StructureSettings | None, origin: Array, on_stage: Callable[[str], None],
-) -> Changes | None:  # fmt: skip
-    if known is None:
-        return None
-    on_stage("comparing with the map")
-    seen = settings.odometry.preprocess
-    structure = structure or StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
-    T_world_drone = estimate.corrected.T_world_drone
-    return find_changes(known.moved(-origin), flight.scans, T_world_drone, flight.T_drone_sensor, structure)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:
