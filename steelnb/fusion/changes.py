@@ -18,26 +18,31 @@ from steelnb.errors import EmptyCloudError
 from steelnb.fusion import sections
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
-from steelnb.fusion.reconstruct import END_TUBES, reconstruct
+from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
 
-SIGNIFICANCE = 0.01
-"""A bar has changed if its p-value, corrected for the number of bars, is smaller."""
+SIGNIFICANCE, BENT = 0.05, 0.01
+"""A bar has changed if its p-value, corrected for the number of bars, is smaller; one of those is bent, and not moved, if
+the p-value of no bow is."""
 SIGMA_DEPTH_M, SIGMA_BESIDE_M, SIGMA_POINT_M = 0.004, 0.008, 0.02
 """Standard deviations of the place of a bar as seen from one direction, along a sixth of it: of its front faces, and of
 the middle of its outline, which do not average out over points; and that of one point, which does."""
-SIGMA_TILT, SIGMA_BOW_M = 1.0, 0.003
-"""Systematic errors of a mapped bar: at its ends, as a multiple of that of its place; and of its straightness."""
+SIGMA_SHARE, SIGMA_M, SIGMA_BOW_M = 0.25, 0.003, 0.003
+"""Systematic errors of the front faces of a mapped bar: a share of that of its axis, which sections seen from few sides
+leave open, and a floor; and that of its straightness."""
 FREE_SIGMA_M = 0.1
 """How far a bar may have moved in directions that its points do not tell."""
-GROUP_POINTS_MIN, GROUPS_MIN, DEPTH_MAX_M, STEPS = 20, 3, 0.1, 6
+END_M, BESIDE_MAX_M, DEPTH_MAX_M = 0.15, 0.03, 0.1
+"""Points so near the ends of a bar, so far beside its outline or so far before or behind its faces are those of others."""
+GROUP_POINTS_MIN, GROUPS_MIN, STEPS = 20, 3, 8
 STATION_M, STATIONS_MIN, GATE_M, PIXEL_SLACK = 0.05, 3, 0.12, 1
 """A bar is looked for every 5 cm along its axis, within so much of the expected range and so many pixels around."""
-SCANS_ALIKE, VIEWS_MIN, THROUGH_SHARE = 5, 2, 0.15
+SCANS_ALIKE, VIEWS_MIN, THROUGH_SHARE, GONE_SHARE = 5, 2, 0.03, 0.25
 """So many scans that see a bar count as one view; fewer views tell nothing; of a bar that stands, at most this share of
-the views goes through it. All settings were chosen on the development seeds 11 and 12."""
+the views goes through it, of one that is missing more than the last, and of one that has moved something between. All
+settings were chosen on the development seeds 11 and 12."""
 PINHOLE_SCANS = 20
 
 
@@ -46,8 +51,8 @@ class Changes:
     """The bars of a map in a later flight.
 
     ``kind``: for each of the B bars of the map "same", "missing", "moved", "bent" or "not seen", then "new" for each
-    bar of ``new``, which the map does not hold. ``offset_m``: largest offset along a bar, of a new one the distance of
-    its middle from the nearest bar of the map; ``sigma_m`` its standard deviation; NaN where a bar is missing or not
+    bar of ``new``, which the map does not hold. ``offset_m``: mean offset across a bar, of a bent one that of its
+    middle, of a new one the distance of its middle from the nearest bar of the map; ``sigma_m`` its standard deviation; NaN where a bar is missing or not
     seen. ``significance``: p-value of the hypothesis that the bar is as it was, corrected for the number of bars. All
     ``(B + new,)``.
     """
@@ -97,13 +102,13 @@ def find_changes(
     offset_m, sigma_m, p_moved, p_bent = _displaced(views.histogram, bars)
     through, seen = views.looks.T // SCANS_ALIKE
     p_missing = np.where(seen >= VIEWS_MIN, stats.binom.sf(through - 1, seen, THROUGH_SHARE), 1.0)
-    gone = through > 0.5 * seen
+    gone = through > GONE_SHARE * seen
     measured = np.isfinite(p_moved) & ~gone
     p = np.where(gone, p_missing, np.where(measured, p_moved, 1.0))
     told = measured | (seen >= VIEWS_MIN)
     p[told] = holm(p[told])
     kind[(p < SIGNIFICANCE) & measured] = "moved"
-    kind[(p < SIGNIFICANCE) & measured & (p_bent < SIGNIFICANCE)] = "bent"
+    kind[(p < SIGNIFICANCE) & measured & (p_bent < BENT)] = "bent"
     kind[(p < SIGNIFICANCE) & gone] = "missing"
     kind[~told] = "not seen"
     p[~told] = np.nan
@@ -139,7 +144,7 @@ class _Views:
         world, _ = world_points(flat, T_world_sensor, s.range_max_m, s.floor_m)
         sections.accumulate(
             world, T_world_sensor[:3, 3], self.bars.bar_of(world), segments.start, segments.direction, segments.length,
-            b.across, END_TUBES * s.tube_m, self.histogram,
+            b.across, END_M, self.histogram,
         )  # fmt: skip
         if camera is not None and scan.points.shape == camera.shape:
             _look(
@@ -226,11 +231,13 @@ def _look(image, pixel, T, start, direction, length, across, corner, range_max, 
 
 
 def _displaced(histogram: Array, bars: KnownBars) -> tuple[Array, Array, Array, Array]:
-    """Largest offset along each bar and its standard deviation, metres, and the p-values of no displacement and of no
-    bending, ``(B,)``; NaN for a bar with too few points.
+    """Offset of each bar and its standard deviation, metres, and the p-values of no shift and of no bow, ``(B,)``; NaN
+    for a bar with too few points.
 
-    The displacement is a shift, a tilt and half a sine, across the bar. Its covariance is that of the measurements,
-    enlarged where they contradict each other, and the systematic errors of the map.
+    A displacement is a shift, a tilt and half a sine, across the bar. Whether there is any is told by the shift alone,
+    which is the mean over the bar, also of a bent one: the ends of a bar hold points of others, above all where the map
+    takes two bars for one, and would pass for a bow. Covariances are those of the measurements, enlarged where they
+    contradict each other, and the systematic errors of the map.
     """
     n = len(bars)
     offset, sigma, p_moved, p_bent = np.full((4, n), np.nan)
@@ -240,14 +247,16 @@ def _displaced(histogram: Array, bars: KnownBars) -> tuple[Array, Array, Array, 
         x, H, misfit, groups = _displacement(histogram[b], bars.corner[b], shape)
         if groups < GROUPS_MIN:
             continue
-        systematic = np.repeat([bars.sigma_m[b], SIGMA_TILT * bars.sigma_m[b], SIGMA_BOW_M], 2) ** 2
-        C = max(1.0, misfit / max(2 * groups - 6, 1)) * np.linalg.inv(H) + np.diag(systematic)
-        p_moved[b] = stats.chi2.sf(x @ np.linalg.solve(C, x), 6)
-        p_bent[b] = stats.chi2.sf(x[4:] @ np.linalg.solve(C[4:, 4:], x[4:]), 2)
-        at = np.einsum("ks,kx->sx", shape, x.reshape(3, 2))
-        far = int(np.linalg.norm(at, axis=1).argmax())
-        across = np.kron(shape[:, far], at[far] / max(np.linalg.norm(at[far]), 1e-12))
-        offset[b], sigma[b] = np.linalg.norm(at[far]), math.sqrt(across @ C @ across)
+        spread, place = max(1.0, misfit / max(2 * groups - 6, 1)), (SIGMA_SHARE * bars.sigma_m[b]) ** 2 + SIGMA_M**2
+        shift = np.linalg.solve(H[:2, :2], (H @ x)[:2])
+        C = spread * np.linalg.inv(H[:2, :2]) + place * np.eye(2)
+        bow = spread * np.linalg.inv(H)[4:, 4:] + SIGMA_BOW_M**2 * np.eye(2)
+        p_moved[b] = stats.chi2.sf(shift @ np.linalg.solve(C, shift), 2)
+        p_bent[b] = stats.chi2.sf(x[4:] @ np.linalg.solve(bow, x[4:]), 2)
+        if p_bent[b] < BENT:
+            shift, C = x[:2] + x[4:], C + bow
+        offset[b] = np.linalg.norm(shift)
+        sigma[b] = math.sqrt(shift @ C @ shift) / max(offset[b], 1e-12)
     return offset, sigma, p_moved, p_bent
 
 
@@ -269,18 +278,22 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
             dv = shape[0, part] * x[1] + shape[1, part] * x[3] + shape[2, part] * x[5]
             for view in range(sections.VIEWS):
                 h = histogram[part, view]
-                total = h[:, 0].sum()
-                if total < GROUP_POINTS_MIN:
-                    continue
                 angle = (view + 0.5) * 2.0 * math.pi / sections.VIEWS - math.pi
                 cosine, sine = math.cos(angle), math.sin(angle)
+                low, high = 1e9, -1e9
+                for k in range(6):
+                    edge = -sine * corner[k, 0] + cosine * corner[k, 1]
+                    low, high = min(low, edge), max(high, edge)
                 # The front faces: mean depth behind them, and mean derivatives.
-                count, depth, au, av, beside = 0.0, 0.0, 0.0, 0.0, 0.0
+                total, count, depth, au, av, beside = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 for cell in range(sections.CELLS):
                     if h[cell, 0] < 1.0:
                         continue
                     u, v = h[cell, 2] / h[cell, 1] - du, h[cell, 3] / h[cell, 1] - dv
                     across = -sine * u + cosine * v
+                    if across < low - BESIDE_MAX_M or across > high + BESIDE_MAX_M:
+                        continue
+                    total += h[cell, 0]
                     beside += h[cell, 0] * across
                     front, rise = sections.front_face(corner, cosine, sine, across)
                     residual = cosine * u + sine * v - front
@@ -290,10 +303,8 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
                     depth += h[cell, 0] * residual
                     au += h[cell, 0] * (cosine + rise * sine)
                     av += h[cell, 0] * (sine - rise * cosine)
-                low, high = 1e9, -1e9
-                for k in range(6):
-                    edge = -sine * corner[k, 0] + cosine * corner[k, 1]
-                    low, high = min(low, edge), max(high, edge)
+                if total < GROUP_POINTS_MIN:
+                    continue
                 groups += 1
                 for kind in range(2):
                     if kind == 0:
