@@ -24,8 +24,8 @@ from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
 
 SIGNIFICANCE, BENT = 0.05, 0.01
-"""A bar has changed if its p-value, corrected for the number of bars, is smaller; one of those is bent, and not moved, if
-the p-value of no bow is."""
+"""A bar has changed if its p-value, corrected for the number of bars, is smaller; one of those is bent, and has not
+moved, if the p-value of no bow is smaller than the second."""
 SIGMA_DEPTH_M, SIGMA_BESIDE_M, SIGMA_POINT_M = 0.004, 0.008, 0.02
 """Standard deviations of the place of a bar as seen from one direction, along a sixth of it: of its front faces, and of
 the middle of its outline, which do not average out over points; and that of one point, which does."""
@@ -35,8 +35,8 @@ leave open, and a floor; and that of its straightness."""
 FREE_SIGMA_M = 0.1
 """How far a bar may have moved in directions that its points do not tell."""
 END_M, BESIDE_MAX_M, DEPTH_MAX_M = 0.15, 0.03, 0.1
-"""Points so near the ends of a bar, so far beside its outline or so far before or behind its faces are those of others."""
-GROUP_POINTS_MIN, GROUPS_MIN, STEPS = 20, 3, 8
+"""Points so near the ends of a bar, so far beside its outline, or before or behind its faces are those of others."""
+GROUP_POINTS_MIN, GROUPS_MIN, WHOLE_SHARE, STEP_MAX_M, STEPS = 20, 3, 0.8, 0.04, 8
 STATION_M, STATIONS_MIN, GATE_M, PIXEL_SLACK = 0.05, 3, 0.12, 1
 """A bar is looked for every 5 cm along its axis, within so much of the expected range and so many pixels around."""
 SCANS_ALIKE, VIEWS_MIN, THROUGH_SHARE, GONE_SHARE = 5, 2, 0.03, 0.25
@@ -52,9 +52,9 @@ class Changes:
 
     ``kind``: for each of the B bars of the map "same", "missing", "moved", "bent" or "not seen", then "new" for each
     bar of ``new``, which the map does not hold. ``offset_m``: mean offset across a bar, of a bent one that of its
-    middle, of a new one the distance of its middle from the nearest bar of the map; ``sigma_m`` its standard deviation; NaN where a bar is missing or not
-    seen. ``significance``: p-value of the hypothesis that the bar is as it was, corrected for the number of bars. All
-    ``(B + new,)``.
+    middle, of a new one the distance of its middle from the nearest bar of the map; ``sigma_m`` its standard deviation;
+    both NaN where a bar is missing or not measured. ``significance``: p-value of the hypothesis that the bar is as it
+    was, corrected for the number of bars; NaN where it was not seen. All ``(B + new,)``.
     """
 
     known: Structure
@@ -286,6 +286,7 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
                     low, high = min(low, edge), max(high, edge)
                 # The front faces: mean depth behind them, and mean derivatives.
                 total, count, depth, au, av, beside = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                left, right = 1e9, -1e9
                 for cell in range(sections.CELLS):
                     if h[cell, 0] < 1.0:
                         continue
@@ -295,9 +296,14 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
                         continue
                     total += h[cell, 0]
                     beside += h[cell, 0] * across
+                    left, right = min(left, across), max(right, across)
                     front, rise = sections.front_face(corner, cosine, sine, across)
                     residual = cosine * u + sine * v - front
                     if front < -1e8 or abs(rise) > 2.0 or abs(residual) > DEPTH_MAX_M:
+                        continue
+                    before, _ = sections.front_face(corner, cosine, sine, across - sections.CELL_M)
+                    after, _ = sections.front_face(corner, cosine, sine, across + sections.CELL_M)
+                    if abs(after - before) > STEP_MAX_M:  # an edge: the mean of the cell is that of two faces
                         continue
                     count += h[cell, 0]
                     depth += h[cell, 0] * residual
@@ -313,6 +319,8 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
                         r, a, b = depth / count, au / count, av / count
                         variance = SIGMA_DEPTH_M**2 + SIGMA_POINT_M**2 / count
                     else:
+                        if right - left < WHOLE_SHARE * (high - low):  # partly hidden: its middle is not the outline's
+                            continue
                         r, a, b = beside / total - 0.5 * (low + high), -sine, cosine
                         variance = SIGMA_BESIDE_M**2 + SIGMA_POINT_M**2 / total
                     for k in range(3):
