@@ -9,6 +9,7 @@ FOLDER keeps the maps between calls.
 """
 
 import argparse
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -50,6 +51,7 @@ def main() -> None:
             print(f"| {name} | {seed} | " + " | ".join(numbers) + " |", flush=True)
             for change, counts in told.items():
                 total[change] += counts
+            print(seed, {change: dict(counts) for change, counts in told.items()}, file=sys.stderr, flush=True)
         print(f"\n{name}: {len(known)} bars in the map")
         print("| change | bars | of them seen | found | other verdicts |")
         print("|---|---|---|---|---|")

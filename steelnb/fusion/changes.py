@@ -44,6 +44,7 @@ SCANS_ALIKE, VIEWS_MIN, THROUGH_SHARE, GONE_SHARE = 5, 2, 0.03, 0.25
 the views goes through it, of one that is missing more than the last, and of one that has moved something between. All
 settings were chosen on the development seeds 11 and 12."""
 PINHOLE_SCANS = 20
+KINDS = ("same", "missing", "moved", "bent", "not seen", "new")
 
 
 @dataclass(frozen=True)
