@@ -11,12 +11,19 @@ if TYPE_CHECKING:
     from steelnb.errors import MissingExtraError, SteelnbError
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
+    from steelnb.fusion.changes import Changes, find_changes
     from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
     from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
-    from steelnb.odometry import CloudOdometry, CombinedOdometry, SegmentOdometry, make_odometry
+    from steelnb.odometry import (
+        CloudOdometry,
+        CombinedOdometry,
+        KnownStructureOdometry,
+        SegmentOdometry,
+        make_odometry,
+    )
     from steelnb.registration import RegistrationResult, register
     from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
     from steelnb.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
@@ -27,12 +34,13 @@ _MODULES = {
     "errors": ("MissingExtraError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
+    "fusion.changes": ("Changes", "find_changes"),
     "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
     "fusion.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
-    "odometry": ("CloudOdometry", "CombinedOdometry", "SegmentOdometry", "make_odometry"),
+    "odometry": ("CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "SegmentOdometry", "make_odometry"),
     "registration": ("RegistrationResult", "register"),
     "settings": ("ExperimentSettings", "OdometrySettings", "StructureSettings"),
     "types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
@@ -40,11 +48,12 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "Flight", "Lines", "MissingExtraError",
-    "OdometrySettings", "OdometryStep", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry",
-    "Segments", "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
-    "detect_segments", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth", "reconstruct",
-    "reconstruct_cloud", "register", "run", "smooth", "write_flight", "write_structure",
+    "Changes", "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "Flight",
+    "KnownStructureOdometry", "Lines", "MissingExtraError", "OdometrySettings", "OdometryStep", "RegistrationResult",
+    "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
+    "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
+    "read_flight", "read_structure", "read_truth", "reconstruct", "reconstruct_cloud", "register", "run", "smooth",
+    "write_flight", "write_structure",
 ]  # fmt: skip
 
 

@@ -92,6 +92,7 @@ def record(
         "steelnb run flight.mcap --odometry best --odometry gicp -o compared",
         "steelnb run flight.mcap --from 10 --to 60 --noise random-walk:0.004",
         "steelnb run flight.mcap --range-max 20 --floor -1000 --force",
+        "steelnb run new.mcap --map flight_run/structure.json",
     )
 )
 def run(
@@ -120,6 +121,10 @@ def run(
     ] = None,
     floor: Annotated[float | None, typer.Option(help="Height in metres below which points are the ground.")] = None,
     changed: Set = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help="structure.json of an earlier flight: localise in it and compare."),
+    ] = None,
     smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars together at the end.")] = False,
     structure: Annotated[bool, typer.Option(help="Write structure.json: bars tied at joints.")] = True,
     viewer: Annotated[bool, typer.Option(help="Write recording.rrd, for `rerun FILE.rrd`.")] = True,
@@ -129,10 +134,11 @@ def run(
     """Take the drift out of a recorded flight.
 
     Trajectory, map, bars, structure, figures and tables go to a new folder; one that holds files is refused. Of several
-    odometries each has a folder in it, beside comparison.csv and comparison.png.
+    odometries each has a folder in it, beside comparison.csv and comparison.png. With --map, changes.csv and
+    changes.png tell which bars are missing, new, moved or bent since.
     """
     with progress() as shown:
-        from steelnb.io import read_flight, read_truth
+        from steelnb.io import read_flight, read_structure, read_truth
         from steelnb.report.recording import recording_settings, run_recording
         from steelnb.report.recording_comparison import compare_recording
         from steelnb.settings import NoiseSettings
@@ -144,6 +150,9 @@ def run(
             stage = name
             shown.show(stage)
 
+        if map_file is not None and (odometry or smooth):
+            raise SettingsError("--map with --odometry or --smooth: expected one of them; the map is what corrects")
+        known = None if map_file is None else read_structure(map_file)
         overrides = _overrides(changed) | ({"smooth": True} if smooth else {})
         chosen = {}
         for name in odometry or ["best"]:
@@ -157,7 +166,7 @@ def run(
         flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
         true = read_truth(recording, truth=truth, settings=settings)
         options: dict[str, Any] = {
-            "truth": true, "added_noise": noise, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
+            "truth": true, "added_noise": noise, "known": known, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
             "part_s": None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s),
             "on_stage": on_stage, "on_progress": lambda share: shown.show(stage, share),
         }  # fmt: skip

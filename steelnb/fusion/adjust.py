@@ -90,22 +90,14 @@ def _gather(points, sensor, bar, start, direction, length, across, corner, matri
         if b < 0:
             continue
         x, y, z = points[i, 0] - start[b, 0], points[i, 1] - start[b, 1], points[i, 2] - start[b, 2]
-        t = x * direction[b, 0] + y * direction[b, 1] + z * direction[b, 2]
-        e1, e2 = across[b, 0], across[b, 1]
-        x, y, z = x - t * direction[b, 0], y - t * direction[b, 1], z - t * direction[b, 2]
-        u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
         cx, cy, cz = sensor[0] - points[i, 0], sensor[1] - points[i, 1], sensor[2] - points[i, 2]
-        p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
-        square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
-        if square < 0.1 * whole or t < 0.0 or t > length[b]:
+        residual, t, cosine, sine, _, _, rise, distance, range_ = sections.face_distance(
+            x, y, z, cx, cy, cz, direction[b], across[b], corner[b], length[b]
+        )
+        if residual != residual:
             continue
-        distance = np.sqrt(square)
-        cosine, sine = p / distance, q / distance
-        front, rise = sections.front_face(corner[b], cosine, sine, -sine * u + cosine * v)
-        if front < -1e8 or abs(rise) > 2.0:
-            continue
-        residual = cosine * u + sine * v - front
-        sigma = max(SIGMA_M, SIGMA_SHARE * np.sqrt(whole)) * np.sqrt(square / whole)
+        e1, e2 = across[b, 0], across[b, 1]
+        sigma = max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_
         bound = (2.5 * sigma + 0.02) ** 2
         weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma + 1e-4)
         gu, gv = cosine + rise * sine, sine - rise * cosine

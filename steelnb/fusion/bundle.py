@@ -12,7 +12,6 @@ Free are position and yaw of each pose, roll and pitch being the prior's; and pl
 bar. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -93,6 +92,13 @@ class Equations(NamedTuple):
     shares: Array
     residuals: Array
 
+    @classmethod
+    def empty(cls, poses: int, bars: int, pairs: int) -> "Equations":
+        """Those of no point yet, all zero."""
+        of_poses, of_pairs, of_bars = (poses, POSE), (pairs, POSE, BAR), (bars, BAR)
+        shapes = (*of_poses, POSE), of_poses, of_pairs, (*of_bars, BAR), of_bars, (pairs, BAR, BAR), (MEDIAN_BINS,)
+        return cls(*[np.zeros(shape) for shape in shapes])
+
 
 @dataclass(frozen=True)
 class Bars:
@@ -149,20 +155,17 @@ def improve(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array) ->
     moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
     step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(-1, POSE)
     bars = _moved_bars(bars, moved.reshape(n, BAR))
-    return Bundle(_moved_poses(T, step), bars, _ratio(equations.residuals, bundle), bundle.fitted, step)
+    return Bundle(
+        _moved_poses(T, step), bars, noise_ratio(equations.residuals, bundle.sigma_ratio), bundle.fitted, step
+    )
 
 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
-    bars, poses, n = bundle.bars, len(bundle.T_world_sensor), len(bundle.bars.turn)
-    segments, known = bars.segments, np.isfinite(bars.flange)
+    bars, segments, known = bundle.bars, bundle.bars.segments, np.isfinite(bundle.bars.flange)
     corner = sections.outlines(bars.turn, np.where(known, bars.flange, 0.05))
-    pairs = len(seen.pair_bar)
-    result = Equations(
-        np.zeros((poses, POSE, POSE)), np.zeros((poses, POSE)), np.zeros((pairs, POSE, BAR)), np.zeros((n, BAR, BAR)),
-        np.zeros((n, BAR)), np.zeros((pairs, BAR, BAR)), np.zeros(MEDIAN_BINS),
-    )  # fmt: skip
-    _gather(
+    result = Equations.empty(len(bundle.T_world_sensor), len(bars.turn), len(seen.pair_bar))
+    gather(
         *seen, bundle.T_world_sensor, known, segments.start, segments.direction, segments.length, bars.across, corner,
         bars.flange, bundle.sigma_ratio, *result,
     )  # fmt: skip
@@ -233,13 +236,14 @@ def _moved_bars(bars: Bars, step: Array) -> Bars:
     return Bars(new, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))
 
 
-def _ratio(residuals: Array, bundle: Bundle) -> float:
-    """The range noise as a multiple of what `_gather` took, from the median of the residuals in standard deviations."""
+def noise_ratio(residuals: Array, before: float) -> float:
+    """The range noise as a multiple of that in `points.ranges`, from the median of the residuals that `gather` took in
+    standard deviations of ``before`` times that; ``before`` itself where there is none."""
     total = residuals.sum()
     if not total:
-        return bundle.sigma_ratio
+        return before
     median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
-    return float(bundle.sigma_ratio * median / 0.6745)
+    return float(before * median / 0.6745)
 
 
 def yaw_of(rotation: Array) -> Array:
@@ -249,7 +253,7 @@ def yaw_of(rotation: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(  # type: ignore[no-untyped-def]
+def gather(  # type: ignore[no-untyped-def]
     point, bar, first, pair_bar, pair_first, T, known, start, direction, length, across, corner, flange, ratio,
     matrix, vector, cross, block, right, shares, residuals,
 ):  # fmt: skip
@@ -272,23 +276,13 @@ def _gather(  # type: ignore[no-untyped-def]
                 -(r20 * sx + r21 * sy + r22 * sz),
             )
             x, y, z = T[k, 0, 3] - cx - start[b, 0], T[k, 1, 3] - cy - start[b, 1], T[k, 2, 3] - cz - start[b, 2]
+            residual, t, cosine, sine, beside, front, rise, distance, range_ = sections.face_distance(
+                x, y, z, cx, cy, cz, direction[b], across[b], corner[b], length[b]
+            )
+            if residual != residual:
+                continue
             dx, dy, dz = direction[b, 0], direction[b, 1], direction[b, 2]
-            t = x * dx + y * dy + z * dz
-            if t < 0.0 or t > length[b]:
-                continue
             e1, e2 = across[b, 0], across[b, 1]
-            u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
-            p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
-            square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
-            if square < 0.1 * whole:
-                continue
-            distance, range_ = math.sqrt(square), math.sqrt(whole)
-            cosine, sine = p / distance, q / distance
-            beside = -sine * u + cosine * v
-            front, rise = sections.front_face(corner[b], cosine, sine, beside)
-            if front < -1e8 or abs(rise) > 2.0:
-                continue
-            residual = cosine * u + sine * v - front
             sigma = ratio * max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_
             residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
             bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2

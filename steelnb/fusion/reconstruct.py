@@ -250,7 +250,9 @@ def map_and_fit(
 def _tied(fitted: FittedBars, scales: Scales) -> Structure:
     width = np.where(np.isfinite(fitted.width), fitted.width, 2 * fitted.bars.radius)
     joint, tie, bars = find_joints(fitted.bars, width, scales)
-    return Structure(bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie)
+    angle = fitted.turn + math.pi / 4  # the flanges are alike, so their bisector tells the turn of a section
+    opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], fitted.across)
+    return Structure(bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie, opening=opening)
 
 
 def _flat(points: Array) -> Array:

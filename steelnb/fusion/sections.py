@@ -98,6 +98,30 @@ def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
     return front, rise
 
 
+@njit(cache=True, error_model="numpy")
+def face_distance(x, y, z, cx, cy, cz, direction, across, corner, length):  # type: ignore[no-untyped-def]
+    """Depth of a point behind the front face of a bar along the line of sight across the bar, metres; NaN where the
+    point lies beyond an end or beside the outline, or where the bar or its face is seen at a grazing angle.
+
+    ``x, y, z``: from the start of the bar to the point; ``cx, cy, cz``: from the point to the sensor. Beside it: the
+    place along the bar; cosine and sine of the view; the place beside the axis; height and slope of the face there; and
+    the distance to the sensor across the bar and in space.
+    """
+    e1, e2 = across[0], across[1]
+    t = x * direction[0] + y * direction[1] + z * direction[2]
+    u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
+    p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
+    square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
+    if t < 0.0 or t > length or square < 0.1 * whole:
+        return np.nan, t, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0
+    distance, range_ = math.sqrt(square), math.sqrt(whole)
+    cosine, sine = p / distance, q / distance
+    beside = -sine * u + cosine * v
+    front, rise = front_face(corner, cosine, sine, beside)
+    residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
+    return residual, t, cosine, sine, beside, front, rise, distance, range_
+
+
 @njit(cache=True)
 def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
     """The place of the corner of the outline that appears nearest to ``beside``."""

@@ -17,6 +17,8 @@ class Structure:
     flange of a bar, NaN where it is not known; ``sightings (B,)``: number of scans that saw it; ``sigma_m (B,)``:
     standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for
     each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
+    ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
+    where that is not known; None where it is known of no bar.
     """
 
     segments: Segments
@@ -26,6 +28,7 @@ class Structure:
     joint: Array
     tie: IntArray
     reason: str = ""
+    opening: Array | None = None
 
     def __len__(self) -> int:
         return len(self.segments)

@@ -2,7 +2,7 @@
 
 `Document.model_json_schema` describes the JSON. Every number survives a round trip exactly. Reading is strict, since a
 model that was read wrongly looks like one that was read rightly: an unknown key, a missing unit or a tie to a bar that
-is not there is an error. So a new key is a new version, and no other version is read.
+is not there is an error. So a new key is a new version. Version 2, which has no ``opening``, is read, too.
 """
 
 import json
@@ -30,7 +30,7 @@ from steelnb.io import drawings
 from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Segments
 
-FORMAT, VERSION = "steelnb structure", 2
+FORMAT, VERSION, OLDER = "steelnb structure", 3, 2
 DRAWN: Mapping[str, Callable[[Structure, Path], None]] = {
     ".dxf": drawings.write_dxf, ".glb": drawings.write_glb, ".ifc": drawings.write_ifc,
 }  # fmt: skip
@@ -70,6 +70,7 @@ class Bar(_Part):
     sightings: Number = Field(description="scans in which the bar was seen")
     points: Number = Field(description="points that the axis was fitted to")
     radius_m: Length = Field(description="root mean square distance of those points to the axis")
+    opening: Point | None = Field(None, description="from the corner of an angle section to between its flanges")
 
 
 class Joint(_Part):
@@ -85,7 +86,7 @@ class Document(_Part):
     """Bars and joints of a structure, and which joint ties which bars."""
 
     format: Literal["steelnb structure"]
-    version: Literal[2]
+    version: Literal[2, 3]
     units: Units
     frame: Frame
     about: dict[str, Any] = Field(default={}, description="where the structure comes from; free")
@@ -146,7 +147,7 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
     columns = {
         "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _nullable(structure.width_m),
         "sigma_m": _nullable(structure.sigma_m), "sightings": structure.sightings.tolist(),
-        "points": s.count.tolist(), "radius_m": s.radius.tolist(),
+        "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": _opening(structure),
     }  # fmt: skip
     for column, values in columns.items():
         if len(values) != len(s):
@@ -170,6 +171,11 @@ def _nullable(values: Array) -> list[float | None]:
     return [None if np.isnan(value) else value for value in values.tolist()]
 
 
+def _opening(structure: Structure) -> list[list[float] | None]:
+    opening = np.full((len(structure), 3), np.nan) if structure.opening is None else structure.opening
+    return [None if np.isnan(row).all() else row.tolist() for row in opening]
+
+
 def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileContentError) -> Structure:
     """The structure of a JSON text; ``name`` begins the messages. Raises as `read_structure`, ``misfit`` for values
     that do not fit the format."""
@@ -177,7 +183,7 @@ def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileCo
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else type(raw).__name__
         raise FileContentError(f"{name}: format = {found!r:.60}; expected {FORMAT!r}")
-    if raw.get("version") != VERSION:
+    if raw.get("version") not in (VERSION, OLDER):
         older = "; version 1 is no longer read: write the file again" if raw.get("version") == 1 else ""
         raise VersionError(f"{name}: version = {raw.get('version')!r:.60}; expected {VERSION}{older}")
     if raw.get("units") != {"length": "metre"}:
@@ -205,7 +211,12 @@ def _structure(document: Document) -> Structure:
         joint=_points([joint.position_m for joint in document.joints]),
         tie=np.array([(tie.joint, tie.bar) for tie in document.ties], dtype=np.int64).reshape(-1, 2),
         reason=document.reason,
+        opening=_known([bar.opening for bar in bars]),
     )
+
+
+def _known(rows: Sequence[tuple[float, float, float] | None]) -> Array | None:
+    return _points([row or (np.nan,) * 3 for row in rows]) if any(rows) else None
 
 
 def _points(rows: Sequence[tuple[float, float, float]]) -> Array:

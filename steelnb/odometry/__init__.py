@@ -4,6 +4,7 @@ from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.settings import OdometrySettings
@@ -17,4 +18,7 @@ def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdo
     return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor)
 
 
-__all__ = ["CloudOdometry", "CombinedOdometry", "Odometry", "SegmentOdometry", "make_odometry", "run", "run_kept"]
+__all__ = [
+    "CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry",
+    "run", "run_kept",
+]  # fmt: skip

@@ -13,6 +13,7 @@ import pandas as pd
 from steelnb import odometry
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, SettingsError
 from steelnb.files import PREFIX, new_folder
+from steelnb.fusion.changes import KINDS, Changes, find_changes
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.fusion.uncertainty import axis_sigma_m
@@ -25,6 +26,8 @@ from steelnb.io.structures import write_structure
 from steelnb.io.trajectories import write_sigma, write_tum
 from steelnb.metrics import position_error_m
 from steelnb.metrics.matching import match_members
+from steelnb.odometry import KnownStructureOdometry, Odometry
+from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.recording_numbers import TIMES, measure_recording, summary_lines
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
@@ -37,9 +40,9 @@ from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments,
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
 FILES = (
-    "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply", "map.png", "prior.tum",
-    "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply", "structure.json", "table.csv",
-    "trajectories.png", "comparison.csv", "comparison.png",
+    "changes.csv", "changes.png", "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply",
+    "map.png", "prior.tum", "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply",
+    "structure.json", "table.csv", "trajectories.png", "comparison.csv", "comparison.png",
 )  # fmt: skip
 """All that a run may write, of one odometry or of several: those of an earlier one do not stay beside new ones."""
 
@@ -49,7 +52,8 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` lines of text.
+    is a cloud, of the structure; ``changes`` those of a known structure; ``numbers`` the rows of ``table.csv``;
+    ``figures`` by name; ``summary`` lines of text.
     """
 
     folder: Path
@@ -57,6 +61,7 @@ class RecordingReport:
     estimate: Estimate
     truth: Trajectory | None
     structure: Structure | None
+    changes: Changes | None
     segments: Segments
     numbers: dict[str, float]
     figures: dict[str, Figure]
@@ -120,6 +125,7 @@ def run_recording(
     truth: Trajectory | None = None,
     added_noise: str | None = None,
     structure: StructureSettings | None = None,
+    known: Structure | None = None,
     rrd: bool = True,
     gap_max_s: float = GAP_MAX_S,
     part_s: tuple[float, float] | None = None,
@@ -137,6 +143,8 @@ def run_recording(
     truth : true poses, for judging alone.
     added_noise : drift to add to the truth, or without one to the poses, taken as true, such as "random-walk:0.002".
     structure : settings of the final reconstruction; None leaves it out.
+    known : the map of an earlier flight, in which this one is localised and with which it is compared, in place of the
+        odometry of the settings.
     rrd : write ``recording.rrd`` for rerun.
     gap_max_s : true poses further apart are not interpolated between.
     part_s : the part to run, (from, to) in seconds since the first scan; see `part_of`.
@@ -146,8 +154,9 @@ def run_recording(
 
     Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``corrected_sigma.csv`` of a smoothed flight,
     ``map.ply``, ``segments.csv`` (.json, .obj, .ply), ``structure.json`` (empty with the reason where none is found),
-    ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is written on an error. Raises `OutputError`,
-    `RecordingError`, `SettingsError`, and what reading raises.
+    ``changes.csv`` of a known structure, ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is
+    written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, `MapMismatchError` and
+    `EmptyStructureError` for a map, and what reading raises.
     """
     if not isinstance(recording, Flight):
         truth = truth or read_truth(recording)
@@ -174,8 +183,8 @@ def run_recording(
         structure = structure.replace(floor_m=structure.floor_m - float(origin[2]))
     with new_folder(target, FILES, overwrite) as folder, contextlib.ExitStack() as stack:
         on_stage("warming up, which compiles what was not compiled yet")
-        odometry.run(flight.first(WARM_UP_SCANS), odometry.make_odometry(near.odometry, flight.T_drone_sensor))
-        estimator = odometry.make_odometry(near.odometry, flight.T_drone_sensor)
+        odometry.run(flight.first(WARM_UP_SCANS), _estimator(flight, near, known, origin))
+        estimator = _estimator(flight, near, known, origin)
         log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
 
         def observe(k: int, scan: Scan, step: OdometryStep) -> None:
@@ -193,6 +202,11 @@ def run_recording(
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
         built = _with_sigma(built, estimate) if built is not None else None
+        changes = None
+        if known is not None:
+            on_stage("comparing with the map")
+            poses, mount = estimate.corrected.T_world_drone, flight.T_drone_sensor
+            changes = find_changes(known.moved(-origin), flight.scans, poses, mount, structure or StructureSettings())
         segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
         if log is not None:
             log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
@@ -204,9 +218,15 @@ def run_recording(
         numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
         if built is not None:
             numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
+        if changes is not None:
+            numbers |= {f"changes_{kind.replace(' ', '_')}": len(changes.of(kind)) for kind in KINDS}
         on_stage("drawing and writing")
-        figures = _figures(flight, estimate, true, segments, settings.odometry.method)
-        about = {"source": flight.name, "odometry": settings.odometry.method, "noise": added_noise}
+        method = settings.odometry.method if known is None else "map"
+        figures = _figures(flight, estimate, true, segments, method)
+        if changes is not None:
+            figures["changes"] = figure_changes(changes, f"{flight.name}: changes of {len(changes.known)} bars")
+            write_changes(changes, folder / "changes.csv", origin)
+        about = {"source": flight.name, "odometry": method, "noise": added_noise}
         _write(folder, flight, estimate, true, segments, built, about, origin)
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
@@ -218,8 +238,11 @@ def run_recording(
         notes = (*notes, f"no uncertainty: {estimate.unsure}")
     if estimate.unsmoothed:
         notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
-    summary = (*summary_lines(flight, numbers, (*notes, *remarks), built), f"written   {target}/: {', '.join(files)}")
-    return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
+    summary = summary_lines(flight, numbers, (*notes, *remarks), built)
+    if changes is not None:
+        summary = (*summary, changes_line(changes))
+    summary = (*summary, f"written   {target}/: {', '.join(files)}")
+    return RecordingReport(target, flight, estimate, true, built, changes, segments, numbers, figures, summary)
 
 
 def _placed(
@@ -276,6 +299,12 @@ def _figures(
         title = f"{name}: {len(estimate.points)} points of the map, {len(segments)} bars"
         figures["map"] = figure_segments(estimate.points, segments, orientation(segments), title)
     return figures
+
+
+def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
+    if known is None:
+        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
+    return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, settings.odometry.preprocess)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:

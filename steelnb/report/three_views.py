@@ -30,10 +30,10 @@ POINTS_MAX = 60_000
 
 @style()
 def figure_segments(points: Array, segments: Segments, groups: Sequence[str], title: str) -> Figure:
-    """Points ``(N, 3)`` in grey, segments coloured by their class of orientation, in the views of `_three_views`."""
+    """Points ``(N, 3)`` in grey, segments coloured by their class of orientation, in the views of `three_views`."""
     turn, ends = upright_box(points), end_points(segments)
     points = thinned(points, POINTS_MAX)
-    figure, panels, project = _three_views(np.concatenate([points, ends.reshape(-1, 3)]), turn)
+    figure, panels, project = three_views(np.concatenate([points, ends.reshape(-1, 3)]), turn)
     colours = [GROUPS[group] for group in groups]
     for name, panel in panels.items():
         x, y = project(points, name).T
@@ -51,13 +51,13 @@ def figure_segments(points: Array, segments: Segments, groups: Sequence[str], ti
 
 @style()
 def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str) -> Figure:
-    """Both structures, with the missing, extra and moved parts in colour, in the views of `_three_views`.
+    """Both structures, with the missing, extra and moved parts in colour, in the views of `three_views`.
 
     Bars are lines, joints rings; of bars that have moved, the place in ``a`` is dashed.
     """
     ends = [end_points(structure.segments).reshape(-1, 3) for structure in (a, b)]
     both = np.concatenate([*ends, a.joint, b.joint])
-    figure, panels, project = _three_views(both, upright_box(both))
+    figure, panels, project = three_views(both, upright_box(both))
     moved, moved_joint = found.bar_moved, found.joint_moved | found.joint_retied
     # Nothing that has changed may lie below what has not.
     layers = [
@@ -86,7 +86,7 @@ def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str)
     return figure
 
 
-def _three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], Callable[[Array, str], Array]]:
+def three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], Callable[[Array, str], Array]]:
     """A figure with a panel for each view of ``points (N, 3)`` at one scale, and the projection into a view by name.
 
     The front is the widest view: the structure is turned about z until the box around it is smallest, its wider side

@@ -3,7 +3,10 @@
 from steelnb.simulation.cache import fly_and_scan
 from steelnb.simulation.flight import fly
 from steelnb.simulation.tof import CastScans, scan_flight
-from steelnb.simulation.tower import Member, Tower, build_tower
+from steelnb.simulation.tower import Member, Tower, build_tower, changed_tower
 from steelnb.simulation.truth import Truth, Visibility
 
-__all__ = ["CastScans", "Member", "Tower", "Truth", "Visibility", "build_tower", "fly", "fly_and_scan", "scan_flight"]
+__all__ = [
+    "CastScans", "Member", "Tower", "Truth", "Visibility", "build_tower", "changed_tower", "fly", "fly_and_scan",
+    "scan_flight",
+]  # fmt: skip

@@ -1,7 +1,9 @@
 """A parametric lattice tower of steel angle sections: members, joints and surface mesh."""
 
 import itertools
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -171,27 +173,51 @@ def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
         build.add("arm", [points[-1, 0][bay - 1], points[1, 0][bay]], side * np.array([1.0, 0, 0]), up)
 
 
-_OUTLINE_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)])
+def changed_tower(
+    tower: Tower,
+    removed: Collection[int] = (),
+    moved: Mapping[int, Array] = MappingProxyType({}),
+    bent: Mapping[int, Array] = MappingProxyType({}),
+) -> Tower:
+    """The tower with some members removed, others moved by a vector ``(3,)`` in metres, and others bent so that their
+    middle moves by one and their ends stay (half a sine). Only the mesh changes: the list of members stays."""
+    vertices, triangles, owner = [tower.vertices.copy()], [tower.triangles], [tower.triangle_member]
+    for m, by in moved.items():
+        vertices[0][12 * m : 12 * m + 12] += by
+    count, share = len(tower.vertices), np.linspace(0, 1, BEND_PIECES + 1)[:, None, None]
+    for m, by in bent.items():
+        lower, upper = tower.vertices[12 * m : 12 * m + 6], tower.vertices[12 * m + 6 : 12 * m + 12]
+        bow = lower + share * (upper - lower) + np.sin(np.pi * share) * by
+        for below, above in itertools.pairwise(bow):
+            vertices.append(np.concatenate([below, above]))
+            triangles.append(count + _PRISM)
+            owner.append(np.full(len(_PRISM), m))
+            count += 12
+    whole, of = np.concatenate(triangles), np.concatenate(owner)
+    gone = np.isin(of, [*removed]) | (np.isin(of, [*bent]) & (np.arange(len(of)) < len(tower.triangles)))
+    return replace(tower, vertices=np.concatenate(vertices), triangles=whole[~gone], triangle_member=of[~gone])
+
+
+BEND_PIECES = 8
+_SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
+_ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
+"""Triangles of a closed prism over an L-shaped outline of six corners, the lower one first."""
 
 
 def _mesh(joints: Array, members: list[Member]) -> tuple[Array, IntArray, IntArray]:
     """Closed prisms over the L-shaped outlines of the sections, heel on the axis."""
-    vertices, triangles, owner = [], [], []
-    for m, member in enumerate(members):
+    vertices = []
+    for member in members:
         width, thickness = member.section_m
         outline = np.array(
             [(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)]
         )
         across = outline @ np.array([member.flange_a, member.flange_b])
-        base = 12 * m
         vertices += [joints[member.joints[0]] + across, joints[member.joints[-1]] + across]
-        for i in range(6):
-            j = (i + 1) % 6
-            triangles += [(base + i, base + j, base + 6 + j), (base + i, base + 6 + j, base + 6 + i)]
-        triangles += [tuple(base + t) for t in _OUTLINE_TRIANGLES[:, ::-1]]
-        triangles += [tuple(base + 6 + t) for t in _OUTLINE_TRIANGLES]
-        owner += [m] * 20
-    return np.concatenate(vertices), np.array(triangles, dtype=np.int64), np.array(owner, dtype=np.int64)
+    number = np.arange(len(members))
+    triangles = (12 * number[:, None, None] + _PRISM).reshape(-1, 3)
+    return np.concatenate(vertices), triangles, np.repeat(number, len(_PRISM))
 
 
 def _unit(vector: Array) -> Array:

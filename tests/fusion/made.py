@@ -6,7 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import Structure
-from steelnb.types import Segments
+from steelnb.settings import TofSettings, TowerSettings
+from steelnb.simulation import CastScans, build_tower
+from steelnb.types import Flight, RangeScans, Segments, Trajectory
 
 
 def bars_of(*axes, count=100, radius=0.01) -> Segments:
@@ -66,3 +68,47 @@ def ladder(steps: int = 6) -> Structure:
     joint = [[x, 0, 0.5 * k] for k in range(1, steps + 1) for x in (0, 1)]
     tie = [row for k in range(steps) for row in ((2 * k, 0), (2 * k, 2 + k), (2 * k + 1, 1), (2 * k + 1, 2 + k))]
     return structure_of_bars(posts + rungs, joint, tie)
+
+
+def small_tower():
+    """A tower without arms, 5 m high, whose sections are as thick as `fusion.sections` takes them to be."""
+    plain = {f"{kind}_section_m": (0.072, 0.006) for kind in ("ring", "bracing")} | {"leg_section_m": (0.12, 0.01)}
+    return build_tower(
+        TowerSettings(
+            height_m=5.0, base_width_m=2.4, waist_height_m=3.0, waist_width_m=1.8, top_width_m=1.4, arm_height_m=(),
+            arm_reach_m=(), **plain,
+        )
+    )  # fmt: skip
+
+
+def true_structure(tower, sigma_m: float = 0.001) -> Structure:
+    """The members of a tower as bars without error, their axes through the centroids of the sections."""
+    start, end, opening, width = [], [], [], []
+    for member in tower.members:
+        flange, thickness = member.section_m
+        centroid = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))
+        between = np.add(member.flange_a, member.flange_b)
+        ends = tower.joints[[member.joints[0], member.joints[-1]]] + centroid * between
+        start, end = [*start, ends[0]], [*end, ends[1]]
+        opening, width = [*opening, between / np.linalg.norm(between)], [*width, flange]
+    n = len(width)
+    segments = Segments(np.array(start), np.array(end), np.full(n, 100), np.full(n, 0.03))
+    return Structure(
+        segments, np.array(width), np.full(n, 9), np.full(n, sigma_m), np.zeros((0, 3)), np.zeros((0, 2), np.int64),
+        opening=np.array(opening),
+    )  # fmt: skip
+
+
+def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad: float = 0.9) -> Flight:
+    """A flight on an arc before a tower that stands on z = 0, with the true poses; the sensor is the drone's frame."""
+    angle = np.linspace(-turn_rad, turn_rad, poses)
+    T = np.tile(np.eye(4), (poses, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).as_matrix()
+    T[:, :3, 3] = np.stack([-3.2 * np.cos(angle), -3.2 * np.sin(angle), np.linspace(1.2, 3.4, poses)], axis=1)
+    path, tof = Trajectory(0.2 * np.arange(poses + 1), np.concatenate([T, T[-1:]])), TofSettings(
+        columns=120, rows=120, fov_horizontal_rad=1.5, fov_vertical_rad=1.5, range_max_m=6.0, sigma_floor_m=noise_m
+    )  # fmt: skip
+    scans = CastScans(tower, path, np.eye(4), tof, seed)
+    range_m = np.array([image for image, *_ in scans.cast()])
+    stamp_s = path.stamp_s[: len(range_m)]
+    return Flight(RangeScans(stamp_s, range_m, scans.ray), Trajectory(stamp_s, T[: len(range_m)]), np.eye(4))

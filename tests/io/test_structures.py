@@ -28,12 +28,27 @@ def assert_same(a: Structure, b: Structure) -> None:
         assert mine.dtype == other.dtype
         assert mine.shape == other.shape
     assert a.reason == b.reason
+    assert (a.opening is None) == (b.opening is None)
+    if a.opening is not None:
+        np.testing.assert_array_equal(a.opening, b.opening)
 
 
 @pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty("no “bar”")])
 def test_round_trip_is_exact(structure: Structure, tmp_path: Path) -> None:
     (path,) = write_structure(structure, tmp_path / "a.json", about={"source": "made up"})
     assert_same(read_structure(path), structure)
+
+
+def test_openings_survive_and_files_without_them_are_read(tmp_path: Path) -> None:
+    known = replace(frame(), opening=np.array([[0.6, 0.8, 0.0], [0.0, 0.6, -0.8], [np.nan, np.nan, np.nan]]))
+    (path,) = write_structure(known, tmp_path / "a.json")
+    assert_same(read_structure(path), known)
+    content = json.loads(path.read_text())
+    content["version"] = 2
+    for bar in content["bars"]:
+        bar.pop("opening")
+    path.write_text(json.dumps(content))
+    assert_same(read_structure(path), frame())
 
 
 def test_the_order_of_ties_is_kept(tmp_path: Path) -> None:
@@ -52,11 +67,11 @@ def changed(tmp_path: Path, change) -> Path:
 
 
 CASES = {
-    "a later version": (lambda c: c.update(version=3), VersionError, "version = 3; expected 2"),
+    "a later version": (lambda c: c.update(version=4), VersionError, "version = 4; expected 3"),
     "version 1": (lambda c: c.update(version=1), VersionError, "version 1 is no longer read"),
     "a number beyond 64 bits": (lambda c: c["bars"][0].update(points=10**30), FileContentError, "bars[0].points"),
     "farther than any map": (lambda c: c["bars"][0].update(start_m=[1e308, 0, 0]), FileContentError, "start_m[0]"),
-    "version in words": (lambda c: c.update(version="2"), VersionError, "version = '2'; expected 2"),
+    "version in words": (lambda c: c.update(version="2"), VersionError, "version = '2'; expected 3"),
     "no reason": (lambda c: c.pop("reason"), FileContentError, "reason: field required"),
     "no version": (lambda c: c.pop("version"), VersionError, "version = None"),
     "no units": (lambda c: c.pop("units"), UnitsError, "units = None"),

@@ -109,7 +109,7 @@ def test_bad_input_is_one_line(
 def test_a_bad_file_is_one_line_wherever_it_is_read(
     files: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (files / "bad.json").write_text((files / "a.json").read_text().replace('"version": 2', '"version": 9'))
+    (files / "bad.json").write_text((files / "a.json").read_text().replace('"version": 3', '"version": 9'))
     assert cli.main(["structure", *arguments]) == 2
     err = capsys.readouterr().err
     assert "bad.json: version = 9; expected 2" in err

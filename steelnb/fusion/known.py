@@ -1,0 +1,149 @@
+"""The bars of a known structure, as points of new scans are measured against them.
+
+A bar with an angle section has the outline of `fusion.sections`. One without, such as a tube or a bar of a plain cloud,
+has that of a round tube of the radius of its points.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from steelnb.errors import EmptyStructureError
+from steelnb.fusion import sections
+from steelnb.fusion.bundle import BAR, POSE, Bars, Equations, Observations, gather
+from steelnb.fusion.point_association import bars_of_points, nearest_bars
+from steelnb.fusion.structure import Structure
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.voxel_kernels import BITS, EMPTY, REACH, pack, rehash
+from steelnb.types import Array, IntArray
+
+VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
+"""A point belongs to the bar nearest to its voxel, within reach; not where a second bar is hardly further away."""
+SIGMA_MIN_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
+"""Least standard deviations of a bar of the map: of its place, which is biased alike in all scans, of the turn of its
+section, radians, and of its flange. Chosen on the development seeds 11 and 12."""
+MATCH_SIGMAS = 3.0
+
+
+Mask = NDArray[np.bool_]
+
+
+class KnownBars:
+    """The bars of a structure with outlines, and the voxels around them.
+
+    ``bars``: B bars as `fusion.bundle` has them, ``corner (B, 6, 2)`` their outlines, ``sectioned (B,)`` which of them
+    are angle sections, ``sigma_m (B,)`` of their place; ``table``: the bar of each voxel, and the hash table of the
+    voxels. Raises `EmptyStructureError` for a structure without bars.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        if not len(structure):
+            raise EmptyStructureError("the map has no bars; expected at least one to localise in")
+        segments, n = structure.segments, len(structure)
+        opening = np.full((n, 3), np.nan) if structure.opening is None else structure.opening
+        first = opening - (opening * segments.direction).sum(axis=1)[:, None] * segments.direction
+        with np.errstate(invalid="ignore"):
+            first = first / np.linalg.norm(first, axis=1)[:, None]
+        self.sectioned = np.isfinite(first).all(axis=1) & (structure.width_m > 0)
+        first = np.where(self.sectioned[:, None], first, sections.frames(segments.direction)[:, 0])
+        across = np.stack([first, np.cross(segments.direction, first)], axis=1)
+        flange = np.where(self.sectioned, structure.width_m, 2 * np.maximum(segments.radius, 0.01))
+        self.bars = Bars(segments, across, np.full(n, -math.pi / 4), flange)
+        self.corner = sections.outlines(self.bars.turn, flange)
+        angle = np.arange(6) * math.pi / 3
+        # The hexagon of the same area as the tube.
+        tube = np.stack([np.cos(angle), np.sin(angle)], axis=1) * math.sqrt(2 * math.pi / (3 * math.sqrt(3)))
+        self.corner[~self.sectioned] = 0.5 * flange[~self.sectioned, None, None] * tube
+        self.sigma_m = np.hypot(np.where(np.isfinite(structure.sigma_m), structure.sigma_m, flange / 4), SIGMA_MIN_M)
+        centre, key = _voxels(segments.start, segments.end, REACH_M, VOXEL_M)
+        bar_of_voxel = nearest_bars(segments, centre, REACH_M, MARGIN_M)
+        size = 1 << max(10, (2 * len(key)).bit_length())
+        self.table = bar_of_voxel, np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
+        rehash(key, *self.table[1:])
+
+    def __len__(self) -> int:
+        return len(self.sigma_m)
+
+    def bar_of(self, points: Array) -> IntArray:
+        """The bar ``(N,)`` that each point ``(N, 3)`` in the world frame belongs to, −1 for none."""
+        return bars_of_points(points, self.table[0], VOXEL_M, *self.table[1:])
+
+    def near(self, points: Array) -> Mask:
+        """Which points ``(N, 3)`` in the world frame lie near any bar."""
+        slots = np.arange(len(self.table[0]))
+        return bars_of_points(points, slots, VOXEL_M, *self.table[1:]) >= 0
+
+    def equations(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[Array, Array, Array]:
+        """Normal equations ``(4, 4)``, ``(4,)`` of the pose of a scan (x, y, z, yaw) from its ``points (N, 3)``, sensor
+        frame, and the histogram of their residuals (`fusion.bundle.gather`).
+
+        Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
+        alike: the points of one bar tell no more than its place is known. ``ratio``: the range noise as a multiple of
+        that in `points.ranges`.
+        """
+        bar = self.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
+        points, bar = points[bar >= 0], bar[bar >= 0]
+        seen, of = np.unique(bar, return_inverse=True)
+        n, b = len(seen), self.bars
+        whole = Observations(points.astype(np.float32), of, np.array([0, len(of)]), np.arange(n), np.array([0, n]))
+        found, segments = Equations.empty(1, n, n), b.segments.take(seen)
+        gather(
+            *whole, T_world_sensor[None], np.ones(n, dtype=bool), segments.start, segments.direction, segments.length,
+            b.across[seen], self.corner[seen], b.flange[seen], ratio, *found,
+        )  # fmt: skip
+        sigma = np.empty((n, BAR))
+        sigma[:, :2] = self.sigma_m[seen, None]
+        sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
+        sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M
+        found.block[:, np.arange(BAR), np.arange(BAR)] += sigma**-2.0
+        beside = np.concatenate([found.cross.transpose(0, 2, 1), found.right[:, :, None]], axis=2)
+        freed = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
+        return found.matrix[0] - freed[:, :POSE], found.vector[0] - freed[:, POSE], found.residuals
+
+    def matched(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[IntArray, IntArray]:
+        """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on
+        its front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
+        world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
+        bar, b = self.bar_of(world), self.bars
+        distance = _face_sigmas(
+            world, T_world_sensor[:3, 3], bar, b.segments.start, b.segments.direction, b.segments.length, b.across,
+            self.corner, ratio,
+        )  # fmt: skip
+        on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
+        return np.bincount(bar[bar >= 0], minlength=len(self)), np.bincount(bar[on], minlength=len(self))
+
+
+def _voxels(start: Array, end: Array, reach: float, voxel: float) -> tuple[Array, IntArray]:
+    """Centres ``(V, 3)`` and keys ``(V,)`` of the voxels around bars."""
+    side = math.ceil(reach / voxel)
+    around = np.arange(-side, side + 1)
+    ball = np.stack(np.meshgrid(around, around, around, indexing="ij"), axis=-1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball, axis=1) <= side + 1]
+    found = []
+    for a, b in zip(start, end, strict=True):
+        count = math.ceil(np.linalg.norm(b - a) / voxel) + 1
+        along = np.unique(np.floor(np.linspace(a, b, count) / voxel).astype(np.int64), axis=0)
+        cube = along[:, None] + ball
+        found.append(np.unique(pack(cube[..., 0], cube[..., 1], cube[..., 2])))
+    key = np.unique(np.concatenate(found))
+    mask = (1 << (BITS + 1)) - 1
+    index = np.stack([key >> (2 * BITS + 2), (key >> (BITS + 1)) & mask, key & mask], axis=1) - REACH
+    return (index + 0.5) * voxel, key
+
+
+@njit(cache=True, error_model="numpy")
+def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, ratio):  # type: ignore[no-untyped-def]
+    """Distance ``(N,)`` of points in the world frame from the front faces of their bars in standard deviations of the
+    range noise; NaN for none."""
+    result = np.full(len(points), np.nan)
+    for i in range(len(points)):
+        b = bar[i]
+        if b >= 0:
+            x, c = points[i] - start[b], sensor - points[i]
+            residual, _, _, _, _, _, _, distance, range_ = sections.face_distance(
+                x[0], x[1], x[2], c[0], c[1], c[2], direction[b], across[b], corner[b], length[b]
+            )
+            result[i] = residual / (ratio * max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_)
+    return result
