@@ -1,6 +1,6 @@
-"""The Cramér-Rao bound of the poses of a flight, from true poses and true surfaces: the standard deviations that no
-unbiased estimator falls below (Van Trees, "Detection, Estimation, and Modulation Theory", 1968; for range finders Censi,
-"On achievable accuracy for range-finder localization", ICRA 2007).
+"""The Cramér–Rao bound of the poses of a flight, from true poses and true surfaces: the standard deviations that no
+unbiased estimator falls below (Van Trees, "Detection, Estimation, and Modulation Theory", 1968; for range finders
+Censi, "On achievable accuracy for range-finder localization", ICRA 2007).
 
 A ray along the unit vector d meets a face with the unit normal n at the point p. A step δ of the drone at c, metres, a
 turn ψ about the vertical through it, and a shift h of the face along its normal change the range by
@@ -9,7 +9,8 @@ turn ψ about the vertical through it, and a shift h of the face along its norma
 
 and a return with the range noise σ holds the information g gᵀ / σ² about (δ, ψ, h), g being that derivative. Taken for
 granted are that each return is assigned to its face, that noise is white, and that roll and pitch are known. Where rays
-begin to miss a bar, its outline, is not counted as knowledge, nor is the ground, which no odometry here uses.
+begin to miss a bar, its outline, is not counted as knowledge, nor is the ground, which no odometry here uses. Lost
+pixels, flying pixels and blind intervals are not modelled.
 """
 
 from collections.abc import Iterable, Iterator
@@ -161,8 +162,8 @@ def causal(
     surface_sigma_m: float = np.inf,
     drift: Array = DRIFT_SIGMA,
 ) -> Array:
-    """Bound ``(len(scans), 4)`` of the poses of some scans from the scans up to them, which is what an odometry has; all
-    else as in `batch`."""
+    """Bound ``(len(scans), 4)`` of the poses of some scans from the scans up to each, which is what an odometry has;
+    all else as in `batch`."""
     bounds = []
     for k in scans:
         bound = np.zeros(POSE)

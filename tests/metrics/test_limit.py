@@ -168,7 +168,9 @@ def test_returns_of_the_tower_are_within_the_sensor_s_reach_and_on_flat_patches(
     settings = TofSettings.preset("report")
     scans = list(see(tower, T_world_drone, settings))
     assert len(scans) == len(T_world_drone)
-    points, normal, patch = (np.concatenate([getattr(s, name) for s in scans]) for name in ("points", "normal", "patch"))
+    points, normal, patch = (
+        np.concatenate([getattr(s, name) for s in scans]) for name in ("points", "normal", "patch")
+    )
     assert len(points) > 1000
     for scan in scans:
         away = np.linalg.norm(scan.points - scan.position, axis=1)
