@@ -113,7 +113,7 @@ def limit_sentences(table: pd.DataFrame) -> str:
         f"{'of the whole flight' if each['name'] in AFTERWARDS else 'of the scans so far'}"
         for each in methods.sort_values("ate_mm").head(2).to_dict("records")
     ]
-    worst = methods.loc[methods["ate_mm"].idxmax()]
+    worst = methods.sort_values("ate_mm").to_dict("records")[-1]
     below = [LABELS[name] for name in methods.loc[methods["times_bound"] < 1, "name"]]
     lines.append(
         f"{'; '.join(best)}; the worst, {LABELS[worst['name']]}, {worst['times_bound']:.0f} times."
@@ -153,7 +153,8 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     for name, look in BOUNDS.items():
         shown = np.isfinite(limits[name]) & (limits[name] > 0)  # the first pose is known
         curve.plot(stamp_s, np.where(shown, 1e3 * limits[name], np.nan), **look)
-    lowest_mm = 0.5 * min(ate_mm(sigma_m) for sigma_m in limits.values())
+    reached_mm = [1e3 * result.metrics["ate_rmse_m"] for result in (*runs, *exact)]
+    lowest_mm = 0.5 * min(*map(ate_mm, limits.values()), *reached_mm)
     largest_mm = 1.6 * max(1e3 * result.metrics["error_max_m"] for result in runs)
     curve.fill_between(stamp_s, 0.01 * lowest_mm, 1e3 * limits["batch"], color=GREY, alpha=0.18, lw=0)
     curve.set(yscale="log", xlim=(0, float(stamp_s[-1])))
