@@ -100,7 +100,7 @@ def assumptions() -> dict[str, Any]:
 
 def limit_sentences(table: pd.DataFrame) -> str:
     """Three sentences on `limit_table`: the bounds, the methods beside them, and what is left without range noise."""
-    row: dict[str, dict[str, Any]] = table.set_index("name").to_dict("index")
+    row: dict[Any, dict[Any, Any]] = table.set_index("name").to_dict("index")
     methods = table[table["kind"] == "method"]
     lines = [
         f"**{row['causal']['trajectory']}**, sensor {row['causal']['sensor']}: no odometry can err by less than "
@@ -123,13 +123,13 @@ def limit_sentences(table: pd.DataFrame) -> str:
     if len(known):
         share = (known["noise_free_mm"] / known["ate_mm"]) ** 2
         left = [
-            f"{LABELS[each['name']]} {each['noise_free_mm']:.1f} of {each['ate_mm']:.1f} mm"
+            f"{LABELS[each['name']]} {each['noise_free_mm']:.1f} mm instead of {each['ate_mm']:.1f}"
             for each in known.to_dict("records")
         ]
         most = [LABELS[name] for name in known.loc[share > 0.5, "name"]]
         rest = [LABELS[name] for name in known.loc[share <= 0.5, "name"]]
         lines.append(
-            f"Without range noise there remain: {', '.join(left)}. More than half of the squared error is bias, there "
+            f"Without range noise: {', '.join(left)}. More than half of the squared error is bias, there "
             f"without any noise, with: {listed(most)}; less than half with: {listed(rest)}."
         )
     return bullets(lines)

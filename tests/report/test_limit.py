@@ -68,7 +68,7 @@ def test_the_sentences_name_the_bounds_the_nearest_methods_and_the_bias():
         "- smoothed has 3.3 mm, 3.0 times the bound of the whole flight; combined has 12.0 mm, 7.5 times the bound of "
         "the scans so far; the worst, ICP, 125 times."
     )
-    assert "combined 9.0 of 12.0 mm, smoothed 1.0 of 3.3 mm" in third
+    assert "combined 9.0 mm instead of 12.0, smoothed 1.0 mm instead of 3.3" in third
     assert third.endswith("with: combined; less than half with: smoothed.")
 
 
