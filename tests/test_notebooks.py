@@ -323,13 +323,9 @@ def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
         assert ate_mm["causal"] < ate_mm[["icp", "gicp", "best", "combined"]].min(), where
         noise_free_mm = rows.set_index("name")["noise_free_mm"].dropna()
         assert noise_free_mm.index.tolist() == ["best"], where
-    assert table.groupby(["trajectory", "sensor"]).ngroups == 4
-    wide = table.pivot_table(index="trajectory", columns=["sensor", "name"], values="ate_mm")
-    assert (wide["starling2", "batch"] < 0.5 * wide["report", "batch"]).all(), (
-        "four times the noise, a tenth of the rays"
-    )
-    for part in ("vertical-starling2", "orbit-report"):
-        assert coloured(folder / f"fig_limit_{part}.png") > COLOURED_MIN
+    assert set(table["trajectory"]) == {"vertical", "orbit"}
+    for flight in ("vertical", "orbit"):
+        assert coloured(folder / f"fig_limit_{flight}-starling2.png") > COLOURED_MIN
 
 
 def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smoke):

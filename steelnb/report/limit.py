@@ -18,9 +18,9 @@ from steelnb.types import Array
 
 EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 """Overrides that take the range noise away; what error is left is bias, and the drift that came through."""
-CAUSAL_POSES = 21
-"""Poses whose causal bound is worked out, evenly over the flight: each costs as much as the bound of a flight until
-then. Its square is linear between them."""
+CAUSAL_POSES = 15
+"""Poses whose causal bound is worked out, evenly over the flight beside the first few: each costs as much as the bound
+of a flight until then. Its square is taken as linear between them, and as no less than that of all scans."""
 AFTERWARDS = ("smoothed",)
 """Methods that use the whole flight, and are held against its bound; all others against the causal one."""
 BOUNDS: dict[str, dict[str, Any]] = {
@@ -47,14 +47,15 @@ def bounds(result: Result) -> Limits:
     stamp_s, truth = result.corrected.stamp_s, result.truth
     T_world_drone = truth.trajectory.at(stamp_s).T_world_drone
     information = gather(see(truth.tower, T_world_drone, result.settings.tof))
-    scans = np.unique(np.linspace(0, len(stamp_s) - 1, CAUSAL_POSES).astype(int))
+    last = len(stamp_s) - 1
+    scans = np.unique(np.append(np.minimum([1, 2, 4, 8, 16, 32], last), np.linspace(0, last, CAUSAL_POSES).astype(int)))
     square = {
         "causal": causal(information, stamp_s, scans.tolist()) ** 2,
         "batch": batch(information, stamp_s) ** 2,
         "one scan": one_scan(information) ** 2,
     }
     total = {name: each[:, :3].sum(axis=1) for name, each in square.items()}
-    total["causal"] = np.interp(stamp_s, stamp_s[scans], total["causal"])
+    total["causal"] = np.maximum(np.interp(stamp_s, stamp_s[scans], total["causal"]), total["batch"])
     return {name: np.sqrt(each) for name, each in total.items()}
 
 

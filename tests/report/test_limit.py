@@ -38,7 +38,8 @@ def test_every_scan_has_each_bound_and_later_scans_help_earlier_poses(flown):
     assert list(bounds) == list(limit.BOUNDS)
     assert all(len(sigma_m) == len(runs[0].corrected) for sigma_m in bounds.values())
     assert bounds["batch"][0] == bounds["causal"][0] == 0
-    assert (bounds["batch"][1:-1] < bounds["causal"][1:-1]).all()
+    assert (bounds["batch"] <= bounds["causal"]).all()
+    assert 1.02 * bounds["batch"][2] < bounds["causal"][2]
     assert bounds["batch"][-1] == pytest.approx(bounds["causal"][-1])
 
 
