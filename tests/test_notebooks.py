@@ -56,7 +56,7 @@ def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numb
     assert code[-1].splitlines()[-1] == ")"
     assert "results.write_results(" in code[-1]
     if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims)\.\w+\("
+        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit)\.\w+\("
         assert re.search(sentence, code[-2], re.MULTILINE)
 
 
@@ -322,6 +322,22 @@ def test_the_notebook_of_the_structure_over_seeds_flies_towers_of_other_sections
     assert (final["recall"] > 0.4).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["vertical.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
+
+
+def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
+    folder = smoke / "limit"
+    table = pd.read_csv(folder / "table.csv")
+    for (flight, sensor), rows in table.groupby(["trajectory", "sensor"]):
+        where, ate_mm = f"{flight}, {sensor}", rows.set_index("name")["ate_mm"]
+        assert rows.loc[rows["kind"] == "bound", "name"].tolist() == ["causal", "batch", "one scan"], where
+        assert rows.loc[rows["kind"] == "method", "name"].tolist() == ["icp", "gicp", "best", "combined", "smoothed"]
+        assert 0 < ate_mm["batch"] < ate_mm["causal"], where
+        assert ate_mm["causal"] < ate_mm[["icp", "gicp", "best", "combined"]].min(), where
+        noise_free_mm = rows.set_index("name")["noise_free_mm"].dropna()
+        assert noise_free_mm.index.tolist() == ["best"], where
+    assert set(table["trajectory"]) == {"vertical", "orbit"}
+    for flight in ("vertical", "orbit"):
+        assert coloured(folder / f"fig_limit_{flight}-starling2.png") > COLOURED_MIN
 
 
 def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smoke):

@@ -1,0 +1,197 @@
+"""Notebook 14: the bound of the pose errors of a flight beside what the methods reach, with and without range noise."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from steelnb.experiment import Result
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA
+from steelnb.metrics import position_error_m
+from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, batch, causal, gather, one_scan, see
+from steelnb.report.batch import caption, case_of
+from steelnb.report.conclusions import bullets, listed
+from steelnb.report.style import BLACK, COLOURS, DARK_GREY, GREY, LABELS, Figure, gather_legend, style
+from steelnb.types import Array
+
+EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
+"""Overrides that take the range noise away; what error is left is bias, and the drift that came through."""
+CAUSAL_POSES = 15
+"""Poses whose causal bound is worked out, evenly over the flight beside the first few: each costs as much as the bound
+of a flight until then. Its square is taken as linear between them, and as no less than that of all scans."""
+AFTERWARDS = ("smoothed",)
+"""Methods that use the whole flight, and are held against its bound; all others against the causal one."""
+BOUNDS: dict[str, dict[str, Any]] = {
+    "causal": {"color": BLACK, "linestyle": "--", "label": "bound: scans so far, surface unknown"},
+    "batch": {"color": BLACK, "linestyle": "-", "label": "bound: all scans, surface unknown"},
+    "one scan": {"color": DARK_GREY, "linestyle": ":", "label": "bound: one scan, surface known"},
+}
+"""The bounds, as a table names them and a figure draws them."""
+SMOOTHED_S = 10.0
+WITH, WITHOUT = "with range noise", "without range noise"
+TICKS_MM = [0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000, 3000]
+
+
+Limits = dict[str, Array]
+"""By name of a bound, the standard deviation of the position ``(K,)`` at each scan, metres; infinite where a scan does
+not tell all of it."""
+
+
+def bounds(result: Result) -> Limits:
+    """The bounds of a flight and sensor, named as in `BOUNDS`, whatever estimated it (`steelnb.metrics.limit`).
+
+    Raises `SettingsError` for a sensor without noise.
+    """
+    stamp_s, truth = result.corrected.stamp_s, result.truth
+    T_world_drone = truth.trajectory.at(stamp_s).T_world_drone
+    information = gather(see(truth.tower, T_world_drone, result.settings.tof))
+    last = len(stamp_s) - 1
+    scans = np.unique(np.append(np.minimum([1, 2, 4, 8, 16, 32], last), np.linspace(0, last, CAUSAL_POSES).astype(int)))
+    square = {
+        "causal": causal(information, stamp_s, scans.tolist()) ** 2,
+        "batch": batch(information, stamp_s) ** 2,
+        "one scan": one_scan(information) ** 2,
+    }
+    total = {name: each[:, :3].sum(axis=1) for name, each in square.items()}
+    total["causal"] = np.maximum(np.interp(stamp_s, stamp_s[scans], total["causal"]), total["batch"])
+    return {name: np.sqrt(each) for name, each in total.items()}
+
+
+def ate_mm(sigma_m: Array) -> float:
+    """Root mean square of a bound over the poses, millimetres: over many flights, no absolute trajectory error can have
+    a root mean square below it."""
+    return float(1e3 * np.sqrt((sigma_m**2).mean()))
+
+
+def limit_table(runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> pd.DataFrame:
+    """A row a bound and a method: the unaligned absolute trajectory error with range noise, ``ate_mm``, and without,
+    ``noise_free_mm``, and ``times_bound``, the former as a multiple of the bound that the method is held against.
+
+    ``runs`` are of one flight, ``exact`` some of them without range noise; NaN where there is none.
+    """
+    without = {result.settings.odometry.method: 1e3 * result.metrics["ate_rmse_m"] for result in exact}
+    rows = [{"name": name, "kind": "bound", "ate_mm": ate_mm(sigma_m)} for name, sigma_m in limits.items()]
+    for result in runs:
+        method, error_mm = result.settings.odometry.method, 1e3 * result.metrics["ate_rmse_m"]
+        times = error_mm / ate_mm(limits[against(method)])
+        numbers = {"ate_mm": error_mm, "noise_free_mm": without.get(method), "times_bound": times}
+        rows.append({"name": method, "kind": "method", **numbers})
+    columns = ["name", "kind", "ate_mm", "noise_free_mm", "times_bound"]
+    case = {key: value for key, value in case_of(runs[0].settings).items() if key != "method"}
+    table = pd.DataFrame(rows, columns=columns).astype({"noise_free_mm": float, "times_bound": float})
+    return table.assign(**case)
+
+
+def against(method: str) -> str:
+    """The bound that a method is held against."""
+    return "batch" if method in AFTERWARDS else "causal"
+
+
+def assumptions() -> dict[str, Any]:
+    """What the bounds take for granted, for the provenance of results."""
+    return {
+        "drift_sigma": DRIFT_SIGMA,
+        "drift_period_s": DRIFT_PERIOD_S,
+        "patch_m": PATCH_M,
+        "incidence_max_deg": float(np.degrees(INCIDENCE_MAX_RAD)),
+    }
+
+
+def limit_sentences(table: pd.DataFrame) -> str:
+    """Three sentences on `limit_table`: the bounds, the methods beside them, and what is left without range noise."""
+    row: dict[Any, dict[Any, Any]] = table.set_index("name").to_dict("index")
+    methods = table[table["kind"] == "method"]
+    lines = [
+        f"**{row['causal']['trajectory']}**, sensor {row['causal']['sensor']}: no odometry can err by less than "
+        f"{row['causal']['ate_mm']:.1f} mm, and nothing that has the whole flight by less than "
+        f"{row['batch']['ate_mm']:.1f} mm (ATE, root mean square over many flights); one scan on a known surface tells "
+        f"{_single(row['one scan']['ate_mm'])}."
+    ]
+    best = [
+        f"{LABELS[each['name']]} has {each['ate_mm']:.1f} mm, {each['times_bound']:.1f} times the bound "
+        f"{'of the whole flight' if each['name'] in AFTERWARDS else 'of the scans so far'}"
+        for each in methods.sort_values("ate_mm").head(2).to_dict("records")
+    ]
+    worst = methods.sort_values("ate_mm").to_dict("records")[-1]
+    below = [LABELS[name] for name in methods.loc[methods["times_bound"] < 1, "name"]]
+    lines.append(
+        f"{'; '.join(best)}; the worst, {LABELS[worst['name']]}, {worst['times_bound']:.0f} times."
+        + (f" Below the bound, which is of the mean over flights: {listed(below)}." if below else "")
+    )
+    known = methods[methods["noise_free_mm"].notna()]
+    if len(known):
+        share = (known["noise_free_mm"] / known["ate_mm"]) ** 2
+        left = [
+            f"{LABELS[each['name']]} {each['noise_free_mm']:.1f} mm instead of {each['ate_mm']:.1f}"
+            for each in known.to_dict("records")
+        ]
+        most = [LABELS[name] for name in known.loc[share > 0.5, "name"]]
+        rest = [LABELS[name] for name in known.loc[share <= 0.5, "name"]]
+        lines.append(
+            f"Without range noise: {', '.join(left)}. More than half of the squared error is bias, there "
+            f"without any noise, with: {listed(most)}; less than half with: {listed(rest)}."
+        )
+    return bullets(lines)
+
+
+def _single(sigma_mm: float) -> str:
+    return f"the place to {sigma_mm:.1f} mm" if np.isfinite(sigma_mm) else "not always the whole place"
+
+
+@style()
+def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> Figure:
+    """The error of each method over time as a running root mean square, and the bounds below it (left); the error of
+    the whole flight with and without range noise (right); logarithmic, in millimetres."""
+    figure = Figure(figsize=(9.0, 5.6))
+    curve, whole = figure.subplots(1, 2, sharey=True, width_ratios=[4.2, 1.0])
+    for result in runs:
+        method = result.settings.odometry.method
+        rms_mm = _running_rms_mm(result)
+        curve.plot(result.corrected.stamp_s, rms_mm, color=COLOURS[method], label=LABELS[method])
+    stamp_s = runs[0].corrected.stamp_s
+    for name, look in BOUNDS.items():
+        shown = np.isfinite(limits[name]) & (limits[name] > 0)  # the first pose is known
+        curve.plot(stamp_s, np.where(shown, 1e3 * limits[name], np.nan), **look)
+    reached_mm = [1e3 * result.metrics["ate_rmse_m"] for result in (*runs, *exact)]
+    lowest_mm = 0.5 * min(*map(ate_mm, limits.values()), *reached_mm)
+    largest_mm = 1.6 * max(1e3 * result.metrics["error_max_m"] for result in runs)
+    curve.fill_between(stamp_s, 0.01 * lowest_mm, 1e3 * limits["batch"], color=GREY, alpha=0.18, lw=0)
+    curve.set(yscale="log", xlim=(0, float(stamp_s[-1])))
+    curve.set_yticks(TICKS_MM, [f"{tick:g}" for tick in TICKS_MM])
+    curve.minorticks_off()
+    curve.set_ylim(lowest_mm, largest_mm)
+    curve.set(xlabel="time (s)", ylabel=f"error of the position (mm), RMS over {SMOOTHED_S:g} s")
+    _draw_whole(whole, runs, exact, limits)
+    gather_legend(figure, ncols=3, fontsize=10)
+    figure.suptitle(caption(runs), fontsize=12)
+    return figure
+
+
+def _running_rms_mm(result: Result) -> pd.Series:
+    square = pd.Series((1e3 * position_error_m(result.corrected, result.truth.trajectory)) ** 2)
+    window = max(1, round(SMOOTHED_S * result.settings.tof.rate_hz))
+    return np.sqrt(square.rolling(window, center=True, min_periods=1).mean())
+
+
+def _draw_whole(panel: Axes, runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> None:
+    """Draw the error of the whole flight of each method, with range noise filled, without hollow, and the bounds."""
+    place = {result.settings.odometry.method: k for k, result in enumerate(runs)}
+    for kind, results in ((WITH, runs), (WITHOUT, exact)):
+        for k, result in enumerate(results):
+            method = result.settings.odometry.method
+            colour = COLOURS[method]
+            face = colour if kind == WITH else "white"
+            at = (place[method], 1e3 * result.metrics["ate_rmse_m"])
+            panel.plot(*at, "o", color=colour, mfc=face, ms=8, mew=1.6, zorder=3 if kind == WITH else 4)
+            if k == 0:
+                panel.plot([], [], "o", color=GREY, mfc=GREY if kind == WITH else "white", ms=8, label=f"ATE {kind}")
+    for name, look in BOUNDS.items():
+        if np.isfinite(limits[name]).all():
+            panel.axhline(ate_mm(limits[name]), color=look["color"], linestyle=look["linestyle"], linewidth=1.4)
+    panel.set(xlim=(-0.6, len(runs) - 0.4), title="whole flight")
+    panel.title.set_fontsize(11)
+    panel.set_xticks(range(len(runs)), [LABELS[name] for name in place], rotation=90, fontsize=10)
+    panel.grid(axis="x", visible=False)
+    panel.tick_params(axis="y", labelleft=False)
