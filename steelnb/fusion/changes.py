@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from scipy import stats
 
-from steelnb.errors import EmptyCloudError
+from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import sections
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
@@ -89,11 +89,14 @@ def find_changes(
     known: the map; world frame, metres. Raises `EmptyStructureError` for one without bars.
     scans: K scans, points in the sensor frame, NaN for no return. That a bar is missing can be told from images
         ``(H, W, 3)`` of a pinhole camera alone, since the rays without a return must be known.
-    T_world_drone: ``(K, 4, 4)``, poses in the frame of the map, as `KnownStructureOdometry` gives them.
+    T_world_drone: ``(K, 4, 4)``, poses in the frame of the map, as `KnownStructureOdometry` gives them. Raises
+        `SettingsError` for poses that do not fit the scans or are not finite.
     T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
     settings: the floor and the range; what a new bar is.
     """
     settings, bars = settings or StructureSettings(), KnownBars(known)
+    if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
+        raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
     T = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
     views = _Views(bars, settings)
     camera = _pinhole(scans)

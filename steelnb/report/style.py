@@ -37,7 +37,7 @@ METHODS = {
     "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
     "combined": ("combined", INDIGO),
     "smoothed": ("smoothed", "#661100"),
-    "map": ("known structure", "#117733"),
+    "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""
 DETECTORS = {

@@ -112,7 +112,7 @@ def test_a_bad_file_is_one_line_wherever_it_is_read(
     (files / "bad.json").write_text((files / "a.json").read_text().replace('"version": 3', '"version": 9'))
     assert cli.main(["structure", *arguments]) == 2
     err = capsys.readouterr().err
-    assert "bad.json: version = 9; expected 2" in err
+    assert "bad.json: version = 9; expected 3" in err
     assert err.count("\n") == 1
     assert sorted(path.name for path in files.iterdir()) == ["a.json", "b.json", "bad.json"]
 
