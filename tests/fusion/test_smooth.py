@@ -7,8 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.fusion import bundle, sections, smooth
+from steelnb.errors import SingularError
+from steelnb.fusion import bundle, sections, smooth, uncertainty
 from steelnb.metrics import score_trajectory
+from steelnb.odometry.cache import _pack, _unpack
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Segments, Trajectory
 
@@ -44,6 +46,32 @@ def test_the_first_pose_is_the_prior_s_and_roll_and_pitch_stay(flown, smoothed):
     )
     assert len(smoothed.segments) > 20
     assert len(smoothed.points) > 1000
+
+
+def test_it_is_kept_with_its_covariances(smoothed):
+    assert smoothed.unsure == ""
+    assert smoothed.pose_covariance.shape == (len(smoothed.corrected), 6, 6)
+    assert smoothed.axis_covariance.shape == (len(smoothed.segments), 4, 4)
+    again = _unpack(_pack(smoothed), smoothed.prior)
+    np.testing.assert_array_equal(again.pose_covariance, smoothed.pose_covariance)
+    np.testing.assert_array_equal(again.axis_covariance, smoothed.axis_covariance)
+
+
+def test_a_flight_that_is_not_smoothed_has_no_covariance(flown):
+    again = _unpack(_pack(flown[2]), flown[2].prior)
+    assert again.pose_covariance is None
+    assert again.axis_covariance is None
+
+
+def test_without_covariances_the_reason_is_told_and_the_poses_stay(flown, smoothed, monkeypatch):
+    def fail(*_):
+        raise SingularError("covariance of pose 3 is singular: nothing holds it along 1.00 z")
+
+    monkeypatch.setattr(uncertainty, "marginals", fail)
+    found = smooth(flown[0], flown[2])
+    assert "pose 3" in found.unsure
+    assert found.pose_covariance is None
+    np.testing.assert_array_equal(found.corrected.T_world_drone, smoothed.corrected.T_world_drone)
 
 
 def test_the_odometry_s_settings_ask_for_it(flown, smoothed):
