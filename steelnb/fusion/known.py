@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
-from steelnb.fusion.bundle import BAR, POSE, Bars, Equations, Observations, gather
+from steelnb.fusion.bundle import BAR, POSE, Bars, Equations, gather
+from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import bars_of_points, nearest_bars
 from steelnb.fusion.structure import Structure
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE

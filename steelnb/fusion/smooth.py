@@ -8,6 +8,7 @@ import numpy as np
 
 from steelnb.errors import EmptyCloudError, SingularError
 from steelnb.fusion import bundle, uncertainty
+from steelnb.fusion.observations import Observations
 from steelnb.fusion.reconstruct import map_and_fit, map_scans
 from steelnb.settings import StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
@@ -36,7 +37,7 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         state = bundle.start(T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
         for pixels, steps in (COARSE, FINE) if last else (COARSE,):
-            seen = bundle.Observations.gathered(scans.bar_points(fitted.bars, 1, pixels), T)
+            seen = Observations.gathered(scans.bar_points(fitted.bars, 1, pixels), T)
             for _ in range(steps):
                 state = bundle.improve(state, seen, prior, stamp_s)
         T = state.T_world_sensor

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky, cholesky_banded, solve_triangular
 
 from steelnb.errors import SingularError
-from steelnb.fusion.bundle import BAR, POSE, Bundle, Observations, chain, coupling, linearised, reduced
+from steelnb.fusion.bundle import BAR, POSE, Bundle, chain, coupling, linearised, reduced
+from steelnb.fusion.observations import Observations
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 

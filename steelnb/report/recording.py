@@ -16,19 +16,16 @@ from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.changes import KINDS, Changes, find_changes
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
-from steelnb.fusion.uncertainty import axis_sigma_m
 from steelnb.io import read_flight, read_truth
-from steelnb.io.clouds import shift_of, write_ply
+from steelnb.io.clouds import shift_of
 from steelnb.io.flights import GAP_MAX_S
 from steelnb.io.rrd import Log
-from steelnb.io.segments import orientation, write_segments
-from steelnb.io.structures import write_structure
-from steelnb.io.trajectories import write_sigma, write_tum
+from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
-from steelnb.metrics.matching import match_members
 from steelnb.odometry import KnownStructureOdometry, Odometry
 from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
+from steelnb.report.recording_files import with_sigma, write_recording
 from steelnb.report.recording_numbers import TIMES, measure_recording, summary_lines
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
@@ -201,7 +198,7 @@ def run_recording(
         estimate = odometry.run(flight, estimator, observe)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
-        built = _with_sigma(built, estimate) if built is not None else None
+        built = with_sigma(built, estimate) if built is not None else None
         changes = None
         if known is not None:
             on_stage("comparing with the map")
@@ -227,7 +224,7 @@ def run_recording(
             figures["changes"] = figure_changes(changes, f"{flight.name}: changes of {len(changes.known)} bars")
             write_changes(changes, folder / "changes.csv", origin)
         about = {"source": flight.name, "odometry": method, "noise": added_noise}
-        _write(folder, flight, estimate, true, segments, built, about, origin)
+        write_recording(folder, flight, estimate, true, segments, built, about, origin)
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
         for name, figure in figures.items():
@@ -259,33 +256,6 @@ def _placed(
     return replace(flight, prior=prior), placed, truth.moved(origin) if truth is not None else None
 
 
-def _write(
-    folder: Path, flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments,
-    built: Structure | None, about: dict[str, str | None], origin: Array,
-) -> None:  # fmt: skip
-    write_tum(folder / "prior.tum", estimate.prior)
-    write_tum(folder / "corrected.tum", estimate.corrected)
-    write_ply(folder / "map.ply", estimate.points, "<f8")  # world coordinates may be those of a country
-    sigma_m = None
-    if estimate.pose_covariance is not None:
-        write_sigma(folder / "corrected_sigma.csv", estimate.corrected.stamp_s, estimate.pose_covariance)
-    if estimate.axis_covariance is not None:
-        half_m = 0.5 * segments.length
-        sigma_m = np.column_stack([axis_sigma_m(estimate.axis_covariance, along_m) for along_m in (-half_m, half_m)])
-    write_segments(folder, segments.moved(-origin), origin, orientation(segments), about, sigma_m)
-    if built is not None:
-        write_structure(built, folder / "structure.json", about=about)
-    frames = pd.DataFrame({"stamp_s": estimate.prior.stamp_s, "matches": estimate.matches, "not_used": estimate.reason})
-    frames["ms"] = 1e3 * estimate.update_s
-    for name, path in (("prior", estimate.prior), ("corrected", estimate.corrected)):
-        error_m = np.full(len(frames), np.nan)
-        if truth is not None:
-            error_m[_index(flight, truth)] = position_error_m(path.at(truth.stamp_s), truth)
-        frames[f"{name}_error_m"] = error_m
-    digits = {"stamp_s": 6, "ms": 2, "prior_error_m": 4, "corrected_error_m": 4}
-    frames.round(digits).to_csv(folder / "frames.csv", index=False, lineterminator="\n", errors="backslashreplace")
-
-
 def _figures(
     flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments, method: str
 ) -> dict[str, Figure]:
@@ -312,23 +282,3 @@ def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettin
         return reconstruct(flight.scans, estimate.corrected.T_world_drone, flight.T_drone_sensor, settings)
     except (EmptyCloudError, DegenerateCloudError, SettingsError) as fault:  # no return above the floor; huge extents
         return Structure.empty(str(fault))
-
-
-def _with_sigma(structure: Structure, estimate: Estimate) -> Structure:
-    """The structure with the standard deviations of the smoothed axes that its bars lie on, in the bars' middles.
-
-    A bar on none keeps that of its own fit, to which the median of the poses' is added.
-    """
-    axes, covariance = estimate.segments, estimate.axis_covariance
-    if covariance is None or estimate.pose_covariance is None or not len(structure):
-        return structure
-    on = match_members(structure.segments, np.stack([axes.start, axes.end], axis=1)).member
-    along_m = ((structure.segments.middle - axes.middle[on]) * axes.direction[on]).sum(axis=1)
-    pose_m2 = np.median(np.trace(estimate.pose_covariance[:, :3, :3], axis1=1, axis2=2)) / 3.0
-    fitted_m = np.sqrt(structure.sigma_m**2 + pose_m2)
-    return replace(structure, sigma_m=np.where(on >= 0, axis_sigma_m(covariance[on], along_m), fitted_m))
-
-
-def _index(flight: Flight, truth: Trajectory) -> list[int]:
-    """Numbers of the scans that ``truth`` has a pose for."""
-    return np.searchsorted(flight.prior.stamp_s, truth.stamp_s - 1e-6).tolist()

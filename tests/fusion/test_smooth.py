@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.errors import SingularError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
+from steelnb.fusion.observations import Observations
 from steelnb.metrics import score_trajectory
 from steelnb.odometry.cache import _pack, _unpack
 from steelnb.settings import ExperimentSettings
@@ -143,7 +144,7 @@ def made_up(seed: int, noise_m: float):
                 of.append(b)
             yield k, np.array(found), np.array(of)
 
-    return T, bars, bundle.Observations.gathered(scans(), T)
+    return T, bars, Observations.gathered(scans(), T)
 
 
 def test_a_made_up_flight_comes_back_to_the_truth():
