@@ -7,11 +7,10 @@ import numpy as np
 
 from steelnb.cache import Arrays, kept
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.run import OnStep, run
+from steelnb.odometry.run import OnStep, run, run_online, smoothed
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
 
-COVARIANCES = ("pose_covariance", "axis_covariance")
 COLUMNS = tuple(field.name for field in fields(Segments))
 
 
@@ -19,7 +18,7 @@ def run_kept(flight: Flight, odometry: CloudOdometry | SegmentOdometry, on_step:
     """`run`, `kept` between notebooks where the scans are simulated; ``on_step`` is not called for a kept estimate.
 
     An estimate belongs to the content of the flight and the settings of the odometry. Its seconds are those of the time
-    when it was computed.
+    when it was computed. It is kept as it was before it was smoothed, which is what several methods share.
     """
     if not isinstance(flight.scans, RangeScans):
         return run(flight, odometry, on_step)
@@ -28,16 +27,20 @@ def run_kept(flight: Flight, odometry: CloudOdometry | SegmentOdometry, on_step:
 
     def key() -> object:
         content = [hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() for array in given]
-        return [type(odometry).__name__, odometry.settings.model_dump(mode="json"), *content]
+        # The rules of odometry by segments go by their names; methods by clouds differ in their settings alone.
+        named = {"smooth"} if odometry.settings.clouds is None else {"smooth", "method"}
+        settings = odometry.settings.model_dump(mode="json", exclude=named)
+        return [type(odometry).__name__, settings, *content]
 
-    return kept(
+    online = kept(
         "estimates",
         key,
         [__name__],
-        lambda: run(flight, odometry, on_step),
+        lambda: run_online(flight, odometry, on_step),
         _pack,
         lambda arrays: _unpack(arrays, prior),
     )
+    return smoothed(flight, online, odometry)
 
 
 def _pack(estimate: Estimate) -> Arrays:
@@ -50,9 +53,6 @@ def _pack(estimate: Estimate) -> Arrays:
         "stage": np.array(list(estimate.seconds), dtype=str),
         "seconds": np.array(list(estimate.seconds.values())),
         "update_s": estimate.update_s,
-        "unsmoothed": np.array(estimate.unsmoothed),
-        "unsure": np.array(estimate.unsure),
-        **{name: getattr(estimate, name) for name in COVARIANCES if getattr(estimate, name) is not None},
     }
 
 
@@ -66,7 +66,4 @@ def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
         reason=tuple(arrays["reason"].tolist()),
         seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
         update_s=arrays["update_s"],
-        unsmoothed=str(arrays["unsmoothed"]),
-        unsure=str(arrays["unsure"]),
-        **{name: arrays[name] for name in COVARIANCES if name in arrays},
     )

@@ -28,6 +28,11 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
 
     Raises `RecordingError` where fewer scans can be read than the flight has poses.
     """
+    return smoothed(flight, run_online(flight, odometry, on_step), odometry)
+
+
+def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Estimate:
+    """`run` without the smoothing at the end."""
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
     for k, scan in enumerate(flight.scans):
@@ -41,7 +46,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     if len(steps) < len(flight):
         raise RecordingError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one a pose")
     stages = steps[0].seconds if steps else ()
-    estimate = Estimate(
+    return Estimate(
         prior=flight.prior,
         corrected=Trajectory(flight.prior.stamp_s, np.array([s.T_world_drone for s in steps]).reshape(-1, 4, 4)),
         points=odometry.map_points(),
@@ -51,13 +56,13 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
         seconds={stage: np.array([s.seconds[stage] for s in steps]) for stage in stages},
         update_s=update_s,
     )
+
+
+def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate:
+    """The estimate smoothed if the odometry's settings ask for it; the stage ``smooth`` has an equal share of the time
+    a scan."""
     settings = getattr(odometry, "settings", None)
-    return _smoothed(flight, estimate, settings) if isinstance(settings, OdometrySettings) else estimate
-
-
-def _smoothed(flight: Flight, estimate: Estimate, settings: OdometrySettings) -> Estimate:
-    """The estimate smoothed if the settings ask for it; the stage ``smooth`` has an equal share of the time a scan."""
-    if not settings.smooth:
+    if not isinstance(settings, OdometrySettings) or not settings.smooth:
         return estimate
     begin, seen = time.perf_counter(), settings.preprocess
     estimate = smooth(flight, estimate, StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m))
