@@ -94,7 +94,7 @@ def test_a_kept_estimate_is_the_same_to_the_bit(folder: Path, monkeypatch: pytes
     settings = ExperimentSettings.preset("orbit", "random-walk", sensor="report", duration_s=4.0, method=method)
     seen: list[float] = []
     first = experiment.run(settings, seen.append)
-    monkeypatch.setattr(estimates, "run", None)
+    monkeypatch.setattr(estimates, "run_online", None)
     again = experiment.run(settings, seen.append)
     assert len(seen) > 2
     assert seen[-1] == 1.0
@@ -122,3 +122,21 @@ def test_an_estimate_belongs_to_the_prior_the_scans_and_the_settings(folder: Pat
         experiment.run(base.override(changed))
         experiment.run(base.override(changed))
     assert len(list((folder.parent / "estimates").iterdir())) == 4
+
+
+def test_a_smoothed_flight_starts_from_the_kept_estimate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = ExperimentSettings.preset("orbit", "random-walk", duration_s=6.0, method="combined")
+    combined = experiment.run(settings)
+    monkeypatch.setattr(estimates, "run_online", None)
+    found = experiment.run(ExperimentSettings.preset("orbit", "random-walk", duration_s=6.0, method="smoothed"))
+    assert found.unsmoothed == ""
+    assert not np.array_equal(found.corrected.T_world_drone, combined.corrected.T_world_drone)
+    assert found.pose_covariance is not None
+    assert combined.pose_covariance is None
+    assert np.array_equal(found.update_s, combined.update_s)
+
+
+def test_rules_of_segments_with_the_same_settings_are_kept_apart(folder: Path) -> None:
+    for method in ("average", "least_squares"):
+        experiment.run(ExperimentSettings.preset("orbit", sensor="report", duration_s=2.0, method=method))
+    assert len(list((folder.parent / "estimates").iterdir())) == 2

@@ -141,3 +141,9 @@ def test_a_message_about_a_very_long_value_is_short() -> None:
     with pytest.raises(SettingsError, match="trajectory = 'xxx") as caught:
         FlightSettings(trajectory="x" * 100_000)
     assert len(str(caught.value)) <= 400
+
+
+def test_a_method_has_what_the_sensor_adds_to_the_one_it_is_based_on():
+    combined, smoothed = (OdometrySettings.preset(method, "starling2") for method in ("combined", "smoothed"))
+    assert smoothed == combined.model_copy(update={"method": "smoothed", "smooth": True})
+    assert smoothed.segments.robust_scale_m != OdometrySettings.preset("average", "starling2").segments.robust_scale_m

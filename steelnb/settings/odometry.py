@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted
-from steelnb.settings.presets import merged, method_names, method_preset, sensor_preset
+from steelnb.settings.presets import method_names, method_preset, sensor_preset
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
 """Odometries by segments alone; all other methods are by clouds, ``combined`` by both."""
@@ -128,8 +128,8 @@ class OdometrySettings(Settings):
         cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
     ) -> "OdometrySettings":
         """The settings of a method with a sensor's data; ``overrides`` as in `override`. Raises `SettingsError`."""
-        tables, of_sensor = method_preset(method), sensor_preset(sensor)
-        tables = merged(tables, of_sensor.get("methods", {}).get(method, {}))
+        of_sensor = sensor_preset(sensor)
+        tables = method_preset(method, of_sensor.get("methods", {}))
         by_clouds, by_segments = "clouds" in tables, "segments" in tables
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}

@@ -1,6 +1,7 @@
 """Presets: TOML files in ``steelnb/presets``, which a user can copy, change and name by their path."""
 
 import tomllib
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -71,11 +72,12 @@ def method_names() -> tuple[str, ...]:
     return tuple(_preset("methods"))
 
 
-def method_preset(method: str) -> dict[str, Any]:
-    """The settings of a method, those that it is ``based_on`` included. Raises `SettingsError`."""
-    own = dict(_entry("methods", "method", method))
+def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """The settings of a method, those that it is ``based_on`` included, each with what a sensor's preset adds to it
+    (``of_sensor``, by method). Raises `SettingsError`."""
+    own = merged(_entry("methods", "method", method), of_sensor.get(method, {}))
     base = own.pop("based_on", None)
-    return merged(method_preset(base), own) if base else own
+    return merged(method_preset(base, of_sensor), own) if base else own
 
 
 def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from steelnb.errors import SingularError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
 from steelnb.fusion.observations import Observations
 from steelnb.metrics import score_trajectory
-from steelnb.odometry.cache import _pack, _unpack
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Segments, Trajectory
 
@@ -49,19 +48,10 @@ def test_the_first_pose_is_the_prior_s_and_roll_and_pitch_stay(flown, smoothed):
     assert len(smoothed.points) > 1000
 
 
-def test_it_is_kept_with_its_covariances(smoothed):
+def test_it_has_a_covariance_for_each_pose_and_axis(smoothed):
     assert smoothed.unsure == ""
     assert smoothed.pose_covariance.shape == (len(smoothed.corrected), 6, 6)
     assert smoothed.axis_covariance.shape == (len(smoothed.segments), 4, 4)
-    again = _unpack(_pack(smoothed), smoothed.prior)
-    np.testing.assert_array_equal(again.pose_covariance, smoothed.pose_covariance)
-    np.testing.assert_array_equal(again.axis_covariance, smoothed.axis_covariance)
-
-
-def test_a_flight_that_is_not_smoothed_has_no_covariance(flown):
-    again = _unpack(_pack(flown[2]), flown[2].prior)
-    assert again.pose_covariance is None
-    assert again.axis_covariance is None
 
 
 def test_without_covariances_the_reason_is_told_and_the_poses_stay(flown, smoothed, monkeypatch):
