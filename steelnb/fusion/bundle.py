@@ -118,9 +118,7 @@ def improve(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array) ->
     moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
     step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(-1, POSE)
     bars = _moved_bars(bars, moved.reshape(n, BAR))
-    return Bundle(
-        _moved_poses(T, step), bars, noise_ratio(equations.residuals, bundle.sigma_ratio), bundle.fitted, step
-    )
+    return Bundle(moved_poses(T, step), bars, noise_ratio(equations.residuals, bundle.sigma_ratio), bundle.fitted, step)
 
 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
@@ -180,7 +178,8 @@ def chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) 
     return band
 
 
-def _moved_poses(T: Array, step: Array) -> Array:
+def moved_poses(T: Array, step: Array) -> Array:
+    """Poses ``(K, 4, 4)`` after steps ``(K, 4)`` of x, y, z, metres, and yaw about their own places, radians."""
     result = T.copy()
     result[:, :3, 3] += step[:, :3]
     result[:, :3, :3] = Rotation.from_rotvec(step[:, 3:] * [0, 0, 1]).as_matrix() @ T[:, :3, :3]

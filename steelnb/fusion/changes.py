@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from steelnb.errors import EmptyCloudError, SettingsError
+from steelnb.errors import EmptyCloudError
 from steelnb.fusion.displacement import BENT, SIGMA_BOW_M, displaced
 from steelnb.fusion.known import KnownBars
-from steelnb.fusion.reconstruct import reconstruct
+from steelnb.fusion.reconstruct import reconstruct, sensor_poses
 from steelnb.fusion.structure import Structure
 from steelnb.fusion.views import Views, pinhole
 from steelnb.settings import StructureSettings
@@ -77,9 +77,7 @@ def find_changes(
     settings: the floor and the range; what a new bar is.
     """
     settings, bars = settings or StructureSettings(), KnownBars(known)
-    if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
-        raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
-    T = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
+    T = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
     views = Views(bars, settings)
     camera = pinhole(scans)
     for k, scan in enumerate(scans):
@@ -99,7 +97,7 @@ def find_changes(
     kind[~told] = "not seen"
     p[~told] = np.nan
     offset_m, sigma_m = (np.where(measured, each, np.nan) for each in (offset_m, sigma_m))
-    new = _new_bars(scans, T_world_drone, T_drone_sensor, T, bars, settings)
+    new = _new_bars(scans, T, bars, settings)
     beside, beside_sigma = _beside(new, known)
     return Changes(
         known, new, (*kind.tolist(), *["new"] * len(new)), np.append(offset_m, beside),
@@ -143,14 +141,11 @@ class _Unexplained(Sequence[Scan]):
         return replace(scan, points=points)
 
 
-def _new_bars(
-    scans: Sequence[Scan], T_world_drone: Array, T_drone_sensor: Array | None, T_world_sensor: Array, bars: KnownBars,
-    settings: StructureSettings,
-) -> Structure:  # fmt: skip
+def _new_bars(scans: Sequence[Scan], T_world_sensor: Array, bars: KnownBars, settings: StructureSettings) -> Structure:
     """The bars that `reconstruct` finds in the points that lie near no bar of the map."""
     left = _Unexplained(scans, T_world_sensor, bars)
     try:
-        return reconstruct(left, T_world_drone, T_drone_sensor, settings.replace(adjust=False))
+        return reconstruct(left, T_world_sensor, settings=settings.replace(adjust=False))
     except EmptyCloudError as fault:
         return Structure.empty(str(fault))
 

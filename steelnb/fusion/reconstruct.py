@@ -59,10 +59,7 @@ def reconstruct(
     return above the floor.
     """
     settings = settings or StructureSettings()
-    T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
-    if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
-        raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
-    T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
+    T_world_sensor = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
     scales = Scales.at(settings.tube_m)
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
@@ -80,6 +77,17 @@ def reconstruct(
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
     return _tied(fitted, scales)
+
+
+def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
+    """Poses of the sensor ``(K, 4, 4)`` from those of the drone and the mount of the sensor, None for the drone frame.
+
+    Raises `SettingsError` for poses of the drone that are not ``count`` or not finite.
+    """
+    T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
+    if T_world_drone.shape != (count, 4, 4) or not np.isfinite(T_world_drone).all():
+        raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({count}, 4, 4), all finite")
+    return T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
 
 
 def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1) -> VoxelMap:

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
 from steelnb.errors import MapMismatchError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, noise_ratio, yaw_of
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, noise_ratio, yaw_of
 from steelnb.fusion.known import VOXEL_M, KnownBars
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.structure import Structure
@@ -125,10 +124,8 @@ class KnownStructureOdometry:
             matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio)
             away = np.append(T[:3, 3] - T_start[:3, 3], yaw_of(T[:3, :3] @ T_start[:3, :3].T))
             information = matrix + np.diag(1 / variance)
-            step = np.linalg.solve(information, vector - away / variance)
-            T = T.copy()
-            T[:3, 3] += step[:3]
-            T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, step[3]]).as_matrix() @ T[:3, :3]
+            step = np.asarray(np.linalg.solve(information, vector - away / variance), dtype=np.float64)
+            T = moved_poses(T[None], step[None])[0]
             if wide == FINE[-1] and (np.abs(step) < STEP_MIN).all():
                 break
         near, on = self.known.matched(points, T, self.ratio)
@@ -176,10 +173,7 @@ def _search(points: Array, T_world_sensor: Array, known: KnownBars) -> list[Arra
     found: list[Array] = []
     while len(found) < REFINED and score.max() > 0:
         best = np.unravel_index(score.argmax(), score.shape)
-        turn = Rotation.from_rotvec([0.0, 0.0, yaw[best[0]]]).as_matrix()
-        T = T_world_sensor.copy()
-        T[:3, :3], T[:3, 3] = turn @ T[:3, :3], T[:3, 3] + shift[list(best[1:])]
-        found.append(T)
+        found.append(moved_poses(T_world_sensor[None], np.append(shift[list(best[1:])], yaw[best[0]])[None])[0])
         score[tuple(slice(max(0, i - 1), i + 2) for i in best)] = 0
     return found or [T_world_sensor]
 
