@@ -82,6 +82,7 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
     ``runs`` are rows of a study of one sensor and duration. The drift without correction stands behind; the grey range
     is that of the report's single seed.
     """
+    runs = runs[runs["method"].isin(methods)]
     cases = list(dict.fromkeys(zip(runs["noise"], runs["trajectory"], strict=True))) or [("", "")]
     figure = Figure(figsize=(1.0 + 2.5 * max(len(cases), 2), 1.6 + 2.0 * len(methods)))
     grid = figure.subplots(len(methods), len(cases), sharex=True, sharey=True, squeeze=False)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from steelnb.report.batch import caption
+from steelnb.report.batch import caption, seeds_text
 from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_legend, draw_sample, style
 from steelnb.settings import FlightSettings
 
@@ -109,7 +109,11 @@ def figure_worlds(runs: pd.DataFrame) -> Figure:
     keys |= {"mean": {"color": COLOURS["truth"], "lw": 2.0}}
     keys |= {LABELS["none"]: {"color": COLOURS["none"], "marker": "|", "ls": "", "ms": 14, "mew": 2}}
     draw_legend(figure, keys)
-    figure.suptitle(caption(runs.drop(columns=["noise", "sensor"]).assign(noise="random-walk")))
+    usual = runs[runs["world"] == USUAL_WORLD]
+    seeds = sorted({*runs.groupby(["world", "method"], observed=True)["seed"].nunique()})
+    number = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else seeds_text(runs["seed"])
+    flown = caption(usual if len(usual) else runs).rpartition(", ")[0]
+    figure.suptitle(f"{flown} unless said otherwise, {number} each")
     for side in range(len(worlds) - 1):
         panel.axhline(side + 0.5, color=GREY, linewidth=0.4, alpha=0.5)
     panel.grid(axis="y", visible=False)
