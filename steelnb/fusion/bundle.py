@@ -73,6 +73,11 @@ class Bars:
     turn: Array
     flange: Array
 
+    def sectioned(self) -> "Bars":
+        """Those that take part."""
+        known = np.isfinite(self.flange)
+        return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
+
 
 @dataclass(frozen=True)
 class Bundle:

@@ -76,7 +76,7 @@ def find_changes(
     T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
     settings: the floor and the range; what a new bar is.
     """
-    settings, bars = settings or StructureSettings(), KnownBars(known)
+    settings, bars = settings or StructureSettings(), KnownBars.of(known)
     T = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
     views = Views(bars, settings)
     camera = pinhole(scans)

@@ -32,14 +32,29 @@ Mask = NDArray[np.bool_]
 
 
 class KnownBars:
-    """The bars of a structure with outlines, and the voxels around them.
+    """Bars with outlines, and the voxels around them.
 
-    ``bars``: B bars as `fusion.bundle` has them, ``corner (B, 6, 2)`` their outlines, ``sectioned (B,)`` which of them
-    are angle sections, ``sigma_m (B,)`` of their place; ``table``: the bar of each voxel, and the hash table of the
-    voxels. Raises `EmptyStructureError` for a structure without bars.
+    ``bars``: B bars as `fusion.bundle` has them; ``sectioned (B,)``: which of them are angle sections, the others being
+    tubes as wide as their flange; ``sigma_m (B,)``: standard deviations of their place, at least `SIGMA_MIN_M` of which
+    are added. ``corner (B, 6, 2)``: their outlines; ``table``: the bar of each voxel, and the hash table of the voxels.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, bars: Bars, sectioned: Mask, sigma_m: Array) -> None:
+        self.bars, self.sectioned, self.sigma_m = bars, sectioned, np.hypot(sigma_m, SIGMA_MIN_M)
+        self.corner = sections.outlines(bars.turn, bars.flange)
+        angle = np.arange(6) * math.pi / 3
+        # The hexagon of the same area as the tube.
+        tube = np.stack([np.cos(angle), np.sin(angle)], axis=1) * math.sqrt(2 * math.pi / (3 * math.sqrt(3)))
+        self.corner[~sectioned] = 0.5 * bars.flange[~sectioned, None, None] * tube
+        centre, key = _voxels(bars.segments.start, bars.segments.end, REACH_M, VOXEL_M)
+        bar_of_voxel = nearest_bars(bars.segments, centre, REACH_M, MARGIN_M)
+        size = 1 << max(10, (2 * len(key)).bit_length())
+        self.table = bar_of_voxel, np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
+        rehash(key, *self.table[1:])
+
+    @classmethod
+    def of(cls, structure: Structure) -> "KnownBars":
+        """The bars of a structure. Raises `EmptyStructureError` for one without bars."""
         if not len(structure):
             raise EmptyStructureError("the map has no bars; expected at least one to localise in")
         segments, n = structure.segments, len(structure)
@@ -47,22 +62,12 @@ class KnownBars:
         first = opening - (opening * segments.direction).sum(axis=1)[:, None] * segments.direction
         with np.errstate(invalid="ignore"):
             first = first / np.linalg.norm(first, axis=1)[:, None]
-        self.sectioned = np.isfinite(first).all(axis=1) & (structure.width_m > 0)
-        first = np.where(self.sectioned[:, None], first, sections.frames(segments.direction)[:, 0])
+        sectioned = np.isfinite(first).all(axis=1) & (structure.width_m > 0)
+        first = np.where(sectioned[:, None], first, sections.frames(segments.direction)[:, 0])
         across = np.stack([first, np.cross(segments.direction, first)], axis=1)
-        flange = np.where(self.sectioned, structure.width_m, 2 * np.maximum(segments.radius, 0.01))
-        self.bars = Bars(segments, across, np.full(n, -math.pi / 4), flange)
-        self.corner = sections.outlines(self.bars.turn, flange)
-        angle = np.arange(6) * math.pi / 3
-        # The hexagon of the same area as the tube.
-        tube = np.stack([np.cos(angle), np.sin(angle)], axis=1) * math.sqrt(2 * math.pi / (3 * math.sqrt(3)))
-        self.corner[~self.sectioned] = 0.5 * flange[~self.sectioned, None, None] * tube
-        self.sigma_m = np.hypot(np.where(np.isfinite(structure.sigma_m), structure.sigma_m, flange / 4), SIGMA_MIN_M)
-        centre, key = _voxels(segments.start, segments.end, REACH_M, VOXEL_M)
-        bar_of_voxel = nearest_bars(segments, centre, REACH_M, MARGIN_M)
-        size = 1 << max(10, (2 * len(key)).bit_length())
-        self.table = bar_of_voxel, np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
-        rehash(key, *self.table[1:])
+        flange = np.where(sectioned, structure.width_m, 2 * np.maximum(segments.radius, 0.01))
+        sigma_m = np.where(np.isfinite(structure.sigma_m), structure.sigma_m, flange / 4)
+        return cls(Bars(segments, across, np.full(n, -math.pi / 4), flange), sectioned, sigma_m)
 
     def __len__(self) -> int:
         return len(self.sigma_m)

@@ -233,10 +233,11 @@ class MappedScans:
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
         return FittedBars(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
 
-    def refine(self, bars: Segments) -> tuple[FittedBars, Segments]:
-        """Fit bars cut at bends to one in five scans; and those bars tied at joints, their pieces and copies merged."""
+    def refine(self, bars: Segments, every: int = 5) -> tuple[FittedBars, Segments]:
+        """Fit bars cut at bends to one in ``every`` scans; and those bars tied at joints, their pieces and copies
+        merged."""
         s, scales = self.settings, Scales.at(self.settings.tube_m)
-        fitted = self.fit(trim_bends(bars, scales), every=5)
+        fitted = self.fit(trim_bends(bars, scales), every)
         tied = _tied(fitted, scales).segments
         return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
 

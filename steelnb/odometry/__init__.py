@@ -4,6 +4,7 @@ from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry
@@ -11,14 +12,16 @@ from steelnb.settings import OdometrySettings
 from steelnb.types import Array
 
 
-def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdometry | SegmentOdometry:
+def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdometry | FaceOdometry | SegmentOdometry:
     """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor."""
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
+    if settings.refit_s is not None:
+        return FaceOdometry(settings, T_drone_sensor)
     return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor)
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry",
+    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry",
     "run", "run_kept",
 ]  # fmt: skip

@@ -7,6 +7,7 @@ import numpy as np
 
 from steelnb.cache import Arrays, kept
 from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.run import OnStep, run, run_online, smoothed
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
@@ -14,7 +15,7 @@ from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
 COLUMNS = tuple(field.name for field in fields(Segments))
 
 
-def run_kept(flight: Flight, odometry: CloudOdometry | SegmentOdometry, on_step: OnStep | None = None) -> Estimate:
+def run_kept(flight: Flight, odometry: CloudOdometry | FaceOdometry | SegmentOdometry, on_step: OnStep | None = None) -> Estimate:
     """`run`, `kept` between notebooks where the scans are simulated; ``on_step`` is not called for a kept estimate.
 
     An estimate belongs to the content of the flight and the settings of the odometry. Its seconds are those of the time

@@ -7,17 +7,16 @@ by their information. Roll and pitch are the prior's.
 """
 
 import time
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from steelnb.errors import MapMismatchError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, noise_ratio, yaw_of
+from steelnb.fusion.bundle import moved_poses
 from steelnb.fusion.known import VOXEL_M, KnownBars
-from steelnb.fusion.point_association import world_points
 from steelnb.fusion.structure import Structure
 from steelnb.odometry.base import nothing_left, scan_of
+from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, points_in_range
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.inputs import checked_pose
 from steelnb.points.voxel_kernels import find, pack
@@ -27,17 +26,9 @@ from steelnb.types import Array, OdometryStep, Scan, Segments
 START_M, START_RAD = 0.5, np.radians(5.0)
 """How far off the start may be along each axis, and in yaw."""
 STEP_M, STEP_RAD, SEARCH_LEAF_M, SEARCH_POINTS_MAX = 0.1, np.radians(1.0), 0.1, 400
+START_SIGMA = np.array([STEP_M] * 3 + [STEP_RAD])
 REFINED = 8
 """Grid of the search, the voxels and the number of points that take part in it, and how many places are refined."""
-COARSE, FINE = (6.0, 4.0, 2.5, 1.5), (1.0,) * 5
-STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4])
-"""Range noise, as a multiple, in the steps of a registration: wide robust weights first, where nothing is known. A step
-below the last, metres and radians, ends it."""
-SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
-"""A scan is registered if this share of its points that belong to bars lie on front faces, of this many bars with so
-many points each; with fewer points it tells nothing. Chosen on the development seeds 11 and 12."""
-RATIO = (1.0, 6.0)
-"""Bounds of the range noise as a multiple of that in `points.ranges`."""
 FIRST_SCANS = 10
 """Scans with points after which a map that none of them matched is refused."""
 LOST_M = 0.2
@@ -58,13 +49,12 @@ class KnownStructureOdometry:
     def __init__(
         self, structure: Structure, T_drone_sensor: Array | None = None, preprocess: PreprocessSettings | None = None
     ) -> None:
-        self.structure, self.known = structure, KnownBars(structure)
+        self.structure, self.faces = structure, FaceRegistration(KnownBars.of(structure))
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.preprocess = preprocess or PreprocessSettings()
         self.map = VoxelMap(self.preprocess.voxel_leaf_m)
         self.located = False
-        self.ratio = 1.0
-        self._T_map_prior, self._variance, self._stamp_s = np.eye(4), np.zeros(4), 0.0
+        self._T_map_prior = np.eye(4)
         self._unmatched, self._bars_matched = 0, 0
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
@@ -75,29 +65,27 @@ class KnownStructureOdometry:
         """
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         begin = time.perf_counter()
-        passed_s = max(scan.stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
-        self._stamp_s = scan.stamp_s
-        self._variance = self._variance + DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
+        self.faces.predict(scan.stamp_s)
         T_init = self._T_map_prior @ T_world_drone_prior
-        lost = not self.located or self._variance[:3].max() > LOST_M**2
-        points = self._points(scan, T_init, START_M if lost else 0.0)
+        lost = not self.located or self.faces.variance[:3].max() > LOST_M**2
+        T_sensor, floor_m = T_init @ self.T_drone_sensor, self.preprocess.floor_m + (START_M if lost else 0.0)
+        points = points_in_range(scan, T_sensor, self.preprocess.crop_m, floor_m)
         searched = time.perf_counter()
         if len(points) < POINTS_MIN:
             reason = nothing_left(scan, self.preprocess.crop_m) or "too few points"
             return self._step(scan, T_init, reason, 0, (begin, searched))
-        T_sensor = T_init @ self.T_drone_sensor
-        starts = _search(points, T_sensor, self.known) if lost else [T_sensor]
+        starts = _search(points, T_sensor, self.faces.known) if lost else [T_sensor]
         searched = time.perf_counter()
-        fits = [self._register(points, start, lost) for start in starts]
+        fits = [self.faces.fit(points, start, START_SIGMA if lost else None) for start in starts]
         fit = max(fits, key=lambda each: (not each.reason, each.share))
         if fit.reason:
             if not self.located:
                 self._refuse(fit.bars)
             return self._step(scan, T_init, fit.reason, fit.bars, (begin, searched))
-        self.located, self.ratio = True, float(np.clip(fit.ratio, *RATIO))
+        self.located = True
+        self.faces.accept(fit)
         T_world_drone = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
         self._T_map_prior = T_world_drone @ np.linalg.inv(T_world_drone_prior)
-        self._variance = np.diag(np.linalg.inv(fit.information))
         self.map.insert(points @ fit.T_world_sensor[:3, :3].T + fit.T_world_sensor[:3, 3])
         return self._step(scan, T_world_drone, "", fit.bars, (begin, searched))
 
@@ -109,37 +97,12 @@ class KnownStructureOdometry:
         """The bars of the known structure."""
         return self.structure.segments
 
-    def _points(self, scan: Scan, T_world_drone: Array, slack_m: float) -> Array:
-        """Points ``(N, 3)`` of a scan in the sensor frame, within range and ``slack_m`` above the floor."""
-        T = T_world_drone @ self.T_drone_sensor
-        flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
-        world, _ = world_points(flat, T, self.preprocess.crop_m, self.preprocess.floor_m + slack_m)
-        return np.asarray((world - T[:3, 3]) @ T[:3, :3])
-
-    def _register(self, points: Array, T_start: Array, lost: bool) -> "_Fit":
-        """Gauss-Newton from a pose of the sensor, with all points assigned to bars anew in each step."""
-        variance = np.array([STEP_M] * 3 + [STEP_RAD]) ** 2 if lost else self._variance
-        T, information, residuals = T_start, np.eye(4), np.zeros(0)
-        for wide in (*COARSE, *FINE) if lost else FINE:
-            matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio)
-            away = np.append(T[:3, 3] - T_start[:3, 3], yaw_of(T[:3, :3] @ T_start[:3, :3].T))
-            information = matrix + np.diag(1 / variance)
-            step = np.asarray(np.linalg.solve(information, vector - away / variance), dtype=np.float64)
-            T = moved_poses(T[None], step[None])[0]
-            if wide == FINE[-1] and (np.abs(step) < STEP_MIN).all():
-                break
-        near, on = self.known.matched(points, T, self.ratio)
-        bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
-        enough = bars >= BARS_MIN and share >= SHARE_MIN
-        reason = "" if enough else f"too little of the map in sight: {bars} bars, {100 * share:.0f} % of the points"
-        return _Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
-
     def _refuse(self, bars: int) -> None:
         """Count a scan that did not match; raise `MapMismatchError` when it is one too many."""
         self._unmatched, self._bars_matched = self._unmatched + 1, max(self._bars_matched, bars)
         if self._unmatched >= FIRST_SCANS:
             raise MapMismatchError(
-                f"{self._bars_matched} of {len(self.known)} bars matched in the first {FIRST_SCANS} scans; expected a "
+                f"{self._bars_matched} of {len(self.faces.known)} bars matched in the first {FIRST_SCANS} scans; expected a "
                 f"map of this place and a start within {START_M:g} m and {np.degrees(START_RAD):g}° of it"
             )
 
@@ -148,18 +111,6 @@ class KnownStructureOdometry:
     ) -> OdometryStep:
         seconds = {"search": clock[1] - clock[0], "register": time.perf_counter() - clock[1]}
         return OdometryStep(scan.stamp_s, T_world_drone, not reason, reason, bars, seconds)
-
-
-class _Fit(NamedTuple):
-    """A registration: the pose of the sensor, its information ``(4, 4)`` about x, y, z and yaw, the number of bars
-    matched, the share of the points on them, the range noise as a multiple, and why it does not hold."""
-
-    T_world_sensor: Array
-    information: Array
-    bars: int
-    share: float
-    ratio: float
-    reason: str
 
 
 def _search(points: Array, T_world_sensor: Array, known: KnownBars) -> list[Array]:

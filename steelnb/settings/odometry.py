@@ -95,7 +95,8 @@ class OdometrySettings(Settings):
     ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
     prediction follows the rate of the drift, 0 for a drift that stands still; the priors are the standard deviations of
     a correction from its prediction, None for none. ``smooth``: after the last scan, all poses and bars are adjusted
-    together (`steelnb.fusion.smooth`). Tables that a method does not use are None.
+    together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the
+    flight (`steelnb.odometry.faces`), None for none. Tables that a method does not use are None.
     """
 
     method: str
@@ -104,6 +105,7 @@ class OdometrySettings(Settings):
     prior_sigma_m: Positive | None = None
     prior_sigma_rad: Positive | None = None
     smooth: bool = False
+    refit_s: Positive | None = None
     preprocess: PreprocessSettings
     hough: HoughSettings | None = None
     fusion: FusionSettings | None = None
@@ -119,6 +121,8 @@ class OdometrySettings(Settings):
         by_bars = self.clouds is None or self.clouds.bars_weight > 0
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
+        if self.refit_s is not None and self.clouds is None:
+            raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
         if (self.prior_sigma_m is None) != (self.prior_sigma_rad is None):
             raise ValueError("prior_sigma_m and prior_sigma_rad: expected both or none")
         return self

@@ -1,0 +1,67 @@
+"""Keyframes of a flight that is under way: their poses and the bars in them, adjusted together now and then."""
+
+import numpy as np
+
+from steelnb.fusion import bundle
+from steelnb.fusion.observations import Observations
+from steelnb.fusion.point_association import world_points
+from steelnb.fusion.reconstruct import MappedScans, find_bars
+from steelnb.fusion.scales import Scales
+from steelnb.points import VoxelMap, smooth_ranges
+from steelnb.settings import StructureSettings
+from steelnb.types import Array, Scan
+
+STEPS, REFINED = 2, 2
+"""Steps of an adjustment, and how often the bars are fitted before it; chosen on the development seed 11."""
+KEYFRAMES_MAX, RECENT = 400, 100
+"""With more keyframes, every second one goes, but for the first and the recent ones: the time that an adjustment takes
+is bounded."""
+BARS_MIN = 4
+
+
+class Keyframes:
+    """Some scans of a flight, accumulated in voxels at the poses that they had when they came.
+
+    ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is.
+    """
+
+    def __init__(self, settings: StructureSettings) -> None:
+        self.settings = settings
+        self.voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
+        self.scans: list[Scan] = []
+        self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
+
+    def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
+        """Add a scan, some ``points (N, 3)`` of it in the sensor frame to fit bars to, its pose, and the sensor's pose
+        by the drifting prior, both ``(4, 4)``. The first one is where drift begins."""
+        s = self.settings
+        image = smooth_ranges(scan.points) if scan.points.ndim == 3 else scan.points
+        flat = np.ascontiguousarray(image, dtype=np.float64).reshape(-1, 3)
+        self.voxels.insert(*world_points(flat, T_world_sensor, s.range_max_m, s.floor_m))
+        self.scans.append(Scan(scan.stamp_s, points))
+        self.T_world_sensor = np.concatenate([self.T_world_sensor, T_world_sensor[None]])
+        self._prior = np.concatenate([self._prior, prior[None]])
+        if len(self.scans) > KEYFRAMES_MAX:
+            kept = [0, *range(2, KEYFRAMES_MAX - RECENT, 2), *range(KEYFRAMES_MAX - RECENT, len(self.scans))]
+            self.scans = [self.scans[k] for k in kept]
+            self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
+
+    def adjust(self) -> bundle.Bundle | None:
+        """Find bars, and adjust them and all poses together (`fusion.bundle`); None where there are too few bars."""
+        if not len(self.voxels):
+            return None
+        bars, _ = find_bars(self.voxels, self.settings, grids=1)
+        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
+        fitted = None
+        for _ in range(REFINED if len(bars) else 0):
+            fitted, bars = mapped.refine(bars, every=1)
+        if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
+            return None
+        found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
+        state = bundle.start(self.T_world_sensor, self._prior, found)
+        seen = Observations.gathered(mapped.bar_points(fitted.bars, every=1, pixels=1), self.T_world_sensor)
+        stamp_s = np.array([scan.stamp_s for scan in self.scans])
+        for _ in range(STEPS):
+            state = bundle.improve(state, seen, self._prior, stamp_s)
+        self.T_world_sensor = state.T_world_sensor
+        return state

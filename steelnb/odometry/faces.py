@@ -1,0 +1,145 @@
+"""Odometry by the front faces of bars that the flight itself has found.
+
+A map of points is biased: a voxel averages over the faces that it holds, so what a scan is registered to changes with
+the side from which it is seen. A bar whose section is known has no such bias. So every `KEYFRAME_S` a scan becomes a
+keyframe; every ``refit_s`` bars are found in all of these, and their poses and the bars adjusted together
+(`steelnb.fusion.keyframes`); and scans are registered to the bars' front faces (`steelnb.odometry.face_registration`).
+Where these do not tell the pose, at the beginning and where the view is new, the odometry by clouds does.
+"""
+
+import time
+
+import numpy as np
+
+from steelnb.errors import SettingsError
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, yaw_of
+from steelnb.fusion.keyframes import Keyframes
+from steelnb.fusion.known import KnownBars
+from steelnb.odometry.base import scan_of
+from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, Fit, points_in_range
+from steelnb.points import preprocess_scan
+from steelnb.points.inputs import checked_pose
+from steelnb.settings import OdometrySettings, StructureSettings
+from steelnb.types import Array, OdometryStep, Scan, Segments
+
+KEYFRAME_S = 1.0
+SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
+"""Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
+REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001])
+"""Standard deviation of the latest pose in the adjusted bars, metres and radians."""
+STAGES = ("preprocess", "prepare", "register", "map", "refit")
+
+
+class FaceOdometry:
+    """Corrects a drifting pose by the front faces of bars, beside an odometry by clouds.
+
+    What is put out follows an adjustment in steps that are no larger than those of the drift (`DRIFT_SIGMA`), so that
+    it does not jump.
+
+    Parameters
+    ----------
+    settings : a method by clouds with ``refit_s``, default ``OdometrySettings.preset("faces")``.
+    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    """
+
+    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+        self.settings = settings or OdometrySettings.preset("faces")
+        if self.settings.clouds is None or self.settings.refit_s is None:
+            raise SettingsError(f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'")
+        by_bars = self.settings.clouds.bars_weight > 0
+        self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor)
+        self.T_drone_sensor = self.clouds.T_drone_sensor
+        seen = self.settings.preprocess
+        self.keyframes = Keyframes(StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m))
+        self.faces: FaceRegistration | None = None
+        self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
+        self._behind = np.zeros(4)  # what is put out lies behind the estimate by so much: x, y, z, yaw
+
+    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
+        """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
+        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+        if not scan.stamp_s > self._stamp_s:  # scans without stamps are taken to come at the usual rate
+            scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
+        self._stamp_s = scan.stamp_s
+        begin = time.perf_counter()
+        fit = self._fitted(scan, prior)
+        if fit is None:
+            step = self.clouds.update(scan, prior)
+            T_world_drone, seconds, held = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
+        else:
+            T_world_drone, held = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
+            self.clouds.prediction.correct(T_world_drone, prior)
+            step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
+            seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
+        put_out = self._put_out(T_world_drone)
+        if (held or step.reason == "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
+            begin = time.perf_counter()
+            self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
+            seconds["map"] += time.perf_counter() - begin
+            self._refit_s = min(self._refit_s, scan.stamp_s + (self.settings.refit_s or np.inf))
+            if scan.stamp_s >= self._refit_s - 1e-6:
+                begin = time.perf_counter()
+                self._refit(put_out, prior)
+                seconds["refit"] = time.perf_counter() - begin
+        return OdometryStep(step.stamp_s, put_out, step.used, step.reason, step.matches, seconds)
+
+    def map_points(self) -> Array:
+        """Means of the voxels of the keyframes, ``(N, 3)`` in the world frame."""
+        return self.clouds.map_points()
+
+    def map_segments(self) -> Segments:
+        """The bars with sections of the last adjustment; before the first one, those of the odometry by clouds."""
+        return self.faces.known.bars.segments if self.faces else self.clouds.map_segments()
+
+    def _fitted(self, scan: Scan, prior: Array) -> Fit | None:
+        """The registration of a scan to front faces, if it holds."""
+        if self.faces is None:
+            return None
+        self.faces.predict(scan.stamp_s)
+        s, T_sensor = self.settings.preprocess, self.clouds.prediction.pose(prior) @ self.T_drone_sensor
+        points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
+        if len(points) < POINTS_MIN:
+            return None
+        fit = self.faces.fit(points, T_sensor)
+        if fit.reason:
+            return None
+        self.faces.accept(fit)
+        return fit
+
+    def _add_keyframe(self, scan: Scan, T_world_drone: Array, prior: Array, mapped: bool) -> None:
+        """Add a scan to the keyframes, and where it is not ``mapped`` yet to the cloud."""
+        s, T_sensor = self.settings.preprocess, T_world_drone @ self.T_drone_sensor
+        points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, KEYFRAME_POINTS)
+        self.keyframes.add(scan, points, T_sensor, prior @ self.T_drone_sensor)
+        self._keyframe_s = scan.stamp_s
+        cloud = np.zeros((0, 3)) if mapped else preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s)
+        if len(cloud):
+            if self.settings.near_side:
+                cloud = self.clouds.near_side.shifted(cloud, self.T_drone_sensor[:3, 3])
+            self.clouds.insert(cloud, T_world_drone)
+
+    def _refit(self, put_out: Array, prior: Array) -> None:
+        """Adjust the keyframes, the latest of which is the scan at hand, and go on from there."""
+        self._refit_s = np.inf
+        state = self.keyframes.adjust()
+        if state is None:
+            return
+        bars = state.bars.sectioned()
+        known = KnownBars(bars, np.ones(len(bars.turn), dtype=bool), np.zeros(len(bars.turn)))
+        self.faces = FaceRegistration(known, self._stamp_s, self.faces.ratio if self.faces else state.sigma_ratio)
+        self.faces.variance = REFITTED_SIGMA**2
+        T_world_drone = state.T_world_sensor[-1] @ np.linalg.inv(self.T_drone_sensor)
+        self.clouds.prediction.correct(T_world_drone, prior)
+        self._behind[:3] = put_out[:3, 3] - T_world_drone[:3, 3]
+        self._behind[3] = yaw_of(put_out[:3, :3] @ T_world_drone[:3, :3].T)
+
+    def _put_out(self, T_world_drone: Array) -> Array:
+        """The pose to put out for an estimate: behind it after an adjustment, and catching up."""
+        for part, most in ((slice(0, 3), FOLLOW * DRIFT_SIGMA[0]), (slice(3, 4), FOLLOW * DRIFT_SIGMA[3])):
+            size = float(np.linalg.norm(self._behind[part]))
+            self._behind[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
+        return moved_poses(T_world_drone[None], self._behind[None])[0] if self._behind.any() else T_world_drone
+import os
+FOLLOW=float(os.environ.get("FO","1"))
