@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from steelnb.odometry import (
         CloudOdometry,
         CombinedOdometry,
+        FaceOdometry,
         KnownStructureOdometry,
         SegmentOdometry,
         make_odometry,
@@ -40,7 +41,14 @@ _MODULES = {
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
-    "odometry": ("CloudOdometry", "CombinedOdometry", "KnownStructureOdometry", "SegmentOdometry", "make_odometry"),
+    "odometry": (
+        "CloudOdometry",
+        "CombinedOdometry",
+        "FaceOdometry",
+        "KnownStructureOdometry",
+        "SegmentOdometry",
+        "make_odometry",
+    ),
     "registration": ("RegistrationResult", "register"),
     "settings": ("ExperimentSettings", "OdometrySettings", "StructureSettings"),
     "types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
@@ -48,7 +56,7 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Changes", "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "Flight",
+    "Changes", "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "FaceOdometry", "Flight",
     "KnownStructureOdometry", "Lines", "MissingExtraError", "OdometrySettings", "OdometryStep", "RegistrationResult",
     "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
     "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",

@@ -330,7 +330,14 @@ def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
     for (flight, sensor), rows in table.groupby(["trajectory", "sensor"]):
         where, ate_mm = f"{flight}, {sensor}", rows.set_index("name")["ate_mm"]
         assert rows.loc[rows["kind"] == "bound", "name"].tolist() == ["causal", "batch", "one scan"], where
-        assert rows.loc[rows["kind"] == "method", "name"].tolist() == ["icp", "gicp", "best", "combined", "smoothed"]
+        assert rows.loc[rows["kind"] == "method", "name"].tolist() == [
+            "icp",
+            "gicp",
+            "best",
+            "combined",
+            "faces",
+            "smoothed",
+        ]
         assert 0 < ate_mm["batch"] < ate_mm["causal"], where
         assert ate_mm["causal"] < ate_mm[["icp", "gicp", "best", "combined"]].min(), where
         noise_free_mm = rows.set_index("name")["noise_free_mm"].dropna()

@@ -120,7 +120,7 @@ def test_the_mount_of_the_sensor_is_a_setting():
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
     assert (settings.clouds is None) == (method in SEGMENT_METHODS)
-    assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, "combined", "smoothed"))
+    assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, "combined", "faces", "smoothed"))
     missing = "segments.gain" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):
         settings.override({missing: 1})

@@ -22,6 +22,6 @@ def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdo
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry", "make_odometry",
-    "run", "run_kept",
+    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry",
+    "make_odometry", "run", "run_kept",
 ]  # fmt: skip

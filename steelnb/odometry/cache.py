@@ -15,7 +15,9 @@ from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
 COLUMNS = tuple(field.name for field in fields(Segments))
 
 
-def run_kept(flight: Flight, odometry: CloudOdometry | FaceOdometry | SegmentOdometry, on_step: OnStep | None = None) -> Estimate:
+def run_kept(
+    flight: Flight, odometry: CloudOdometry | FaceOdometry | SegmentOdometry, on_step: OnStep | None = None
+) -> Estimate:
     """`run`, `kept` between notebooks where the scans are simulated; ``on_step`` is not called for a kept estimate.
 
     An estimate belongs to the content of the flight and the settings of the odometry. Its seconds are those of the time

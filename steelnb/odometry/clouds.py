@@ -47,8 +47,8 @@ class CloudOdometry:
         self.free = free_directions(self.clouds.dof)
         self.near_side = NearSide()
         s, self.information = self.settings, None  # of the prediction, rotation first, (6, 6)
-        if s.prior_sigma_rad is not None and s.prior_sigma_m is not None:
-            self.information = np.diag([s.prior_sigma_rad**-2.0] * 3 + [s.prior_sigma_m**-2.0] * 3)
+        if s.prior_sigma is not None:
+            self.information = np.diag([s.prior_sigma[1] ** -2.0] * 3 + [s.prior_sigma[0] ** -2.0] * 3)
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""

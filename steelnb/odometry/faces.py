@@ -47,7 +47,9 @@ class FaceOdometry:
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("faces")
         if self.settings.clouds is None or self.settings.refit_s is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'")
+            raise SettingsError(
+                f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'"
+            )
         by_bars = self.settings.clouds.bars_weight > 0
         self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor)
         self.T_drone_sensor = self.clouds.T_drone_sensor
@@ -137,9 +139,7 @@ class FaceOdometry:
 
     def _put_out(self, T_world_drone: Array) -> Array:
         """The pose to put out for an estimate: behind it after an adjustment, and catching up."""
-        for part, most in ((slice(0, 3), FOLLOW * DRIFT_SIGMA[0]), (slice(3, 4), FOLLOW * DRIFT_SIGMA[3])):
+        for part, most in ((slice(0, 3), DRIFT_SIGMA[0]), (slice(3, 4), DRIFT_SIGMA[3])):
             size = float(np.linalg.norm(self._behind[part]))
             self._behind[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
         return moved_poses(T_world_drone[None], self._behind[None])[0] if self._behind.any() else T_world_drone
-import os
-FOLLOW=float(os.environ.get("FO","1"))

@@ -102,8 +102,8 @@ class KnownStructureOdometry:
         self._unmatched, self._bars_matched = self._unmatched + 1, max(self._bars_matched, bars)
         if self._unmatched >= FIRST_SCANS:
             raise MapMismatchError(
-                f"{self._bars_matched} of {len(self.faces.known)} bars matched in the first {FIRST_SCANS} scans; expected a "
-                f"map of this place and a start within {START_M:g} m and {np.degrees(START_RAD):g}° of it"
+                f"{self._bars_matched} of {len(self.faces.known)} bars matched in the first {FIRST_SCANS} scans; "
+                f"expected a map of this place and a start within {START_M:g} m and {np.degrees(START_RAD):g}° of it"
             )
 
     def _step(

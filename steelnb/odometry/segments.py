@@ -37,8 +37,9 @@ class SegmentOdometry:
             raise SettingsError(f"method {self.settings.method!r}: expected tables hough and segments")
         self.hough, self.segments = self.settings.hough, self.settings.segments
         self.prior = np.zeros(4)  # information about yaw, x, y, z
-        if self.settings.prior_sigma_rad and self.settings.prior_sigma_m:
-            self.prior[:] = [self.settings.prior_sigma_rad**-2.0] + [self.settings.prior_sigma_m**-2.0] * 3
+        if self.settings.prior_sigma is not None:
+            sigma_m, sigma_rad = self.settings.prior_sigma
+            self.prior[:] = [sigma_rad**-2.0] + [sigma_m**-2.0] * 3
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = SegmentMap(self.settings.fusion)
         self.prediction = Prediction(self.settings.drift_gain)

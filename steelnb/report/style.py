@@ -36,6 +36,7 @@ METHODS = {
     "best": ("best", MAGENTA),
     "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
     "combined": ("combined", INDIGO),
+    "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
     "map": ("known structure", "#3000F0"),
 }

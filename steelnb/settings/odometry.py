@@ -8,7 +8,7 @@ from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Se
 from steelnb.settings.presets import method_names, method_preset, sensor_preset
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
-"""Odometries by segments alone; all other methods are by clouds, ``combined`` by both."""
+"""Odometries by segments alone; all other methods are by clouds, ``combined`` and those based on it by both."""
 
 
 class PreprocessSettings(Settings):
@@ -93,17 +93,17 @@ class OdometrySettings(Settings):
     """One method and all that it takes from the sensor's and the method's preset.
 
     ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
-    prediction follows the rate of the drift, 0 for a drift that stands still; the priors are the standard deviations of
-    a correction from its prediction, None for none. ``smooth``: after the last scan, all poses and bars are adjusted
-    together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the
-    flight (`steelnb.odometry.faces`), None for none. Tables that a method does not use are None.
+    prediction follows the rate of the drift, 0 for a drift that stands still; ``prior_sigma`` are the standard
+    deviations of a correction from its prediction, metres and radians, None for none. ``smooth``: after the last scan,
+    all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
+    keyframes and bars during the flight (`steelnb.odometry.faces`), None for none. Tables that a method does not use
+    are None.
     """
 
     method: str
     near_side: bool = False
     drift_gain: Probability = 0.0
-    prior_sigma_m: Positive | None = None
-    prior_sigma_rad: Positive | None = None
+    prior_sigma: tuple[Positive, Positive] | None = None
     smooth: bool = False
     refit_s: Positive | None = None
     preprocess: PreprocessSettings
@@ -123,8 +123,6 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        if (self.prior_sigma_m is None) != (self.prior_sigma_rad is None):
-            raise ValueError("prior_sigma_m and prior_sigma_rad: expected both or none")
         return self
 
     @classmethod

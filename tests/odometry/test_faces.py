@@ -1,0 +1,148 @@
+"""Odometry by front faces, on scans of a small tower and on a short flight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment, odometry
+from steelnb.errors import SettingsError
+from steelnb.fusion import bundle, keyframes
+from steelnb.metrics import position_error_m
+from steelnb.odometry import CloudOdometry, CombinedOdometry, FaceOdometry, make_odometry
+from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
+from steelnb.types import Flight, Scan, Trajectory
+from tests.fusion.made import around, small_tower
+
+REFIT_S = 4.0
+
+
+@pytest.fixture(scope="module")
+def world():
+    """A flight of 30 s, corrected with keyframes adjusted every few seconds."""
+    settings = ExperimentSettings.preset(
+        "orbit", "random-walk+yaw-random-walk", seed=11, duration_s=30.0, method="faces",
+        overrides={"odometry.refit_s": REFIT_S},
+    )  # fmt: skip
+    flight, truth = experiment.simulate(settings)
+    estimator = make_odometry(settings.odometry, flight.T_drone_sensor)
+    return flight, truth, estimator, odometry.run(flight, estimator)
+
+
+def moved(flight: Flight, T: np.ndarray) -> Flight:
+    """The same flight in another world frame."""
+    return replace(flight, prior=Trajectory(flight.prior.stamp_s, T @ flight.prior.T_world_drone))
+
+
+def test_it_is_nearer_to_the_truth_than_the_odometry_that_it_starts_from(world):
+    flight, truth, _, found = world
+    before = odometry.run(flight, CombinedOdometry(OdometrySettings.preset("combined"), flight.T_drone_sensor))
+    late = flight.prior.stamp_s > 2 * REFIT_S
+    ours, combined, drift = (
+        np.sqrt((position_error_m(path, truth.trajectory)[late] ** 2).mean())
+        for path in (found.corrected, before.corrected, flight.prior)
+    )
+    assert ours < 0.7 * combined < 0.1 * drift
+    assert not any(found.reason[1:])
+
+
+def test_most_scans_are_registered_to_front_faces_after_the_first_adjustment(world):
+    flight, _, estimator, found = world
+    by_clouds = found.seconds["prepare"] > 0
+    assert by_clouds[flight.prior.stamp_s <= REFIT_S][1:].all()
+    assert by_clouds[flight.prior.stamp_s > REFIT_S + 0.1].mean() < 0.2
+    refits = np.flatnonzero(found.seconds["refit"])
+    np.testing.assert_allclose(np.diff(flight.prior.stamp_s[refits]), REFIT_S + 1.0, atol=1.01)
+    assert len(estimator.keyframes.scans) == 30
+    assert len(found.segments) > 10
+    assert len(found.points) > 1000
+
+
+def test_what_is_put_out_follows_an_adjustment_in_steps_of_the_drift(world, monkeypatch):
+    flight = world[0]
+    estimator = FaceOdometry(world[2].settings, flight.T_drone_sensor)
+    shift = np.array([0.05, 0.0, 0.0, 0.0])
+    estimator._behind = shift.copy()
+    plain = FaceOdometry(world[2].settings, flight.T_drone_sensor)
+    for k in range(8):
+        scan, prior = flight.scans[k], flight.prior.T_world_drone[k]
+        behind = estimator.update(scan, prior).T_world_drone[:3, 3] - plain.update(scan, prior).T_world_drone[:3, 3]
+        np.testing.assert_allclose(behind, max(0.0, 0.05 - 0.01 * (k + 1)) * np.eye(3)[0], atol=1e-9)
+
+
+def test_the_answer_does_not_depend_on_the_frame_of_the_world(world):
+    flight, _, estimator, found = world
+    T = np.eye(4)
+    T[:2, 3] = 31.0, -17.0
+    T[:3, :3] = Rotation.from_rotvec([0, 0, 0.5 * np.pi]).as_matrix()
+    elsewhere = odometry.run(moved(flight, T), FaceOdometry(estimator.settings, flight.T_drone_sensor))
+    home = np.linalg.inv(T) @ elsewhere.corrected.T_world_drone
+    apart = np.linalg.norm(home[:, :3, 3] - found.corrected.position, axis=1)
+    assert np.median(apart) < 0.003
+    assert apart.max() < 0.05  # voxels lie otherwise
+
+
+def test_scans_without_stamps_come_at_the_usual_rate(world):
+    flight = world[0].first(26)
+    estimator = FaceOdometry(world[2].settings, flight.T_drone_sensor)
+    for scan, prior in zip(flight.scans, flight.prior.T_world_drone, strict=True):
+        estimator.update(scan.points, prior)
+    assert estimator.faces is not None
+
+
+def test_scans_of_nothing_follow_the_prior(world):
+    flight = world[0].first(31)
+    nothing = np.full_like(flight.scans[0].points, np.nan)
+    scans = [Scan(scan.stamp_s, scan.points if k < 26 else nothing) for k, scan in enumerate(flight.scans)]
+    found = odometry.run(replace(flight, scans=scans), FaceOdometry(world[2].settings, flight.T_drone_sensor))
+    assert all(found.reason[26:])
+    steps = [np.diff(path.position[25:], axis=0) for path in (found.corrected, flight.prior)]
+    np.testing.assert_allclose(*steps, atol=0.012)
+
+
+def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds():
+    flight = around(small_tower(), poses=30)
+    rng = np.random.default_rng(5)
+    wall = [
+        Scan(scan.stamp_s, np.column_stack([np.full(4000, 2.0), rng.uniform(-1, 1, (4000, 2))]))
+        for scan in flight.scans
+    ]
+    flight = replace(flight, scans=wall)
+    settings = OdometrySettings.preset("faces", overrides={"refit_s": 2.0})
+    ours = odometry.run(flight, FaceOdometry(settings))
+    clouds = odometry.run(flight, CombinedOdometry(settings))
+    np.testing.assert_array_equal(ours.corrected.T_world_drone, clouds.corrected.T_world_drone)
+
+
+def test_the_number_of_keyframes_is_bounded(monkeypatch):
+    monkeypatch.setattr(keyframes, "KEYFRAMES_MAX", 20)
+    monkeypatch.setattr(keyframes, "RECENT", 5)
+    kept = keyframes.Keyframes(StructureSettings())
+    for k in range(21):
+        T = np.eye(4)
+        T[0, 3] = k
+        kept.add(Scan(0.2 * k, np.full((4, 4, 3), np.nan)), np.zeros((0, 3)), T, T)
+    places = kept.T_world_sensor[:, 0, 3].tolist()
+    assert places == [0, 2, 4, 6, 8, 10, 12, 14, 15, 16, 17, 18, 19, 20]
+    assert [scan.stamp_s for scan in kept.scans] == pytest.approx([0.2 * place for place in places])
+    assert kept.adjust() is None  # nothing was seen
+
+
+def test_the_first_keyframe_stays_where_drift_begins(world):
+    flight, _, estimator, _ = world
+    first = flight.prior.T_world_drone[0] @ flight.T_drone_sensor
+    np.testing.assert_allclose(estimator.keyframes.T_world_sensor[0], first, atol=1e-5)
+    assert bundle.FIXED > 1e9
+
+
+def test_methods_that_refit_are_by_clouds():
+    for method, sensor, kind in (("faces", "starling2", CombinedOdometry), ("faces", "report", CloudOdometry)):
+        made = make_odometry(OdometrySettings.preset(method, sensor), np.eye(4))
+        assert type(made) is FaceOdometry
+        assert type(made.clouds) is kind
+    assert FaceOdometry().settings == OdometrySettings.preset("faces")
+    with pytest.raises(SettingsError, match="refit_s"):
+        FaceOdometry(OdometrySettings.preset("combined"))
+    with pytest.raises(SettingsError, match=r"refit_s = 5: expected a method by clouds"):
+        OdometrySettings.preset("average", overrides={"refit_s": 5.0})
