@@ -191,6 +191,11 @@ def moved_poses(T: Array, step: Array) -> Array:
     return result
 
 
+def pose_step(T_from: Array, T_to: Array) -> Array:
+    """The step ``(4,)`` of x, y, z, metres, and yaw, radians, from one pose to another; undone by `moved_poses`."""
+    return np.append(T_to[:3, 3] - T_from[:3, 3], yaw_of(T_to[:3, :3] @ T_from[:3, :3].T))
+
+
 def _moved_bars(bars: Bars, step: Array) -> Bars:
     old, half = bars.segments, 0.5 * bars.segments.length[:, None]
     place, tilt = step[:, :2], step[:, 2:4]

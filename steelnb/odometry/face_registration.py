@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, noise_ratio, yaw_of
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, noise_ratio, pose_step
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
 from steelnb.types import Array, Scan
@@ -57,9 +57,9 @@ class FaceRegistration:
         T, information, residuals = T_start, np.eye(4), np.zeros(0)
         for wide in (*COARSE, *FINE) if guessed else FINE:
             matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio)
-            away = np.append(T[:3, 3] - T_start[:3, 3], yaw_of(T[:3, :3] @ T_start[:3, :3].T))
             information = matrix + np.diag(1 / variance)
-            step = np.asarray(np.linalg.solve(information, vector - away / variance), dtype=np.float64)
+            pulled = vector - pose_step(T_start, T) / variance
+            step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
             if wide == FINE[-1] and (np.abs(step) < STEP_MIN).all():
                 break

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, yaw_of
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_step
 from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.known import KnownBars
 from steelnb.odometry.base import scan_of
@@ -29,6 +29,9 @@ SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
 REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001])
 """Standard deviation of the latest pose in the adjusted bars, metres and radians."""
+GATE = 18.5
+"""Largest squared distance of a registration from its prediction, in standard deviations: 99.9 % of chi-squared with
+four degrees of freedom. Beyond it, bars that were fitted wrongly lead the registration astray."""
 STAGES = ("preprocess", "prepare", "register", "map", "refit")
 
 
@@ -105,7 +108,7 @@ class FaceOdometry:
         if len(points) < POINTS_MIN:
             return None
         fit = self.faces.fit(points, T_sensor)
-        if fit.reason:
+        if fit.reason or (pose_step(T_sensor, fit.T_world_sensor) ** 2 / self.faces.variance).sum() > GATE:
             return None
         self.faces.accept(fit)
         return fit
@@ -134,8 +137,7 @@ class FaceOdometry:
         self.faces.variance = REFITTED_SIGMA**2
         T_world_drone = state.T_world_sensor[-1] @ np.linalg.inv(self.T_drone_sensor)
         self.clouds.prediction.correct(T_world_drone, prior)
-        self._behind[:3] = put_out[:3, 3] - T_world_drone[:3, 3]
-        self._behind[3] = yaw_of(put_out[:3, :3] @ T_world_drone[:3, :3].T)
+        self._behind = pose_step(T_world_drone, put_out)
 
     def _put_out(self, T_world_drone: Array) -> Array:
         """The pose to put out for an estimate: behind it after an adjustment, and catching up."""

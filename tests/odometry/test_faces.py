@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment, odometry
 from steelnb.errors import SettingsError
 from steelnb.fusion import bundle, keyframes
+from steelnb.fusion.known import KnownBars
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CloudOdometry, CombinedOdometry, FaceOdometry, make_odometry
+from steelnb.odometry.face_registration import points_in_range
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
 from tests.fusion.made import around, small_tower
@@ -99,6 +101,31 @@ def test_scans_of_nothing_follow_the_prior(world):
     assert all(found.reason[26:])
     steps = [np.diff(path.position[25:], axis=0) for path in (found.corrected, flight.prior)]
     np.testing.assert_allclose(*steps, atol=0.012)
+
+
+def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
+    flight, _, estimator, _ = world
+    settings = estimator.settings
+    ours, clouds = (kind(settings, flight.T_drone_sensor) for kind in (FaceOdometry, CombinedOdometry))
+    poses = []
+    for k in range(31):
+        scan, prior = flight.scans[k], flight.prior.T_world_drone[k]
+        if k == 30:  # all bars are shifted by 6 cm: near enough to be matched, too far to be the drift's doing
+            assert ours.faces is not None
+            bars, away = ours.faces.known.bars, np.array([0.06, 0.0, 0.0])
+            segments = replace(bars.segments, start=bars.segments.start + away, end=bars.segments.end + away)
+            shifted = KnownBars(replace(bars, segments=segments), ours.faces.known.sectioned, ours.faces.known.sigma_m)
+            assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason
+            ours.faces.known = shifted
+            assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason
+        poses.append([odometry.update(scan, prior).T_world_drone[:3, 3] for odometry in (ours, clouds)])
+    apart = np.linalg.norm(np.diff(poses, axis=1)[:, 0], axis=1)
+    assert apart[30] < 0.03
+
+
+def _points_and_start(estimator, scan, prior):
+    T = estimator.clouds.prediction.pose(prior) @ estimator.T_drone_sensor
+    return points_in_range(scan, T, 6.0, 0.3, 2000), T
 
 
 def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds():
