@@ -265,13 +265,15 @@ def accuracy(summary: pd.DataFrame, runs: pd.DataFrame, goal_m: float) -> str:
     for name, own in summary.groupby("method", sort=False):
         blind = own["case"].str.endswith("blind")
         seen, mean_cm = own[~blind], 100 * own.loc[~blind, "ate_mean_m"]
-        ms = runs.loc[runs["method"] == name, ["frame_median_ms", "frame_p95_ms"]].median()
+        its = runs[runs["method"] == name]
+        ms, s = (its[columns].median() for columns in (["frame_median_ms", "frame_p95_ms"], ["duration_s", "seconds"]))
         gaps = f" Through gaps, the worst seed is off by {100 * own.loc[blind, 'ate_worst_m'].max():.1f} cm."
         lines.append(
             f"**{name}**: mean ATE {mean_cm.min():.1f} to {mean_cm.max():.1f} cm, worst seed "
             f"{100 * seen['ate_worst_m'].max():.1f} cm; the goal of {100 * goal_m:g} cm is reached under "
             f"{(seen['ate_mean_m'] <= goal_m).sum()} of {len(seen)} noises."
             + (gaps if blind.any() else "")
-            + f" A frame takes {ms.iloc[0]:.1f} ms, p95 {ms.iloc[1]:.1f} ms."
+            + f" A frame takes {ms.iloc[0]:.1f} ms, p95 {ms.iloc[1]:.1f} ms; "
+            f"a flight of {s.iloc[0]:g} s takes {s.iloc[1]:.0f} s."
         )
     return bullets(lines)

@@ -210,10 +210,13 @@ def test_accuracy_with_and_without_gaps() -> None:
             {"case": "random-walk, blind", "method": "best", "ate_mean_m": 0.06, "ate_worst_m": 0.07},
         ]
     )
-    runs = pd.DataFrame({"method": ["best"], "frame_median_ms": [8.0], "frame_p95_ms": [12.0]})
+    runs = pd.DataFrame(
+        {"method": ["best"], "frame_median_ms": [8.0], "frame_p95_ms": [12.0], "duration_s": [200.0], "seconds": [14.2]}
+    )
     said = conclusions.accuracy(summary, runs, 0.025)
     assert "mean ATE 2.0 to 4.0 cm, worst seed 5.0 cm; the goal of 2.5 cm is reached under 1 of 2 noises." in said
-    assert "Through gaps, the worst seed is off by 7.0 cm. A frame takes 8.0 ms, p95 12.0 ms." in said
+    assert "Through gaps, the worst seed is off by 7.0 cm. A frame takes 8.0 ms, p95 12.0 ms; " in said
+    assert said.endswith("a flight of 200 s takes 14 s.")
     assert "gaps" not in conclusions.accuracy(summary[:2], runs, 0.025)
 
 
