@@ -11,6 +11,7 @@ from steelnb.errors import SingularError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
 from steelnb.fusion.observations import Observations
 from steelnb.metrics import score_trajectory
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Segments, Trajectory
 
@@ -163,5 +164,5 @@ def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     state = bundle.start(T, T, bars)
     for _ in range(3):
         state = bundle.improve(state, bundle.linearised(state, seen), T, 0.2 * np.arange(len(T)))
-    sigma_m = np.maximum(bundle.SIGMA_M, bundle.SIGMA_SHARE * np.linalg.norm(seen.point, axis=1))
+    sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(seen.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)
