@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
 from steelnb.fusion.bundle import yaw_of
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.types import Array, IntArray, Segments
 
 POSE_SIGMA = np.array([0.1, 0.1, 0.1, 0.05])
@@ -26,7 +25,7 @@ ANCHOR_SCANS = 25
 """First scans that keep the world frame: five seconds at 5 Hz, in which the drift has hardly begun."""
 
 ScanPoints = Iterable[tuple[int, Array, IntArray]]
-"""Of each scan: its number k, points ``(N, 3)`` in the world frame, and the bar of each point ``(N,)`` or −1."""
+"""Of each scan: its number k, points ``(N, 3)`` in the sensor frame, and the bar of each point ``(N,)`` or −1."""
 
 
 def adjust(
@@ -34,9 +33,8 @@ def adjust(
 ) -> tuple[Array, Segments]:
     """One Gauss-Newton step of all poses and bars; returns ``T_world_sensor (K, 4, 4)`` and the bars.
 
-    ``turn (B,)`` radians, ``flange (B,)`` metres and the frames ``across (B, 2, 3)`` are those of `fusion.sections`;
-    ``scan_points`` lie in the world frame at the given poses ``T_world_sensor (K, 4, 4)``. Bars without a known
-    section, NaN ``flange``, take no part and stay in place.
+    ``turn (B,)`` radians, ``flange (B,)`` metres and the frames ``across (B, 2, 3)`` are those of `fusion.sections`.
+    Bars without a known section, NaN ``flange``, take no part and stay in place.
     """
     poses, start, end = T_world_sensor.copy(), bars.start.copy(), bars.end.copy()
     known, direction, length = np.isfinite(flange), bars.direction, bars.length
@@ -47,7 +45,7 @@ def adjust(
     for k, points, bar in scan_points:
         matrix, vector, cross = np.zeros((4, 4)), np.zeros(4), np.zeros((len(bars), 4, 4))
         bar = np.where((bar >= 0) & known[bar], bar, -1)
-        _gather(points, poses[k, :3, 3], bar, start, direction, length, across, corner, matrix, vector, cross,
+        _gather(points, poses[k], bar, start, direction, length, across, corner, matrix, vector, cross,
                 block, right)  # fmt: skip
         matrix[np.diag_indices(4)] += POSE_SIGMA**-2.0
         seen = np.flatnonzero(cross.any(axis=(1, 2)))
@@ -82,22 +80,24 @@ def _back(poses: Array, before: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _gather(points, sensor, bar, start, direction, length, across, corner, matrix, vector, cross, block, right):  # type: ignore[no-untyped-def]
+def _gather(points, T, bar, start, direction, length, across, corner, matrix, vector, cross, block, right):  # type: ignore[no-untyped-def]
     """Add a scan's points to the normal equations of its pose, of the bars, and between them."""
     pose, place = np.empty(4), np.empty(4)
     for i in range(len(points)):
         b = bar[i]
         if b < 0:
             continue
-        x, y, z = points[i, 0] - start[b, 0], points[i, 1] - start[b, 1], points[i, 2] - start[b, 2]
-        cx, cy, cz = sensor[0] - points[i, 0], sensor[1] - points[i, 1], sensor[2] - points[i, 2]
-        residual, t, cosine, sine, _, _, rise, distance, range_ = sections.face_distance(
-            x, y, z, cx, cy, cz, direction[b], across[b], corner[b], length[b]
-        )
+        sx, sy, sz = points[i]
+        cx = -(T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz)
+        cy = -(T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz)
+        cz = -(T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz)
+        x, y, z = T[0, 3] - cx - start[b, 0], T[1, 3] - cy - start[b, 1], T[2, 3] - cz - start[b, 2]
+        u, v, t = sections.in_frame(direction[b], across[b], x, y, z)
+        p, q, w = sections.in_frame(direction[b], across[b], cx, cy, cz)
+        residual, sigma, _, cosine, sine, _, _, rise = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
         if residual != residual:
             continue
         e1, e2 = across[b, 0], across[b, 1]
-        sigma = max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_
         bound = (2.5 * sigma + 0.02) ** 2
         weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma + 1e-4)
         gu, gv = cosine + rise * sine, sine - rise * cosine

@@ -12,19 +12,20 @@ Free are position and yaw of each pose, roll and pitch being the prior's; and pl
 bar. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
+from steelnb.fusion.chain import Chain
 from steelnb.fusion.observations import Observations
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.types import Array, Segments
+from steelnb.types import Array, IntArray, Segments
 
 POSE, BAR = 4, 6
 """Degrees of freedom: x, y, z, yaw; and two of place, two of direction, turn, flange."""
@@ -44,8 +45,9 @@ MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 class Equations(NamedTuple):
     """Normal equations of all points: of the poses ``matrix (K, 4, 4)``, ``vector (K, 4)``, of the bars ``block
-    (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan and a bar: between both ``cross (P, 4, 6)``, and its share
-    of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in standard deviations."""
+    (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
+    both ``cross (P, 4, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
+    standard deviations."""
 
     matrix: Array
     vector: Array
@@ -53,14 +55,15 @@ class Equations(NamedTuple):
     block: Array
     right: Array
     shares: Array
+    pair_scan: IntArray
+    pair_bar: IntArray
     residuals: Array
 
-    @classmethod
-    def empty(cls, poses: int, bars: int, pairs: int) -> "Equations":
-        """Those of no point yet, all zero."""
-        of_poses, of_pairs, of_bars = (poses, POSE), (pairs, POSE, BAR), (bars, BAR)
-        shapes = (*of_poses, POSE), of_poses, of_pairs, (*of_bars, BAR), of_bars, (pairs, BAR, BAR), (MEDIAN_BINS,)
-        return cls(*[np.zeros(shape) for shape in shapes])
+    def between(self) -> Array:
+        """The part between poses and bars ``(K, 4, 6 B)``."""
+        result = np.zeros((len(self.matrix), POSE, len(self.block), BAR))
+        result[self.pair_scan, :, self.pair_bar] = self.cross
+        return result.reshape(len(self.matrix), POSE, -1)
 
 
 @dataclass(frozen=True)
@@ -105,59 +108,83 @@ def start(T_world_sensor: Array, prior: Array, bars: Bars) -> Bundle:
     return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, np.zeros((len(prior), POSE)))
 
 
-def improve(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array) -> Bundle:
-    """One Gauss-Newton step of all poses and bars; ``prior (K, 4, 4)`` are the sensor's drifting poses at ``stamp_s``.
+def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> Bundle:
+    """One Gauss-Newton step of all poses and bars; ``prior (K, 4, 4)`` are the sensor's drifting poses at ``stamp_s``,
+    the equations those of this state (`linearised`).
 
     The range noise is taken from the residuals before the step (their median).
     """
-    T, bars = bundle.T_world_sensor, bundle.bars
-    equations = linearised(bundle, seen)
-    vector, right, n, known = equations.vector, equations.right, len(bars.turn), np.isfinite(bars.flange)
+    T, bars, right = bundle.T_world_sensor, bundle.bars, equations.right.copy()
+    n, known = len(bars.turn), np.isfinite(bars.flange)
     right[known, 4:] -= (np.column_stack([bars.turn, bars.flange]) - bundle.fitted)[known] * BAR_SIGMA[4:] ** -2.0
-    band = chain(T, prior, stamp_s, equations.matrix, vector)
-    between = coupling(seen, equations.cross, n)
-    solved = cho_solve_banded(
-        (cholesky_banded(band), False), np.column_stack([between.toarray(), vector.ravel()]), overwrite_b=True
-    )
-    schur = reduced(equations.block, between, solved[:, :-1])
-    moved = cho_solve(cho_factor(schur), right.ravel() - between.T @ solved[:, -1])
-    step = (solved[:, -1] - solved[:, :-1] @ moved).reshape(-1, POSE)
-    bars = _moved_bars(bars, moved.reshape(n, BAR))
-    return Bundle(moved_poses(T, step), bars, noise_ratio(equations.residuals, bundle.sigma_ratio), bundle.fitted, step)
+    matrix, beside, vector = increments(T, prior, stamp_s)
+    poses = Chain.factored(equations.matrix + matrix, beside)
+    half = poses.half(np.concatenate([equations.between(), (equations.vector + vector)[:, :, None]], axis=2))
+    flat = half.reshape(-1, BAR * n + 1)
+    told = flat.T @ flat
+    moved = cho_solve(cho_factor(reduced(equations.block, told[:-1, :-1])), right.ravel() - told[:-1, -1])
+    step = poses.rest((half[:, :, -1] - half[:, :, :-1] @ moved)[:, :, None])[:, :, 0]
+    bars, ratio = _moved_bars(bars, moved.reshape(n, BAR)), noise_ratio(equations.residuals, bundle.sigma_ratio)
+    return Bundle(moved_poses(T, step), bars, ratio, bundle.fitted, step)
 
 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
-    bars, segments, known = bundle.bars, bundle.bars.segments, np.isfinite(bundle.bars.flange)
-    corner = sections.outlines(bars.turn, np.where(known, bars.flange, 0.05))
-    result = Equations.empty(len(bundle.T_world_sensor), len(bars.turn), len(seen.pair_bar))
-    gather(
-        *seen, bundle.T_world_sensor, known, segments.start, segments.direction, segments.length, bars.across, corner,
-        bars.flange, bundle.sigma_ratio, *result,
+    bars = bundle.bars
+    corner = sections.outlines(bars.turn, np.where(np.isfinite(bars.flange), bars.flange, 0.05))
+    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio)
+
+
+def equations(seen: Observations, T_world_sensor: Array, bars: Bars, corner: Array, sigma_ratio: float) -> Equations:
+    """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``.
+
+    A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
+    """
+    segments, scan, bar = bars.segments, seen.pair_scan, seen.pair_bar
+    shares, told, residuals = gather(
+        *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
+        sigma_ratio,
     )  # fmt: skip
+    moved = _as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar)
+    cross, vector = moved @ shares, (moved @ told[:, :, None])[:, :, 0]
+    poses, n = len(T_world_sensor), len(bars.turn)
+    matrix, vector = summed(cross @ moved.transpose(0, 2, 1), scan, poses), summed(vector, scan, poses)
+    block, right = summed(shares, bar, n), summed(told, bar, n)
+    return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
+
+
+def _as_bars_move(sensor: Array, bars: Bars, bar: IntArray) -> Array:
+    """How each bar seems to move as a pose does: the derivatives of a residual by x, y, z and yaw of a pose are these
+    ``(P, 4, 6)`` times those by the bar; ``sensor (P, 3)`` from the start of the ``bar (P,)``, world frame."""
+    across, direction = bars.across[bar], bars.segments.direction[bar]
+    beside = (across @ sensor[:, :, None])[:, :, 0]
+    ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
+    up, along = across[:, :, 2], direction[:, 2]
+    result = np.zeros((len(bar), POSE, BAR))
+    result[:, :3, :2] = -across.transpose(0, 2, 1)
+    result[:, 3, 0] = -ahead * up[:, 1] - along * beside[:, 1]
+    result[:, 3, 1] = ahead * up[:, 0] + along * beside[:, 0]
+    result[:, 3, 2], result[:, 3, 3], result[:, 3, 4] = -up[:, 1], up[:, 0], -along
     return result
 
 
-def coupling(seen: Observations, cross: Array, n: int) -> csr_array:
-    """The part of the normal equations between poses and ``n`` bars, ``(4 K, 6 n)``, from that of each pair."""
-    row = POSE * seen.pair_scan[:, None, None] + np.arange(POSE)[:, None]
-    column = BAR * seen.pair_bar[:, None, None] + np.arange(BAR)
-    where = (np.broadcast_to(row, cross.shape).ravel(), np.broadcast_to(column, cross.shape).ravel())
-    return csr_array((cross.ravel(), where), shape=(POSE * (len(seen.first) - 1), BAR * n))
+def summed(values: Array, of: IntArray, count: int) -> Array:
+    """Sums ``(count, …)`` of the values ``(P, …)`` of each number ``of (P,)``."""
+    flat = values.reshape(len(of), math.prod(values.shape[1:]))
+    which = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
+    return np.asarray(which @ flat).reshape(count, *values.shape[1:])
 
 
-def reduced(block: Array, between: csr_array, solved: Array) -> Array:
-    """The normal equations of the bars ``(6 B, 6 B)`` once the poses are eliminated (Schur complement)."""
-    schur = -(between.T @ solved)
-    for b in range(len(block)):
-        place = slice(BAR * b, BAR * b + BAR)
-        schur[place, place] += block[b] + np.diag(BAR_SIGMA**-2.0)
-    return np.asarray(schur)
+def reduced(block: Array, told: Array) -> Array:
+    """The normal equations of the bars ``(6 B, 6 B)`` once the poses, which ``told`` that much, are eliminated (Schur
+    complement)."""
+    return block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - told
 
 
-def chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) -> Array:
-    """Add the increments of the prior and the first pose to the normal equations of the poses, ``(K, 4, 4)`` and
-    ``(K, 4)``, and give their matrix as the band ``(8, 4 K)`` that LAPACK wants."""
+def increments(T: Array, prior: Array, stamp_s: Array) -> tuple[Array, Array, Array]:
+    """The normal equations of the increments of the prior and of the first pose: ``(K, 4, 4)`` and ``(K, 4)`` of the
+    poses, and between each pose and the next ``(K − 1, 4, 4)``."""
+    matrix, vector = np.zeros((len(T), POSE, POSE)), np.zeros((len(T), POSE))
     time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
     weight = DRIFT_SIGMA**-2.0 / time[:, None]
     turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
@@ -174,13 +201,7 @@ def chain(T: Array, prior: Array, stamp_s: Array, matrix: Array, vector: Array) 
     vector[:-1] -= (weighed.transpose(0, 2, 1) @ error[:, :, None])[:, :, 0]
     vector[1:] -= weight * error
     matrix[0] += FIXED * np.eye(POSE)
-    top, band = 2 * POSE - 1, np.zeros((2 * POSE, matrix.shape[0] * POSE))
-    for a in range(POSE):
-        for b in range(a, POSE):
-            band[top - (b - a), b::POSE] = matrix[:, a, b]
-        for b in range(POSE):
-            band[top - (POSE + b - a), POSE + b :: POSE] = weighed[:, b, a]
-    return band
+    return matrix, weighed.transpose(0, 2, 1), vector
 
 
 def moved_poses(T: Array, step: Array) -> Array:
@@ -226,60 +247,46 @@ def yaw_of(rotation: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def gather(  # type: ignore[no-untyped-def]
-    point, bar, first, pair_bar, pair_first, T, known, start, direction, length, across, corner, flange, ratio,
-    matrix, vector, cross, block, right, shares, residuals,
+    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio
 ):  # fmt: skip
-    """Add all points to `Equations`."""
-    pose, place, pair_of = np.empty(4), np.empty(6), np.zeros(len(length), np.int64)
-    for k in range(len(T)):
-        for pair in range(pair_first[k], pair_first[k + 1]):
-            pair_of[pair_bar[pair]] = pair
-        r00, r01, r02, r10, r11, r12 = T[k, 0, 0], T[k, 0, 1], T[k, 0, 2], T[k, 1, 0], T[k, 1, 1], T[k, 1, 2]
-        r20, r21, r22 = T[k, 2, 0], T[k, 2, 1], T[k, 2, 2]
-        for i in range(first[k], first[k + 1]):
-            b = bar[i]
-            if not known[b]:
-                continue
+    """The normal equations of the bar of each pair, ``(P, 6, 6)`` and ``(P, 6)``, and the histogram of residuals."""
+    shares, right = np.zeros((len(pair_bar), BAR, BAR)), np.zeros((len(pair_bar), BAR))
+    residuals, total, place = np.zeros(MEDIAN_BINS), np.empty((BAR, BAR + 1)), np.empty(BAR + 1)
+    for pair in range(len(pair_bar)):
+        b, pose = pair_bar[pair], T[pair_scan[pair]]
+        if flange[b] != flange[b]:
+            continue
+        # From the sensor's frame to that of the bar, in which the point is o + r s.
+        x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
+        ou, ov, ot = sections.in_frame(direction[b], across[b], x, y, z)
+        r00, r10, r20 = sections.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
+        r01, r11, r21 = sections.in_frame(direction[b], across[b], pose[0, 1], pose[1, 1], pose[2, 1])
+        r02, r12, r22 = sections.in_frame(direction[b], across[b], pose[0, 2], pose[1, 2], pose[2, 2])
+        total[:] = 0.0
+        for i in range(first[pair], first[pair + 1]):
             sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
-            # c: from the point to the sensor; x: from the start of the bar to the point
-            cx, cy, cz = (
-                -(r00 * sx + r01 * sy + r02 * sz),
-                -(r10 * sx + r11 * sy + r12 * sz),
-                -(r20 * sx + r21 * sy + r22 * sz),
-            )
-            x, y, z = T[k, 0, 3] - cx - start[b, 0], T[k, 1, 3] - cy - start[b, 1], T[k, 2, 3] - cz - start[b, 2]
-            residual, t, cosine, sine, beside, front, rise, distance, range_ = sections.face_distance(
-                x, y, z, cx, cy, cz, direction[b], across[b], corner[b], length[b]
+            u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
+            residual, sigma, distance, cosine, sine, beside, front, rise = sections.face_distance(
+                ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
             )
             if residual != residual:
                 continue
-            dx, dy, dz = direction[b, 0], direction[b, 1], direction[b, 2]
-            e1, e2 = across[b, 0], across[b, 1]
-            sigma = ratio * max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_
+            sigma *= ratio
             residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
             bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
             weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
             # Derivatives are those at the point of the face on the same ray: at the measured point they would hold its
             # noise, and the product of noise with itself does not average out.
-            gu, gv = cosine + rise * sine, sine - rise * cosine
-            for n in range(3):
-                pose[n] = gu * e1[n] + gv * e2[n]
-            share = residual / distance
-            pose[3] = (1.0 + share) * (cy * pose[0] - cx * pose[1])  # z × (point − sensor), along the normal
-            tau = t - share * (cx * dx + cy * dy + cz * dz) - 0.5 * length[b]
+            gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
             place[4], place[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            pair = pair_of[b]
-            for n in range(4):
-                weighed = weight * pose[n]
-                vector[k, n] -= weighed * residual
-                for m in range(4):
-                    matrix[k, n, m] += weighed * pose[m]
-                for m in range(6):
-                    cross[pair, n, m] += weighed * place[m]
-            for n in range(6):
+            place[6] = -residual
+            for n in range(BAR):
                 weighed = weight * place[n]
-                right[b, n] -= weighed * residual
-                for m in range(6):
-                    block[b, n, m] += weighed * place[m]
-                    shares[pair, n, m] += weighed * place[m]
+                for m in range(n, BAR + 1):
+                    total[n, m] += weighed * place[m]
+        for n in range(BAR):
+            right[pair, n] = total[n, BAR]
+            for m in range(BAR):
+                shares[pair, n, m] = total[min(n, m), max(n, m)]
+    return shares, right, residuals

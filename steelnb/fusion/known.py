@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
-from steelnb.fusion.bundle import BAR, POSE, Bars, Equations, gather
+from steelnb.fusion.bundle import BAR, POSE, Bars, equations
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import bars_of_points, nearest_bars
 from steelnb.fusion.structure import Structure
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.points.voxel_kernels import BITS, EMPTY, REACH, pack, rehash
 from steelnb.types import Array, IntArray
 
@@ -83,7 +82,7 @@ class KnownBars:
 
     def equations(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[Array, Array, Array]:
         """Normal equations ``(4, 4)``, ``(4,)`` of the pose of a scan (x, y, z, yaw) from its ``points (N, 3)``, sensor
-        frame, and the histogram of their residuals (`fusion.bundle.gather`).
+        frame, and the histogram of their residuals (`fusion.bundle.equations`).
 
         Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
         alike: the points of one bar tell no more than its place is known. ``ratio``: the range noise as a multiple of
@@ -91,14 +90,11 @@ class KnownBars:
         """
         bar = self.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
         points, bar = points[bar >= 0], bar[bar >= 0]
-        seen, of = np.unique(bar, return_inverse=True)
-        n, b = len(seen), self.bars
-        whole = Observations(points.astype(np.float32), of, np.array([0, len(of)]), np.arange(n), np.array([0, n]))
-        found, segments = Equations.empty(1, n, n), b.segments.take(seen)
-        gather(
-            *whole, T_world_sensor[None], np.ones(n, dtype=bool), segments.start, segments.direction, segments.length,
-            b.across[seen], self.corner[seen], b.flange[seen], ratio, *found,
-        )  # fmt: skip
+        whole = Observations.gathered([(0, points, bar)])
+        seen, b = whole.pair_bar, self.bars
+        n, segments = len(seen), b.segments.take(seen)
+        among = Bars(segments, b.across[seen], b.turn[seen], b.flange[seen])
+        found = equations(whole._replace(pair_bar=np.arange(n)), T_world_sensor[None], among, self.corner[seen], ratio)
         sigma = np.empty((n, BAR))
         sigma[:, :2] = self.sigma_m[seen, None]
         sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
@@ -148,8 +144,8 @@ def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, 
         b = bar[i]
         if b >= 0:
             x, c = points[i] - start[b], sensor - points[i]
-            residual, _, _, _, _, _, _, distance, range_ = sections.face_distance(
-                x[0], x[1], x[2], c[0], c[1], c[2], direction[b], across[b], corner[b], length[b]
-            )
-            result[i] = residual / (ratio * max(SIGMA_M, SIGMA_SHARE * range_) * distance / range_)
+            u, v, t = sections.in_frame(direction[b], across[b], x[0], x[1], x[2])
+            p, q, w = sections.in_frame(direction[b], across[b], c[0], c[1], c[2])
+            found = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
+            result[i] = found[0] / (ratio * found[1])
     return result

@@ -9,37 +9,29 @@ from steelnb.types import Array, IntArray
 
 
 class Observations(NamedTuple):
-    """Points of K scans on bars: ``point (N, 3)`` float32, sensor frame, metres, and its ``bar (N,)``, sorted by scan:
-    those of scan k are ``first[k]`` to ``first[k + 1]``. The bars of scan k are ``pair_bar[pair_first[k]]`` to
-    ``pair_bar[pair_first[k + 1] - 1]``."""
+    """Points of scans on bars, pair by pair of a scan and a bar that it sees.
+
+    ``point (N, 3)`` float32, sensor frame, metres: those of pair p are ``first[p]`` to ``first[p + 1]``, seen by the
+    scan ``pair_scan[p]`` on the bar ``pair_bar[p]``. Pairs are sorted by scan.
+    """
 
     point: np.ndarray
-    bar: IntArray
     first: IntArray
+    pair_scan: IntArray
     pair_bar: IntArray
-    pair_first: IntArray
-
-    @property
-    def pair_scan(self) -> IntArray:
-        """The scan of each pair of a scan and a bar ``(P,)``."""
-        return np.repeat(np.arange(len(self.pair_first) - 1), np.diff(self.pair_first))
 
     @classmethod
-    def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]], T_world_sensor: Array) -> "Observations":
-        """From points in the world frame at given poses, as `fusion.reconstruct` yields them scan by scan."""
-        points, bars, pairs = [], [], []
-        count, pair_count = np.zeros((2, len(T_world_sensor)), dtype=np.int64)
+    def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]]) -> "Observations":
+        """From points in the sensor frame and their bars, scan by scan, as `fusion.reconstruct` yields them."""
+        points, counts = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int64)]
         for k, point, bar in scans:
-            R, t = T_world_sensor[k, :3, :3], T_world_sensor[k, :3, 3]
-            points.append(((point - t) @ R).astype(np.float32))
-            bars.append(bar.astype(np.int32))
-            pairs.append(np.unique(bar))
-            count[k], pair_count[k] = len(bar), len(pairs[-1])
-        first, pair_first = (np.concatenate([[0], np.cumsum(number)]) for number in (count, pair_count))
-        return cls(
-            np.concatenate([np.zeros((0, 3), np.float32), *points]),
-            np.concatenate([np.zeros(0, np.int32), *bars]),
-            first,
-            np.concatenate([np.zeros(0, np.int64), *pairs]),
-            pair_first,
-        )
+            count = np.bincount(bar)
+            name = np.flatnonzero(count)
+            points.append(point[np.argsort(bar, kind="stable")].astype(np.float32))
+            counts.append(np.column_stack([np.full(len(name), k), name, count[name]]))
+        scan, bar, count = np.concatenate(counts).T
+        return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
+
+    def thinned(self, pixels: int) -> "Observations":
+        """One in ``pixels`` of the points of each pair, and of all pairs alike."""
+        return self._replace(point=self.point[::pixels], first=-(-self.first // pixels))

@@ -12,7 +12,7 @@ from steelnb.fusion import sections
 from steelnb.fusion.adjust import adjust
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
-from steelnb.fusion.point_association import bars_of_points, nearest_bars, world_points
+from steelnb.fusion.point_association import nearest_bars, points_on_bars, world_points
 from steelnb.fusion.regions import is_lattice, linear_share
 from steelnb.fusion.ridges import ridge_points
 from steelnb.fusion.scales import Scales
@@ -207,14 +207,24 @@ class MappedScans:
 
     def bar_points(self, bars: Segments, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
         """For one in ``every`` scans, of one in ``pixels`` of its points: the number of the scan, the points on bars in
-        the world frame, and their bars."""
+        the sensor frame, and their bars."""
         s, (grid, _) = self.settings, self.voxels.grid()
         bar_of_voxel = nearest_bars(bars, self.voxels.means(), 2.0 * s.tube_m, 0.5 * s.tube_m)
         for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
             some = _flat(scan.points)[k % pixels :: pixels]
-            points, _ = world_points(some, self.T_world_sensor[k], s.range_max_m, s.floor_m)
-            bar = bars_of_points(points, bar_of_voxel, grid.voxel_m, grid.key, grid.slot)
-            yield k, points[bar >= 0], bar[bar >= 0]
+            yield (
+                k,
+                *points_on_bars(
+                    some,
+                    self.T_world_sensor[k],
+                    s.range_max_m,
+                    s.floor_m,
+                    bar_of_voxel,
+                    grid.voxel_m,
+                    grid.key,
+                    grid.slot,
+                ),
+            )
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections to the points of each bar; the axes of the bars move to the centroids of their sections."""
@@ -223,7 +233,7 @@ class MappedScans:
         for k, points, bar in self.bar_points(bars, every, pixels):
             sightings += np.bincount(bar, minlength=n) >= 10 // pixels
             sections.accumulate(
-                points, self.T_world_sensor[k, :3, 3], bar, bars.start, bars.direction, bars.length, across,
+                points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * self.settings.tube_m, histogram,
             )  # fmt: skip
         centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length)
@@ -243,15 +253,16 @@ class MappedScans:
 
 
 def map_and_fit(
-    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings
+    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, fits: int = 2
 ) -> tuple[MappedScans, FittedBars | None, str]:
     """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
-    of the sensor mapped, and the bars fitted; or None, and the reason. Raises `EmptyCloudError` as `map_scans`."""
+    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `EmptyCloudError` as
+    `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
     bars, reason = find_bars(flight.voxels, settings, grids=1)
     fitted = None
-    for _ in range(2 if len(bars) else 0):
-        # Bars extended to their joints have more points, so a second round is more exact.
+    for _ in range(fits if len(bars) else 0):
+        # Bars extended to their joints have more points, so a second fit is more exact.
         fitted, bars = flight.refine(bars)
     return flight, fitted if len(bars) else None, reason
 

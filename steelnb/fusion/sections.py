@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.points.ranges import range_sigma_m
 from steelnb.types import Array
 
 VIEWS, CELLS, PARTS = 24, 32, 6
@@ -33,23 +34,32 @@ def frames(direction: Array) -> Array:
 
 
 @njit(cache=True)
-def accumulate(points, sensor, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
-    """Add points ``(N, 3)`` seen from ``sensor (3,)``, world frame, to the histograms of their bars ``(N,)``, −1 for
-    none. Points within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third
-    of the bar at either end."""
+def in_frame(direction, across, x, y, z):  # type: ignore[no-untyped-def]
+    """Components of a vector in the world frame across a bar (two) and along it."""
+    e1, e2 = across[0], across[1]
+    return (
+        x * e1[0] + y * e1[1] + z * e1[2],
+        x * e2[0] + y * e2[1] + z * e2[2],
+        x * direction[0] + y * direction[1] + z * direction[2],
+    )
+
+
+@njit(cache=True)
+def accumulate(points, T, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
+    """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``. Points
+    within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third of the bar at
+    either end."""
     for i in range(len(points)):
-        b = bar[i]
-        if b < 0:
-            continue
-        x, y, z = points[i, 0] - start[b, 0], points[i, 1] - start[b, 1], points[i, 2] - start[b, 2]
-        t = x * direction[b, 0] + y * direction[b, 1] + z * direction[b, 2]
+        b, s = bar[i], points[i]
+        cx = -(T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2])
+        cy = -(T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2])
+        cz = -(T[2, 0] * s[0] + T[2, 1] * s[1] + T[2, 2] * s[2])
+        x, y, z = T[0, 3] - cx - start[b, 0], T[1, 3] - cy - start[b, 1], T[2, 3] - cz - start[b, 2]
+        u, v, t = in_frame(direction[b], across[b], x, y, z)
         edge = min(margin, length[b] / 3.0)
         if t < edge or t > length[b] - edge:
             continue
-        e1, e2 = across[b, 0], across[b, 1]
-        u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
-        cx, cy, cz = sensor[0] - points[i, 0], sensor[1] - points[i, 1], sensor[2] - points[i, 2]
-        p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
+        p, q, _ = in_frame(direction[b], across[b], cx, cy, cz)
         square = p * p + q * q
         if square < 0.1 * (cx * cx + cy * cy + cz * cz):  # line of sight along the bar: its end face
             continue
@@ -85,41 +95,37 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
     """Height of the outline towards the viewer, metres from its centroid, at a place ``beside`` it, and its slope;
-    −1e9 outside of the outline."""
+    −1e9 outside of the outline. Corners go round counterclockwise, so an edge that faces the viewer runs upwards."""
     front, rise = -1e9, 0.0
+    b0, d0 = -sine * corner[5, 0] + cosine * corner[5, 1], cosine * corner[5, 0] + sine * corner[5, 1]
     for i in range(6):
-        j = (i + 1) % 6
-        b0, b1 = -sine * corner[i, 0] + cosine * corner[i, 1], -sine * corner[j, 0] + cosine * corner[j, 1]
-        if (b0 <= beside < b1) or (b1 <= beside < b0):
-            d0, d1 = cosine * corner[i, 0] + sine * corner[i, 1], cosine * corner[j, 0] + sine * corner[j, 1]
+        b1, d1 = -sine * corner[i, 0] + cosine * corner[i, 1], cosine * corner[i, 0] + sine * corner[i, 1]
+        if b0 <= beside < b1:
             s = (d1 - d0) / (b1 - b0)
             if d0 + s * (beside - b0) > front:
                 front, rise = d0 + s * (beside - b0), s
+        b0, d0 = b1, d1
     return front, rise
 
 
 @njit(cache=True, error_model="numpy")
-def face_distance(x, y, z, cx, cy, cz, direction, across, corner, length):  # type: ignore[no-untyped-def]
+def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-def]
     """Depth of a point behind the front face of a bar along the line of sight across the bar, metres; NaN where the
     point lies beyond an end or beside the outline, or where the bar or its face is seen at a grazing angle.
 
-    ``x, y, z``: from the start of the bar to the point; ``cx, cy, cz``: from the point to the sensor. Beside it: the
-    place along the bar; cosine and sine of the view; the place beside the axis; height and slope of the face there; and
-    the distance to the sensor across the bar and in space.
+    In the frame of the bar (`in_frame`): ``u, v, t`` from its start to the point; ``p, q, w`` from the point to the
+    sensor. Beside the depth: its standard deviation by the range noise; the distance to the sensor across the bar;
+    cosine and sine of the view; the place beside the axis; height and slope of the face there.
     """
-    e1, e2 = across[0], across[1]
-    t = x * direction[0] + y * direction[1] + z * direction[2]
-    u, v = x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]
-    p, q = cx * e1[0] + cy * e1[1] + cz * e1[2], cx * e2[0] + cy * e2[1] + cz * e2[2]
-    square, whole = p * p + q * q, cx * cx + cy * cy + cz * cz
+    square, whole = p * p + q * q, p * p + q * q + w * w
     if t < 0.0 or t > length or square < 0.1 * whole:
-        return np.nan, t, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0
+        return np.nan, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     distance, range_ = math.sqrt(square), math.sqrt(whole)
     cosine, sine = p / distance, q / distance
     beside = -sine * u + cosine * v
     front, rise = front_face(corner, cosine, sine, beside)
     residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
-    return residual, t, cosine, sine, beside, front, rise, distance, range_
+    return residual, range_sigma_m(range_) * distance / range_, distance, cosine, sine, beside, front, rise
 
 
 @njit(cache=True)

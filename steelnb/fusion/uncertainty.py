@@ -12,11 +12,11 @@ information of a bar in a scan saturates, however many pixels it has. The drift 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky, cholesky_banded, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
-from steelnb.fusion.bundle import BAR, POSE, Bundle, chain, coupling, linearised, reduced
-from steelnb.fusion.observations import Observations
+from steelnb.fusion.bundle import BAR, POSE, Bundle, Equations, increments, reduced, summed
+from steelnb.fusion.chain import Chain
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 
@@ -48,55 +48,35 @@ class Marginals(NamedTuple):
 
 
 def marginals(
-    bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array, shared_sigma_m: float | None = None
+    bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array, shared_sigma_m: float | None = None
 ) -> Marginals:
     """The marginal covariances of the state of an adjustment; the arguments are those of `bundle.improve`.
 
     ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
     `SingularError` where the equations are not finite or nothing holds a pose, with the direction that is free.
     """
-    equations = linearised(bundle, seen)
-    matrix, n, poses = equations.matrix, len(equations.block), len(equations.matrix)
+    n, cross, shares = len(equations.block), equations.cross, equations.shares
     sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
-    cross, shares = equations.cross, equations.shares
     unknown = np.zeros_like(shares)
     if sigma_m:
         unknown[:, :2, :2] = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
-    told = cross @ unknown
-    np.subtract.at(matrix, seen.pair_scan, told @ cross.transpose(0, 2, 1))
-    np.subtract.at(equations.block, seen.pair_bar, shares @ unknown @ shares)
-    matrix += HOLD * np.eye(POSE)
-    band = chain(bundle.T_world_sensor, prior, stamp_s, matrix, equations.vector)
-    if not (np.isfinite(band).all() and np.isfinite(cross).all()):
+    lost = cross @ unknown
+    known, beside, _ = increments(bundle.T_world_sensor, prior, stamp_s)
+    known += equations.matrix + HOLD * np.eye(POSE)
+    matrix = known - summed(lost @ cross.transpose(0, 2, 1), equations.pair_scan, len(known))
+    block = equations.block - summed(shares @ unknown @ shares, equations.pair_bar, n)
+    if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(cross).all()):
         raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
-    between = coupling(seen, cross - told @ shares, n)
-    upper = cholesky_banded(band)
-    solved = cho_solve_banded((upper, False), between.toarray())
-    lower = cholesky(reduced(equations.block, between, solved), lower=True)
-    by_bars = solve_triangular(lower, solved.T, lower=True).reshape(BAR * n, poses, POSE)
-    pose = _chain_inverse(upper) + by_bars.transpose(1, 2, 0) @ by_bars.transpose(1, 0, 2)
-    inverse = solve_triangular(lower, np.eye(BAR * n), lower=True).reshape(BAR * n, n, BAR)
-    bar = inverse.transpose(1, 2, 0) @ inverse.transpose(1, 0, 2)
+    chain = Chain.factored(matrix, beside)
+    half = chain.half(equations._replace(cross=cross - lost @ shares).between())
+    flat = half.reshape(-1, BAR * n)
+    inverse = cho_solve(cho_factor(reduced(block, flat.T @ flat)), np.eye(BAR * n))
+    by_bars = chain.rest(half)
+    pose = chain.inverse_blocks() + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
     check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw"), first=1)
-    return Marginals(pose, bar)
-
-
-def _chain_inverse(upper: Array) -> Array:
-    """The diagonal blocks ``(K, 4, 4)`` of the inverse of a block tridiagonal matrix, from the factor U of UᵀU as
-    LAPACK's band ``(8, 4 K)``."""
-    top, poses = 2 * POSE - 1, upper.shape[1] // POSE
-    own, later = np.zeros((poses, POSE, POSE)), np.zeros((poses - 1, POSE, POSE))
-    for a in range(POSE):
-        for b in range(a, POSE):
-            own[:, a, b] = upper[top - (b - a), b::POSE]
-        for b in range(POSE):
-            later[:, a, b] = upper[top - (POSE + b - a), POSE + b :: POSE]
-    inverse = np.linalg.inv(own)
-    gain, result = inverse[:-1] @ later, inverse @ inverse.transpose(0, 2, 1)
-    for k in range(poses - 2, -1, -1):
-        result[k] += gain[k] @ result[k + 1] @ gain[k].T
-    return result
+    bars = np.arange(n)
+    return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
 
 
 def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import sections
-from steelnb.fusion.known import KnownBars
-from steelnb.fusion.point_association import world_points
+from steelnb.fusion.known import VOXEL_M, KnownBars
+from steelnb.fusion.point_association import points_on_bars
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, Scan
 
@@ -33,10 +33,12 @@ class Views:
         """Add a scan at the pose of its sensor."""
         b, s, segments = self.bars.bars, self.settings, self.bars.bars.segments
         flat = np.ascontiguousarray(scan.points, dtype=np.float64).reshape(-1, 3)
-        world, _ = world_points(flat, T_world_sensor, s.range_max_m, s.floor_m)
+        points, bar = points_on_bars(
+            flat, T_world_sensor, s.range_max_m, s.floor_m, self.bars.table[0], VOXEL_M, *self.bars.table[1:]
+        )
         sections.accumulate(
-            world, T_world_sensor[:3, 3], self.bars.bar_of(world), segments.start, segments.direction, segments.length,
-            b.across, END_M, self.histogram,
+            points, T_world_sensor, bar, segments.start, segments.direction, segments.length, b.across, END_M,
+            self.histogram,
         )  # fmt: skip
         if camera is not None and scan.points.shape == camera.shape:
             _look(

@@ -13,6 +13,12 @@ ALIKE = 4.0
 """Standard deviations by which ranges of one surface may differ: each has its own noise, so nearly three of theirs."""
 
 
+@njit(cache=True)
+def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
+    """Standard deviation of a range, metres."""
+    return max(SIGMA_M, SIGMA_SHARE * range_m)
+
+
 def smooth_ranges(points: Array, half: int = 1) -> Array:
     """Points ``(H, W, 3)`` of an organised scan in the sensor frame, each moved along its ray; NaN stays NaN.
 
@@ -42,7 +48,7 @@ def _smooth(points, half):
             if not 0.0 < middle < np.inf:
                 smooth[i, j, :] = points[i, j]
                 continue
-            bound = ALIKE * max(SIGMA_M, SIGMA_SHARE * middle)
+            bound = ALIKE * range_sigma_m(middle)
             total, count = 0.0, 0.0
             for a in range(2 * half + 1):
                 for b in range(2 * half + 1):

@@ -96,8 +96,10 @@ def test_the_axis_of_an_angle_section_is_found_from_its_near_faces(flange, turn)
         seen = near_face(corner, towards, rng, 1000) + 0.02 * rng.standard_normal((1000, 1)) * towards
         points = (off + seen) @ across[0] + np.outer(rng.uniform(0, 2, 1000), [0, 0, 1])
         for point in points:  # each from 3 m away, level
+            T = np.eye(4)
+            T[:3, 3] = point + 3.0 * towards @ across[0]
             sections.accumulate(
-                point[None], point + 3.0 * towards @ across[0], np.zeros(1, int), bar.start, bar.direction, bar.length,
+                point[None] - T[:3, 3], T, np.zeros(1, int), bar.start, bar.direction, bar.length,
                 across, 0.05, histogram,
             )  # fmt: skip
     found = section_fit.fit_sections(histogram, bar.length)
@@ -128,7 +130,7 @@ def test_adjusting_brings_a_shifted_and_turned_pose_back_and_leaves_right_ones_a
     given = true.copy()
     given[ANCHOR_SCANS:, :3, 3] += [0.02, -0.015, 0.01]
     given[ANCHOR_SCANS:, :3, :3] = Rotation.from_rotvec([0, 0, 0.005]).as_matrix()
-    seen = [(k, points @ T[:3, :3].T + T[:3, 3], bar) for k, (points, T) in enumerate(zip(scans, given, strict=True))]
+    seen = [(k, points, bar) for k, points in enumerate(scans)]
     poses, moved = adjust(bars, turn, flange, across, given, seen)
     before, after = (np.linalg.norm((T - true)[:, :3, 3], axis=1) for T in (given, poses))
     assert after[:ANCHOR_SCANS].max() < 0.004

@@ -24,20 +24,21 @@ def state_of(T, bars) -> bundle.Bundle:
     return bundle.start(T, T, bars)
 
 
+def marginals(state, seen, prior, shared_sigma_m=None):
+    return uncertainty.marginals(state, bundle.linearised(state, seen), prior, STAMP_S, shared_sigma_m)
+
+
 def dense(state, seen, prior, stamp_s, shared_sigma_m):
     """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
     eq = bundle.linearised(state, seen)
     K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
-    chained = np.zeros_like(eq.matrix)
-    band = bundle.chain(state.T_world_sensor, prior, stamp_s, chained, eq.vector)
+    chained, beside, _ = bundle.increments(state.T_world_sensor, prior, stamp_s)
     size = POSE * K + BAR * n
     whole = np.zeros((size + 2 * P, size + 2 * P))
-    for i in range(2 * POSE):
-        row = band[2 * POSE - 1 - i, i:]
-        whole[np.arange(len(row)), np.arange(len(row)) + i] = row
-        whole[np.arange(len(row)) + i, np.arange(len(row))] = row
-    for k in range(K):
-        whole[POSE * k : POSE * k + POSE, POSE * k : POSE * k + POSE] += eq.matrix[k]
+    whole[: POSE * K, : POSE * K] = block_diag(*(eq.matrix + chained))
+    for k in range(K - 1):
+        pose, behind = slice(POSE * k, POSE * k + POSE), slice(POSE * k + POSE, POSE * k + 2 * POSE)
+        whole[pose, behind], whole[behind, pose] = beside[k], beside[k].T
     whole[POSE * K : size, POSE * K : size] = block_diag(*(eq.block + np.diag(bundle.BAR_SIGMA**-2.0)))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
         pose, bar = slice(POSE * k, POSE * k + POSE), slice(POSE * K + BAR * b, POSE * K + BAR * b + BAR)
@@ -56,7 +57,7 @@ def test_they_are_the_blocks_of_the_dense_inverse():
     T, bars, seen = made_up(1, 0.004)
     state = state_of(T, bars)
     pose, bar = dense(state, seen, T, STAMP_S, 0.003)
-    found = uncertainty.marginals(state, seen, T, STAMP_S, 0.003)
+    found = marginals(state, seen, T, 0.003)
     np.testing.assert_allclose(found.pose[1:], pose, rtol=1e-4, atol=1e-12)
     np.testing.assert_allclose(found.bar, bar, rtol=1e-4, atol=1e-12)
     assert not found.pose[0].any()
@@ -68,7 +69,7 @@ def test_the_information_of_a_bar_in_a_scan_saturates():
     state = state_of(T, bars)
     sharp = bundle.Bundle(T, bars, 0.1 * state.sigma_ratio, state.fitted, state.step)
     sigma = {
-        (name, shared): np.sqrt(np.median(uncertainty.marginals(each, seen, T, STAMP_S, shared).pose[1:, 0, 0]))
+        (name, shared): np.sqrt(np.median(marginals(each, seen, T, shared).pose[1:, 0, 0]))
         for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)
     }  # fmt: skip
     assert sigma["many", 0.0] < 0.25 * sigma["few", 0.0]
@@ -91,8 +92,8 @@ def test_many_runs_scatter_as_they_say():
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
         state = bundle.start(T, prior, bars)
         for _ in range(4):
-            state = bundle.improve(state, seen, prior, STAMP_S)
-        pose, _ = uncertainty.marginals(state, seen, prior, STAMP_S, 0.0)
+            state = bundle.improve(state, bundle.linearised(state, seen), prior, STAMP_S)
+        pose, _ = marginals(state, seen, prior, 0.0)
         error = np.empty((39, 4))
         error[:, :3] = (T - state.T_world_sensor)[1:, :3, 3]
         error[:, 3] = bundle.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
@@ -111,7 +112,7 @@ def wall_of_posts():
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
     T, bars, seen = wall_of_posts()
-    pose, _ = uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+    pose, _ = marginals(state_of(T, bars), seen, T)
     np.testing.assert_allclose(np.sqrt(pose[:, 2, 2]), 0.01 * np.sqrt(np.arange(40)), rtol=0.01)
     assert np.sqrt(pose[-1, 1, 1]) < 0.01
 
@@ -120,12 +121,12 @@ def test_a_free_direction_is_named(monkeypatch):
     monkeypatch.setattr(bundle, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
     T, bars, seen = wall_of_posts()
     with pytest.raises(SingularError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
-        uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+        marginals(state_of(T, bars), seen, T)
 
 
 def test_what_no_point_tells_of_a_bar_is_half_a_metre():
     T, bars, seen = wall_of_posts()
-    _, bar = uncertainty.marginals(state_of(T, bars), seen, T, STAMP_S)
+    _, bar = marginals(state_of(T, bars), seen, T)
     np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), bundle.BAR_SIGMA, rtol=1e-6)
 
 
@@ -134,7 +135,7 @@ def test_equations_that_are_not_finite_are_refused():
     prior = T.copy()
     prior[7, 0, 3] = np.nan
     with pytest.raises(SingularError, match="not finite"):
-        uncertainty.marginals(state_of(T, bars), seen, prior, STAMP_S)
+        marginals(state_of(T, bars), seen, prior)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,117 @@
+"""Normal equations of poses and bars against slow twins: derivatives by differences, and dense algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from steelnb.fusion import bundle, sections
+from steelnb.fusion.bundle import BAR, POSE
+from steelnb.fusion.chain import Chain
+from steelnb.types import Segments
+from tests.fusion.test_smooth import made_up
+
+
+def chain_of(poses: int, seed: int):
+    """A block tridiagonal matrix as blocks and dense, and columns that few poses have."""
+    rng = np.random.default_rng(seed)
+    lower = rng.normal(size=(poses, POSE, POSE)) + 3 * np.eye(POSE)
+    below = rng.normal(size=(poses - 1, POSE, POSE))
+    matrix = lower @ lower.transpose(0, 2, 1)
+    matrix[1:] += below @ below.transpose(0, 2, 1)
+    beside = lower[:-1] @ below.transpose(0, 2, 1)
+    dense = block_diag(*matrix)
+    for k in range(poses - 1):
+        here, behind = slice(POSE * k, POSE * k + POSE), slice(POSE * k + POSE, POSE * k + 2 * POSE)
+        dense[here, behind], dense[behind, here] = beside[k], beside[k].T
+    columns = rng.normal(size=(poses, POSE, 30))
+    for m, first in enumerate(rng.integers(0, poses - 3, 30)):
+        columns[:first, :, m], columns[first + 3 :, :, m] = 0.0, 0.0
+    return matrix, beside, dense, columns
+
+
+def test_a_chain_is_solved_as_its_dense_matrix():
+    matrix, beside, dense, columns = chain_of(50, 1)
+    chain, flat = Chain.factored(matrix, beside), columns.reshape(50 * POSE, 30)
+    half = chain.half(columns)
+    squared = half.reshape(flat.shape).T @ half.reshape(flat.shape)
+    np.testing.assert_allclose(squared, flat.T @ np.linalg.solve(dense, flat), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(chain.rest(half).reshape(flat.shape), np.linalg.solve(dense, flat), atol=1e-9)
+    inverse = np.linalg.inv(dense).reshape(50, POSE, 50, POSE)[np.arange(50), :, np.arange(50)]
+    np.testing.assert_allclose(chain.inverse_blocks(), inverse, atol=1e-9)
+
+
+def test_a_matrix_that_is_not_positive_definite_is_refused():
+    matrix, beside, _, _ = chain_of(5, 3)
+    matrix[3] -= 100 * np.eye(POSE)
+    with pytest.raises(np.linalg.LinAlgError):
+        Chain.factored(matrix, beside)
+
+
+def residuals_of(T, bars, seen, p):
+    """Residuals of the points of pair p, and their standard deviations, straight from the definition."""
+    k, b = seen.pair_scan[p], seen.pair_bar[p]
+    corner, direction = sections.outlines(bars.turn, bars.flange)[b], bars.segments.direction[b]
+    found = []
+    for s in seen.point[seen.first[p] : seen.first[p + 1]].astype(np.float64):
+        point = T[k, :3, :3] @ s + T[k, :3, 3]
+        frame = np.vstack([bars.across[b], direction])
+        at, towards = frame @ (point - bars.segments.start[b]), frame @ (T[k, :3, 3] - point)
+        found.append(sections.face_distance(*at, *towards, corner, bars.segments.length[b])[:2])
+    return np.array(found).T
+
+
+def moved(T, bars, k, b, n, step):
+    """Pose k or bar b moved by a step in one of its degrees of freedom, 0 to 3 or 4 to 9."""
+    if n < POSE:
+        steps = np.zeros((len(T), POSE))
+        steps[k, n] = step
+        return bundle.moved_poses(T, steps), bars
+    segments, turn, flange = bars.segments, bars.turn.copy(), bars.flange.copy()
+    ends = [segments.start.copy(), segments.end.copy()]
+    half = 0.5 * segments.length[b]
+    if n < POSE + 2:
+        for end in ends:
+            end[b] += step * bars.across[b, n - POSE]
+    elif n < POSE + 4:
+        for sign, end in zip((-1, 1), ends, strict=True):
+            end[b] += sign * half * step * bars.across[b, n - POSE - 2]
+    else:
+        (turn, flange)[n - POSE - 4][b] += step
+    new = Segments(*ends, segments.count, segments.radius)
+    first = bars.across[:, 0] - (bars.across[:, 0] * new.direction).sum(axis=1)[:, None] * new.direction
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return T, bundle.Bars(new, np.stack([first, np.cross(new.direction, first)], axis=1), turn, flange)
+
+
+def test_equations_are_those_of_derivatives_by_differences():
+    T, bars, seen = made_up(4, 0.0)
+    bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
+    T = T.copy()
+    tilted = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix()  # roll and pitch, and a face seen aslant
+    whole = np.eye(4)
+    whole[:3, :3], whole[:3, 3] = tilted, [0.3, -0.2, 0.5]
+    T, segments = whole @ T, bars.segments.transformed(whole)
+    bars = bundle.Bars(segments, bars.across @ tilted.T, bars.turn, bars.flange)
+    state = bundle.start(T, T, bars)
+    eq = bundle.linearised(state, seen)
+    step = 1e-6
+    matrix, block = np.zeros((len(T), POSE, POSE)), np.zeros((6, BAR, BAR))
+    for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
+        columns = [
+            (residuals_of(*moved(T, bars, k, b, n, step), seen, p)[0]
+             - residuals_of(*moved(T, bars, k, b, n, -step), seen, p)[0]) / (2 * step) for n in range(POSE + BAR)
+        ]  # fmt: skip
+        sigma = residuals_of(T, bars, seen, p)[1]
+        g = np.column_stack(columns) / sigma[:, None]
+        g = g[np.isfinite(g).all(axis=1)]
+        matrix[k] += g[:, :POSE].T @ g[:, :POSE]
+        block[b] += g[:, POSE:].T @ g[:, POSE:]
+        if len(g) == seen.first[p + 1] - seen.first[p]:
+            scale = np.abs(g.T @ g).max()
+            np.testing.assert_allclose(eq.cross[p], g[:, :POSE].T @ g[:, POSE:], atol=0.01 * scale)
+            np.testing.assert_allclose(eq.shares[p], g[:, POSE:].T @ g[:, POSE:], atol=0.01 * scale)
+    np.testing.assert_allclose(eq.matrix, matrix, atol=0.02 * np.abs(matrix).max())
+    np.testing.assert_allclose(eq.block, block, atol=0.02 * np.abs(block).max())
