@@ -59,9 +59,9 @@ class Keyframes:
             return None
         found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
         state = bundle.start(self.T_world_sensor, self._prior, found)
-        seen = Observations.gathered(mapped.bar_points(fitted.bars, every=1, pixels=1), self.T_world_sensor)
+        seen = Observations.gathered(mapped.bar_points(fitted.bars, every=1, pixels=1))
         stamp_s = np.array([scan.stamp_s for scan in self.scans])
         for _ in range(STEPS):
-            state = bundle.improve(state, seen, self._prior, stamp_s)
+            state = bundle.improve(state, bundle.linearised(state, seen), self._prior, stamp_s)
         self.T_world_sensor = state.T_world_sensor
         return state
