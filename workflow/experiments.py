@@ -22,7 +22,8 @@ FOLDERS = {"full": "results", "smoke": "results-smoke"}
 
 
 class Experiment(Settings):
-    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
+    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts, from which
+    the combinations ``without`` are left out.
 
     ``inputs`` are files of the project that the notebook reads: when one changes, it runs again. One that is ``apart``
     is too long for every day: at the full budget it runs only when it is named. ``title``, ``about`` and ``figures``
@@ -35,6 +36,7 @@ class Experiment(Settings):
     about: str = ""
     figures: str = ""
     matrix: dict[str, list[Any]] = Field(default_factory=dict)
+    without: list[dict[str, Any]] = Field(default_factory=list)
     full: dict[str, Any]
     smoke: dict[str, Any]
     inputs: list[str] = Field(default_factory=list)
@@ -121,7 +123,10 @@ def make_parts(root: Path, experiment: Experiment, budget: str, given: Mapping[s
     axes = {name: values for name, values in experiment.matrix.items() if name not in user}
     parts = []
     for combination in itertools.product(*axes.values()):
-        values = fit_parameters(experiment.id, {**chosen, **dict(zip(axes, combination, strict=True))}, defaults)
+        named = dict(zip(axes, combination, strict=True))
+        if any(each.items() <= named.items() for each in experiment.without):
+            continue
+        values = fit_parameters(experiment.id, {**chosen, **named}, defaults)
         check_settings(experiment.id, {**defaults, **values})
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
         parts.append(Part(experiment, name, root, values))
