@@ -8,6 +8,10 @@ LIBRARIES := libegl1 libgl1 libx11-6 libusb-1.0-0
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
+# The same bits on every x86-64 processor with AVX2: finding bars is discrete, so the last digit of a pose can decide
+# about a bar, and OpenBLAS and NumPy round otherwise where there is AVX-512.
+export OPENBLAS_CORETYPE = Haswell
+export NPY_DISABLE_CPU_FEATURES = X86_V4 AVX512_ICL AVX512_SPR
 # `workflow` lies beside the package, not in it.
 export PYTHONPATH = .
 
