@@ -18,7 +18,8 @@ class Structure:
     standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for
     each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
     ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
-    where that is not known; None where it is known of no bar.
+    where that is not known; None where it is known of no bar. ``joint_sigma_m (J,)``: standard deviation of the place
+    of each joint in the direction in which it is largest, NaN where it is not known; None where it is known of none.
     """
 
     segments: Segments
@@ -29,6 +30,7 @@ class Structure:
     tie: IntArray
     reason: str = ""
     opening: Array | None = None
+    joint_sigma_m: Array | None = None
 
     def __len__(self) -> int:
         return len(self.segments)

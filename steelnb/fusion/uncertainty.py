@@ -127,8 +127,7 @@ def joint_covariances(segments: Segments, covariance: Array, joint: Array, tie: 
 
     A joint is the point nearest to its axes (`joints.nearest_point`). Errors of bars have a part in common, such as the
     place of the whole, and which part is not kept: so this is the largest covariance that their sum can have (n times
-    the sum of n covariances), twice that of two bars whose errors are independent. Raises `SingularError` for a joint
-    of parallel bars.
+    the sum of n covariances), twice that of two bars whose errors are independent. NaN for a joint of parallel bars.
     """
     across = frames(segments.direction)
     result = np.zeros((len(joint), 3, 3))
@@ -138,9 +137,9 @@ def joint_covariances(segments: Segments, covariance: Array, joint: Array, tie: 
         frame = across[bars]
         pulled = frame.transpose(0, 2, 1) @ covariances_at(covariance[bars], along_m) @ frame
         weight = (frame.transpose(0, 2, 1) @ frame).sum(axis=0)
-        value, vector = np.linalg.eigh(weight)
-        if value[0] < 1e-3:
-            raise SingularError(f"joint {j}: singular along {_named(vector[:, 0], 'xyz')}; expected bars that cross")
+        if np.linalg.eigvalsh(weight)[0] < 1e-3:
+            result[j] = np.nan
+            continue
         inverse = np.linalg.inv(weight)
         result[j] = len(bars) * inverse @ pulled.sum(axis=0) @ inverse
     return result
@@ -162,7 +161,7 @@ def check_covariances(covariance: Array, what: str, axes: tuple[str, ...], first
             raise SingularError(f"covariance of {what} {first + k} is {says} along {_named(vector[k, :, end], axes)}")
 
 
-def _named(direction: Array, axes: tuple[str, ...] | str) -> str:
+def _named(direction: Array, axes: tuple[str, ...]) -> str:
     """A direction as the names of its components, largest first, such as ``0.96 z + 0.28 x``."""
     sign = np.sign(direction[np.argmax(np.abs(direction))])
     order = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > 0.05]

@@ -75,6 +75,7 @@ class Bar(_Part):
 
 class Joint(_Part):
     position_m: Point
+    sigma_m: Length | None = Field(None, description="standard deviation where it is largest; null: not known")
 
 
 class Tie(_Part):
@@ -149,6 +150,7 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
         "sigma_m": _nullable(structure.sigma_m), "sightings": structure.sightings.tolist(),
         "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": _opening(structure),
     }  # fmt: skip
+    joint = [None] * len(structure.joint) if structure.joint_sigma_m is None else _nullable(structure.joint_sigma_m)
     for column, values in columns.items():
         if len(values) != len(s):
             raise StructureError(f"{name}: {column} has {len(values)} rows for {len(s)} bars; expected one each")
@@ -158,7 +160,9 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
     }  # fmt: skip
     lists = {
         "bars": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
-        "joints": [{"position_m": position} for position in structure.joint.tolist()],
+        "joints": [
+            {"position_m": at, "sigma_m": sigma_m} for at, sigma_m in zip(structure.joint.tolist(), joint, strict=True)
+        ],
         "ties": [{"joint": joint, "bar": bar} for joint, bar in structure.tie.tolist()],
     }
     parts = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in head.items()]
@@ -212,11 +216,16 @@ def _structure(document: Document) -> Structure:
         tie=np.array([(tie.joint, tie.bar) for tie in document.ties], dtype=np.int64).reshape(-1, 2),
         reason=document.reason,
         opening=_known([bar.opening for bar in bars]),
+        joint_sigma_m=_any([joint.sigma_m for joint in document.joints]),
     )
 
 
 def _known(rows: Sequence[tuple[float, float, float] | None]) -> Array | None:
     return _points([row or (np.nan,) * 3 for row in rows]) if any(rows) else None
+
+
+def _any(values: Sequence[float | None]) -> Array | None:
+    return np.array(values, dtype=float) if any(value is not None for value in values) else None
 
 
 def _points(rows: Sequence[tuple[float, float, float]]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb.fusion.structure import Structure
-from steelnb.fusion.uncertainty import axis_sigma_m
+from steelnb.fusion.uncertainty import axis_sigma_m, joint_covariances
 from steelnb.io.clouds import write_ply
 from steelnb.io.segments import orientation, write_segments
 from steelnb.io.structures import write_structure
@@ -46,18 +46,27 @@ def write_recording(
 
 
 def with_sigma(structure: Structure, estimate: Estimate) -> Structure:
-    """The structure with the standard deviations of the smoothed axes that its bars lie on, in the bars' middles.
+    """The structure with the standard deviations of the smoothed axes that its bars lie on, in the bars' middles, and
+    of the joints of these bars.
 
     A bar on none keeps that of its own fit, to which the median of the poses' is added.
     """
-    axes, covariance = estimate.segments, estimate.axis_covariance
+    axes, covariance, own = estimate.segments, estimate.axis_covariance, structure.segments
     if covariance is None or estimate.pose_covariance is None or not len(structure):
         return structure
-    on = match_members(structure.segments, np.stack([axes.start, axes.end], axis=1)).member
-    along_m = ((structure.segments.middle - axes.middle[on]) * axes.direction[on]).sum(axis=1)
+    on = match_members(own, np.stack([axes.start, axes.end], axis=1)).member
     pose_m2 = np.median(np.trace(estimate.pose_covariance[:, :3, :3], axis1=1, axis2=2)) / 3.0
-    fitted_m = np.sqrt(structure.sigma_m**2 + pose_m2)
-    return replace(structure, sigma_m=np.where(on >= 0, axis_sigma_m(covariance[on], along_m), fitted_m))
+    fitted_m2 = structure.sigma_m**2 + pose_m2
+    tilt = np.column_stack([np.ones((len(own), 2)), np.tile(2.0 / own.length[:, None] ** 2, 2)])
+    each = np.where((on >= 0)[:, None, None], covariance[on], fitted_m2[:, None, None] * tilt[:, None] * np.eye(4))
+    start, end = (np.where((on >= 0)[:, None], a[on], b) for a, b in ((axes.start, own.start), (axes.end, own.end)))
+    lines = Segments(start, end, own.count, own.radius)
+    sigma_m = axis_sigma_m(each, ((own.middle - lines.middle) * lines.direction).sum(axis=1))
+    joint = joint_covariances(lines, each, structure.joint, structure.tie)
+    held = np.isfinite(joint).all(axis=(1, 2))
+    joint_sigma_m = np.full(len(joint), np.nan)
+    joint_sigma_m[held] = np.sqrt(np.linalg.eigvalsh(joint[held])[:, -1])
+    return replace(structure, sigma_m=sigma_m, joint_sigma_m=joint_sigma_m)
 
 
 def _index(flight: Flight, truth: Trajectory) -> list[int]:

@@ -31,6 +31,9 @@ def assert_same(a: Structure, b: Structure) -> None:
     assert (a.opening is None) == (b.opening is None)
     if a.opening is not None:
         np.testing.assert_array_equal(a.opening, b.opening)
+    assert (a.joint_sigma_m is None) == (b.joint_sigma_m is None)
+    if a.joint_sigma_m is not None:
+        np.testing.assert_array_equal(a.joint_sigma_m, b.joint_sigma_m)
 
 
 @pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty("no “bar”")])
@@ -47,6 +50,20 @@ def test_openings_survive_and_files_without_them_are_read(tmp_path: Path) -> Non
     content["version"] = 2
     for bar in content["bars"]:
         bar.pop("opening")
+    path.write_text(json.dumps(content))
+    assert_same(read_structure(path), frame())
+
+
+def test_joints_keep_their_sigma_and_null_where_it_is_not_known(tmp_path: Path) -> None:
+    sigma_m = np.full(len(frame().joint), 0.003)
+    sigma_m[0] = np.nan
+    known = replace(frame(), joint_sigma_m=sigma_m)
+    (path,) = write_structure(known, tmp_path / "a.json")
+    assert_same(read_structure(path), known)
+    content = json.loads(path.read_text())
+    assert content["joints"][0]["sigma_m"] is None
+    for joint in content["joints"]:
+        joint.pop("sigma_m")
     path.write_text(json.dumps(content))
     assert_same(read_structure(path), frame())
 
