@@ -16,6 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.hough.cubes import sort_into_cubes, walk
+from steelnb.hough.growth import around, best_stretch, grow, run_along
+from steelnb.hough.long_bars import choose_long
 from steelnb.hough.pieces import span
 from steelnb.hough.segments import detect_segments
 from steelnb.hough.transform import fit_line
@@ -39,7 +41,12 @@ GROUP = 256
 
 
 def segment_structure(
-    points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH, grids: int = len(SHIFTS)
+    points: Array,
+    dx: float,
+    min_votes: int = 8,
+    length_min: float = LENGTH,
+    grids: int = len(SHIFTS),
+    long_first: bool = False,
 ) -> Segments:
     """Find the bars in the cloud of a whole structure.
 
@@ -50,10 +57,13 @@ def segment_structure(
     min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
     length_min: least length of a segment, in dx.
     grids: number of shifted grids of blocks, 1 to 8; each proposes most bars again, and takes as long.
+    long_first: take the long bars on the edges of the structure (`hough.long_bars`), then what they leave: for a
+        lattice whose bars are only a few dx apart.
 
     Surfaces (ground, walls) come out as stripes side by side: crop them first.
 
-    Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
+    Returns `Segments` in the frame of the points, strongest first, after the long ones. Raises as
+    `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
     proposed = _propose(points, dx, min_votes, length_min, SHIFTS[:grids])
@@ -63,11 +73,17 @@ def segment_structure(
     pair = np.empty(_pairs(cubes, start, direction, length, dx, first_pair, np.zeros(0, dtype=np.int32)), np.int32)
     first_pair = np.cumsum(first_pair)
     _pairs(cubes, start, direction, length, dx, first_pair, pair)
-    ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
-    radius = np.zeros(len(proposed))
+    free = np.ones(len(points), dtype=np.bool_)
+    room = 2 * len(proposed)  # either choice takes a proposal once
+    ends, count, radius = np.zeros((room, 6)), np.zeros(room, dtype=np.int64), np.zeros(room)
+    found = 0
+    if long_first:
+        found = choose_long(
+            cubes, free, start, direction, length, dx, GAP * dx, SHADOW * dx, min_votes, ends, count, radius
+        )
     found = _choose(
-        cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
-    )  # fmt: skip
+        cubes, free, start, direction, length, dx, min_votes, length_min, pair, first_pair, found, ends, count, radius
+    )
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
 
@@ -159,19 +175,22 @@ def _strongest(score, stale, most):
 
 
 @njit(cache=True)
-def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
-    """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
+def _choose(
+    cubes, free, start, direction, length, dx, min_votes, length_min, pair, first_pair, found, ends, count, radius
+):
+    """Take the best proposal, grow it, take its ``free`` points away, again. Fills ``ends``, ``count``, ``radius`` after
+    the first ``found``; returns how many there are then."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
-    for k in range(len(pair)):
-        score[pair[k] >> 1] += weight[pair[k] & 1]
+    for i in range(len(px)):
+        if free[i]:
+            for k in range(first_pair[i], first_pair[i + 1]):
+                score[pair[k] >> 1] += weight[pair[k] & 1]
     groups = (len(length) + GROUP - 1) // GROUP
     stale, most = np.ones(groups, dtype=np.bool_), np.empty(groups)
-    free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
     seen = np.zeros(len(cubes.first), np.int64)  # the last one counts the walks
-    found = 0
     while len(score) > 0:
         best = _strongest(score, stale, most)
         if score[best] < min_votes:
@@ -179,18 +198,13 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         score[best] = -np.inf
         stale[best // GROUP] = True
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
-        low, high, m = 0.0, length[best], 0
-        for _ in range(8):
-            before = m
-            m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
-            if m < min_votes or m == before:
-                break
-            _, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
-            low, high = span(px, py, pz, run[:m], ax, ay, az, ux, uy, uz)
+        m, ax, ay, az, ux, uy, uz, low, high = grow(
+            cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, 8, seen, near, along, run
+        )  # fmt: skip
         if m < min_votes:
             continue
         low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)
-        m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
+        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, seen, near, along, run)
         kept = 0
         for k in range(m):
             t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
@@ -208,7 +222,7 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+        for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
             i = near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -221,68 +235,18 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
 
 
 @njit(cache=True)
-def _around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):
-    """`walk` with a mark of its own: the last of ``seen`` counts them."""
-    seen[-1] += 1
-    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, seen, seen[-1], near)
-
-
-@njit(cache=True)
-def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run):
-    """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number.
-
-    The points are looked for a few gaps beyond ``low`` and ``high``; twice as far if the run comes near to where the
-    search ended.
-    """
-    beyond = 4.0 * GAP * dx
-    while True:
-        n = 0
-        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, seen, near)):
-            i = near[c]
-            x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
-            t = x * ux + y * uy + z * uz
-            inside = low - beyond <= t <= high + beyond
-            if free[i] and inside and x * x + y * y + z * z - t * t <= dx * dx:
-                near[n], along[n] = i, t
-                n += 1
-        order = np.argsort(along[:n])
-        m = first = 0
-        overlap, reach = 0.0, 0.0
-        for k in range(1, n + 1):
-            if k < n and along[order[k]] - along[order[k - 1]] <= GAP * dx:
-                continue
-            shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
-            if shared > overlap:  # of several runs, the one that shares most with the proposal
-                overlap, m = shared, k - first
-                reach = max(along[order[k - 1]] - high, low - along[order[first]])
-                for j in range(m):
-                    run[j] = near[order[first + j]]
-            first = k
-        if m == 0 or reach + GAP * dx < beyond:
-            return m
-        beyond *= 2.0
-
-
-@njit(cache=True)
 def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):
     """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
 
-    Kadane's maximum-sum stretch over slices one dx long.
+    The `best_stretch` of slices one dx long.
     """
     slices = np.zeros(int((high - low) / dx) + 1)
-    for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+    for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
         i = near[c]
         x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
         t = x * ux + y * uy + z * uz
         distance2 = x * x + y * y + z * z - t * t
         if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:
             slices[int((t - low) / dx)] += 1.0 if distance2 <= dx * dx else -RING_WEIGHT
-    total = excess = 0.0
-    begin = first = last = 0
-    for k in range(len(slices)):
-        if total <= 0.0:
-            total, begin = 0.0, k
-        total += slices[k]
-        if total > excess:
-            excess, first, last = total, begin, k + 1
+    first, last, excess = best_stretch(slices)
     return low + first * dx, min(high, low + last * dx), excess
