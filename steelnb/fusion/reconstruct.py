@@ -18,7 +18,8 @@ from steelnb.fusion.ridges import ridge_points
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
-from steelnb.hough.blocks import SHIFTS, segment_structure, within
+from steelnb.hough.blocks import SHADOW, SHIFTS, segment_structure, within
+from steelnb.hough.long_bars import long_bars
 from steelnb.points import VoxelMap, smooth_ranges, voxel_grid
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
@@ -155,7 +156,10 @@ def find_bars(
     if len(bars) and linear_share(points, bars, 2 * tube) < LINEAR_SHARE_MIN:
         if not (coarse and is_lattice(points, lines, tube, votes, s.length_min_m / tube)):
             return Segments.empty(), f"most of {len(bars)} lines lie in planar or volumetric regions"
-        lines = segment_structure(points, tube, votes, s.length_min_m / tube, grids, long_first=True)
+        long = long_bars(voxels.means(), tube, votes)
+        left = points[~within(points, long, SHADOW * tube)]
+        lines = segment_structure(left, tube, votes, s.length_min_m / tube, grids) if len(left) else Segments.empty()
+        lines = Segments.joined((long, lines))
         bars = _with_struts(voxels, lines, settings, grids)
     return bars, "" if len(bars) else f"none of {len(points)} points on ridges lie along a line"
 

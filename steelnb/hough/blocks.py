@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from steelnb.hough.cubes import sort_into_cubes, walk
 from steelnb.hough.growth import around, best_stretch, grow, run_along
-from steelnb.hough.long_bars import choose_long
 from steelnb.hough.pieces import span
 from steelnb.hough.segments import detect_segments
 from steelnb.hough.transform import fit_line
@@ -41,12 +40,7 @@ GROUP = 256
 
 
 def segment_structure(
-    points: Array,
-    dx: float,
-    min_votes: int = 8,
-    length_min: float = LENGTH,
-    grids: int = len(SHIFTS),
-    long_first: bool = False,
+    points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH, grids: int = len(SHIFTS)
 ) -> Segments:
     """Find the bars in the cloud of a whole structure.
 
@@ -57,33 +51,24 @@ def segment_structure(
     min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
     length_min: least length of a segment, in dx.
     grids: number of shifted grids of blocks, 1 to 8; each proposes most bars again, and takes as long.
-    long_first: take the long bars on the edges of the structure (`hough.long_bars`), then what they leave: for a
-        lattice whose bars are only a few dx apart.
 
     Surfaces (ground, walls) come out as stripes side by side: crop them first.
 
-    Returns `Segments` in the frame of the points, strongest first, after the long ones. Raises as
-    `steelnb.hough.detect_segments`.
+    Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
-    proposed = _propose(points, dx, min_votes, length_min, SHIFTS[:grids])
+    proposed = propose(points, dx, min_votes, length_min, SHIFTS[:grids])
     start, direction, length = proposed.start, proposed.direction, proposed.length
     cubes = sort_into_cubes(points, 2 * dx)
     first_pair = np.zeros(len(points) + 2, dtype=np.int64)
     pair = np.empty(_pairs(cubes, start, direction, length, dx, first_pair, np.zeros(0, dtype=np.int32)), np.int32)
     first_pair = np.cumsum(first_pair)
     _pairs(cubes, start, direction, length, dx, first_pair, pair)
-    free = np.ones(len(points), dtype=np.bool_)
-    room = 2 * len(proposed)  # either choice takes a proposal once
-    ends, count, radius = np.zeros((room, 6)), np.zeros(room, dtype=np.int64), np.zeros(room)
-    found = 0
-    if long_first:
-        found = choose_long(
-            cubes, free, start, direction, length, dx, GAP * dx, SHADOW * dx, min_votes, ends, count, radius
-        )
+    ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
+    radius = np.zeros(len(proposed))
     found = _choose(
-        cubes, free, start, direction, length, dx, min_votes, length_min, pair, first_pair, found, ends, count, radius
-    )
+        cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
+    )  # fmt: skip
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
 
@@ -95,10 +80,11 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
     return near
 
 
-def _propose(
+def propose(
     points: Array, dx: float, min_votes: int, length_min: float, shifts: Sequence[tuple[int, int, int]]
 ) -> Segments:
-    """Segments of each block, of grids of blocks that are shifted by half a block against each other."""
+    """Segments of each block of the cloud ``(N, 3)``, of grids of blocks that are shifted by half a block against each
+    other, one for each of the ``shifts``. Lengths as in `segment_structure`, which chooses among them."""
     edge = BLOCK * dx
     low = points.min(axis=0)
     found = [Segments.empty()]
@@ -175,22 +161,19 @@ def _strongest(score, stale, most):
 
 
 @njit(cache=True)
-def _choose(
-    cubes, free, start, direction, length, dx, min_votes, length_min, pair, first_pair, found, ends, count, radius
-):
-    """Take the best proposal, grow it, take its ``free`` points away, again. Fills ``ends``, ``count``, ``radius`` after
-    the first ``found``; returns how many there are then."""
+def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
+    """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
-    for i in range(len(px)):
-        if free[i]:
-            for k in range(first_pair[i], first_pair[i + 1]):
-                score[pair[k] >> 1] += weight[pair[k] & 1]
+    for k in range(len(pair)):
+        score[pair[k] >> 1] += weight[pair[k] & 1]
     groups = (len(length) + GROUP - 1) // GROUP
     stale, most = np.ones(groups, dtype=np.bool_), np.empty(groups)
+    free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
     seen = np.zeros(len(cubes.first), np.int64)  # the last one counts the walks
+    found = 0
     while len(score) > 0:
         best = _strongest(score, stale, most)
         if score[best] < min_votes:
@@ -200,7 +183,7 @@ def _choose(
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
         m, ax, ay, az, ux, uy, uz, low, high = grow(
             cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, 8, seen, near, along, run
-        )  # fmt: skip
+        )
         if m < min_votes:
             continue
         low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)

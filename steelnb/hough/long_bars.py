@@ -12,8 +12,11 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.hough.blocks import GAP, LENGTH, SHADOW, SHIFTS, propose
+from steelnb.hough.cubes import sort_into_cubes
 from steelnb.hough.growth import around, best_stretch, grow
 from steelnb.hough.transform import fit_line
+from steelnb.types import Array, Segments
 
 LONG = 30.0
 """Least length of a long bar, in dx. At 20, lines of that kind are found in towers whose points are moved by up to 1 m;
@@ -28,13 +31,28 @@ WIDE_ROUNDS, NARROW_ROUNDS = 3, 20
 """Fits in the tube of short bars, and then in the narrow one."""
 
 
-@njit(cache=True)
-def choose_long(cubes, free, start, direction, length, dx, gap, shadow, min_votes, ends, count, radius):
-    """Grow all proposals, take the one that stands out most and its points, again; returns the number taken.
+def long_bars(points: Array, dx: float, min_votes: int = 8) -> Segments:
+    """Long bars on the edges of a lattice, from its cloud ``(N, 3)``, metres, any frame, finite; `Segments` in that
+    frame, those that stand out most first.
 
-    Fills ``ends (P, 6)``, ``count (P,)``, ``radius (P,)`` of that many; the points within ``shadow`` of them are no
-    longer ``free (N,)``. ``gap``, ``shadow``: metres.
+    ``dx``: radius of the tube that holds a bar's points, metres. ``min_votes``: least excess of points in a tube half
+    as wide over those around it. The other bars are found in what these leave (`hough.blocks.segment_structure`).
     """
+    points = points[np.argsort(points[:, 2], kind="stable")]
+    proposed = propose(points, dx, min_votes, LENGTH, SHIFTS)
+    ends, count, radius = np.zeros((len(proposed), 6)), np.zeros(len(proposed), np.int64), np.zeros(len(proposed))
+    found = _choose(
+        sort_into_cubes(points, 2 * dx), proposed.start, proposed.direction, proposed.length, dx, min_votes, ends,
+        count, radius,
+    )  # fmt: skip
+    return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
+
+
+@njit(cache=True)
+def _choose(cubes, start, direction, length, dx, min_votes, ends, count, radius):
+    """Grow all proposals, take the one that stands out most and its points, again; the number taken. Fills ``ends``,
+    ``count``, ``radius`` of so many."""
+    free = np.ones(len(cubes.px), dtype=np.bool_)
     near, along, run = np.empty(len(free), np.int64), np.empty(len(free)), np.empty(len(free), np.int64)
     seen = np.zeros(len(cubes.first), np.int64)  # the last one counts the walks
     score, grown = np.full(len(length), np.inf), np.empty((len(length), 8))
@@ -47,7 +65,7 @@ def choose_long(cubes, free, start, direction, length, dx, gap, shadow, min_vote
         if known[best] < found:  # others have taken points since
             known[best] = found
             score[best] = _grown(
-                cubes, free, start[best], direction[best], length[best], dx, gap, min_votes, seen, near, along, run,
+                cubes, free, start[best], direction[best], length[best], dx, min_votes, seen, near, along, run,
                 grown[best],
             )  # fmt: skip
             continue
@@ -59,7 +77,7 @@ def choose_long(cubes, free, start, direction, length, dx, gap, shadow, min_vote
             x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
             t = x * ux + y * uy + z * uz
             square = x * x + y * y + z * z - t * t
-            if not free[i] or t < low or t > high or square > shadow * shadow:
+            if not free[i] or t < low or t > high or square > (SHADOW * dx) ** 2:
                 continue
             free[i] = False
             taken += 1
@@ -75,7 +93,7 @@ def choose_long(cubes, free, start, direction, length, dx, gap, shadow, min_vote
 
 
 @njit(cache=True)
-def _grown(cubes, free, anchor, axis, length, dx, gap, min_votes, seen, near, along, run, line):
+def _grown(cubes, free, anchor, axis, length, dx, min_votes, seen, near, along, run, line):
     """Grow a proposal; its excess of points, −inf for none that is long and stands out. Fills ``line (8,)``: a point,
     the direction, and where it begins and ends."""
     (ax, ay, az), (ux, uy, uz) = anchor, axis
@@ -83,7 +101,7 @@ def _grown(cubes, free, anchor, axis, length, dx, gap, min_votes, seen, near, al
     for k in range(2):
         tube, rounds = (dx, WIDE_ROUNDS) if k == 0 else (NARROW * dx, NARROW_ROUNDS)
         m, ax, ay, az, ux, uy, uz, low, high = grow(
-            cubes, free, ax, ay, az, ux, uy, uz, low, high, tube, gap, min_votes, rounds, seen, near, along, run
+            cubes, free, ax, ay, az, ux, uy, uz, low, high, tube, GAP * dx, min_votes, rounds, seen, near, along, run
         )
         if m < min_votes:
             return -np.inf
