@@ -20,7 +20,8 @@ from steelnb.types import Array, Segments
 
 LONG = 30.0
 """Least length of a long bar, in dx. At 20, lines of that kind are found in towers whose points are moved by up to 1 m;
-at 30 next to none. Chosen, as the others here, on the surveyed towers 002 to 010 of benchmarks/structure.md."""
+at 30 next to none. Chosen, as the others here, on the surveyed towers 002 to 006 and 008 to 010 of
+benchmarks/structure.md."""
 NARROW = 0.5
 """Radius of the tube of a long bar, in dx."""
 HALF_RING_WEIGHT = 2.0
