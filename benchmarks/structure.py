@@ -23,6 +23,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import networkx as nx
 import numpy as np
+from scipy.spatial import cKDTree
 
 from steelnb import experiment, rng
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
@@ -33,7 +34,10 @@ from steelnb.io.clouds import read_cloud
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation import build_tower
+from steelnb.types import Array, Segments
 
+LEG_MIN_M, LEG_NEAR_M, LEG_GAP_M, LEG_SLOPE_MAX = 6.0, 0.3, 3.0, 0.35
+"""Least length of a leg; distance of a bar or a point from it; largest gap; largest run over rise."""
 TOWERS = (1, 2, 4, 8, 16)
 POINTS = 312_500
 """On each tower: 16 of them make 5 million."""
@@ -51,17 +55,21 @@ FLIGHTS = """
 
 200 s, sensor starling2, random walk; `combined`: poses corrected by that odometry, whose time is not counted. The goal:
 5 s."""
-SURVEYED = """
+SURVEYED = f"""
 ## Surveyed towers
 
-{source}
+{{source}}
 As `steelnb segment` would: *tube* is what it chooses from the points (`hough.tube.tube_radius`), all other lengths in
 proportion. *Largest*: bars in the largest part that joints hold together. *Within*: share of the points within the
 tube of a bar; *control*: the same share of points that are moved by up to 1 m along each axis, which is what bars
 anywhere in so small a space would explain. *Bars in control*: what the reconstruction finds in the moved points.
 
+*Legs*: straight pieces of legs, {LEG_MIN_M:g} m or longer, that are fitted apart, to the outermost point of each slice
+of 1 m towards the four corners of the faces. *Leg coverage*: the largest share of a leg's visible length (points within
+{LEG_NEAR_M:g} m) that one bar covers, which runs within {LEG_NEAR_M:g} m and 5° of it; the mean over the legs.
+
 There is no list of the true bars, so recall is not known. To the eye, the X-bracing of the body, the rings and the
-outlines of the arms are there. Missed or wrong: legs come out in pieces, some side by side, where braces
+outlines of the arms are there. Missed or wrong: some legs come out in pieces or side by side, where braces
 join them every metre or so; the small bars inside arms and feet, less than two tubes apart, merge or
 are left out; many ends reach no joint, so there are fewer joints than bars; insulators and fittings stay
 unexplained. Points a quarter of a metre apart do not show the width of a bar, so no section is fitted."""
@@ -115,13 +123,74 @@ def surveyed(file: str) -> dict:
     settings = StructureSettings.for_cloud(tube)
     found = reconstruct_cloud(points, settings)
     row = _measured(found, began)
+    legs = fit_legs(points)
     inside, control = (float(within(some, found.segments, tube).mean()) for some in (points, moved))
     extent = " × ".join(f"{side:.0f}" for side in np.ptp(points, axis=0))
     return row | {
         "points": len(points), "extent": extent, "tube": tube, "length": float(found.segments.length.sum()),
         "largest": largest(found), "within": inside, "control": control,
         "bars_in_control": len(reconstruct_cloud(moved, settings)),
+        "legs": len(legs), "leg_coverage": float(leg_coverage(points, legs, found.segments).mean()) if len(legs) else 0,
     }  # fmt: skip
+
+
+def fit_legs(points: Array) -> Array:
+    """Legs ``(L, 2, 3)`` of a tower ``(N, 3)``, metres, z up: straight lines through its corners at each height."""
+    heights = np.arange(points[:, 2].min() + 0.5, points[:, 2].max() - 0.5, 0.5)
+    slices = [some for z in heights if len(some := points[np.abs(points[:, 2] - z) <= 0.5]) > 5]
+
+    def area(angle: float) -> float:
+        c, s = np.cos(angle), np.sin(angle)
+        return float(sum(np.ptp(some[:, :2] @ [[c, -s], [s, c]], axis=0).prod() for some in slices))
+
+    turn = min(np.radians(np.arange(90.0)), key=area)
+    legs: list[Array] = []
+    for quarter in range(4):
+        angle = turn + np.pi / 4 + quarter * np.pi / 2
+        outward = np.array([np.cos(angle), np.sin(angle)])
+        corners = np.unique([some[np.argmax(some[:, :2] @ outward)] for some in slices], axis=0)
+        while len(on := _longest_line(corners)) and np.ptp(corners[on, 2]) >= LEG_MIN_M:
+            z = corners[on, 2]
+            fit = np.linalg.lstsq(np.column_stack([np.ones_like(z), z]), corners[on, :2], rcond=None)[0]
+            legs.append(np.array([[*(fit[0] + fit[1] * end), end] for end in (z.min(), z.max())]))
+            corners = corners[(corners[:, 2] < z.min()) | (corners[:, 2] > z.max())]
+    return np.array(legs).reshape(-1, 2, 3)
+
+
+def _longest_line(corners: Array) -> Array:
+    """Places of the corners on the steep line through two of them that most lie on, its longest part without a gap."""
+    best = np.zeros(0, dtype=np.int64)
+    for i, first in enumerate(corners):
+        for second in corners[i + 1 :]:
+            rise = second[2] - first[2]
+            slope = (second[:2] - first[:2]) / rise if abs(rise) >= LEG_GAP_M else np.full(2, np.inf)
+            if not np.linalg.norm(slope) <= LEG_SLOPE_MAX:
+                continue
+            off = corners[:, :2] - first[:2] - np.outer(corners[:, 2] - first[2], slope)
+            on = np.flatnonzero(np.linalg.norm(off, axis=1) < 0.5 * LEG_NEAR_M)
+            best = on if len(on) > len(best) else best
+    if len(best) < 6:
+        return best[:0]
+    best = best[np.argsort(corners[best, 2])]
+    runs = np.split(best, np.flatnonzero(np.diff(corners[best, 2]) > LEG_GAP_M) + 1)
+    return max(runs, key=lambda run: float(np.ptp(corners[run, 2])))
+
+
+def leg_coverage(points: Array, legs: Array, bars: Segments) -> Array:
+    """Share ``(L,)`` of the visible length of each leg ``(L, 2, 3)`` that the bar which covers most of it covers."""
+    tree, shares = cKDTree(points), np.zeros(len(legs))
+    for k, (start, end) in enumerate(legs):
+        length = np.linalg.norm(end - start)
+        axis, step = (end - start) / length, 0.25
+        at = start + np.linspace(0, 1, int(length / step) + 1)[:, None] * (end - start)
+        at = at[tree.query(at)[0] <= LEG_NEAR_M + step / 2]
+        away = at[:, None] - bars.start
+        along = np.einsum("sbc,bc->sb", away, bars.direction)
+        beside = np.linalg.norm(away - along[..., None] * bars.direction, axis=2)
+        on = (beside <= LEG_NEAR_M) & (along >= -step) & (along <= bars.length + step)
+        on &= np.abs(bars.direction @ axis) > np.cos(np.radians(5))
+        shares[k] = on.mean(axis=0).max(initial=0) if len(at) else 0
+    return shares
 
 
 def largest(structure: Structure) -> int:
@@ -173,13 +242,14 @@ def print_tables(folder: Path | None, source: str) -> None:
         return
     print(SURVEYED.format(source=source))
     print("\n| cloud | points | extent (m) | tube (m) | bars | metres | joints | largest | within | control ", end="")
-    print(f"| bars in control | seconds |\n{'|---' * 12}|")
+    print(f"| bars in control | legs | leg coverage | seconds |\n{'|---' * 14}|")
     for file in sorted(folder.glob("*.txt")):
         row = apart("surveyed", str(file))
         print(
             f"| {file.stem} | {row['points']} | {row['extent']} | {row['tube']:.3f} | {row['bars']} "
             f"| {row['length']:.0f} | {row['joints']} | {row['largest']} | {row['within']:.2f} | {row['control']:.2f} "
-            f"| {row['bars_in_control']} | {row['seconds']:.1f} |{' ' + row['reason'] if row['reason'] else ''}",
+            f"| {row['bars_in_control']} | {row['legs']} | {row['leg_coverage']:.2f} | {row['seconds']:.1f} |"
+            f"{' ' + row['reason'] if row['reason'] else ''}",
             flush=True,
         )
 

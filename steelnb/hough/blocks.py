@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.hough.cubes import sort_into_cubes, walk
+from steelnb.hough.growth import around, best_stretch, grow, run_along
 from steelnb.hough.pieces import span
 from steelnb.hough.segments import detect_segments
 from steelnb.hough.transform import fit_line
@@ -56,7 +57,7 @@ def segment_structure(
     Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
-    proposed = _propose(points, dx, min_votes, length_min, SHIFTS[:grids])
+    proposed = propose(points, dx, min_votes, length_min, SHIFTS[:grids])
     start, direction, length = proposed.start, proposed.direction, proposed.length
     cubes = sort_into_cubes(points, 2 * dx)
     first_pair = np.zeros(len(points) + 2, dtype=np.int64)
@@ -79,10 +80,11 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
     return near
 
 
-def _propose(
+def propose(
     points: Array, dx: float, min_votes: int, length_min: float, shifts: Sequence[tuple[int, int, int]]
 ) -> Segments:
-    """Segments of each block, of grids of blocks that are shifted by half a block against each other."""
+    """Segments of each block of the cloud ``(N, 3)``, of grids of blocks that are shifted by half a block against each
+    other, one for each of the ``shifts``. Lengths as in `segment_structure`, which chooses among them."""
     edge = BLOCK * dx
     low = points.min(axis=0)
     found = [Segments.empty()]
@@ -179,18 +181,13 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         score[best] = -np.inf
         stale[best // GROUP] = True
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
-        low, high, m = 0.0, length[best], 0
-        for _ in range(8):
-            before = m
-            m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
-            if m < min_votes or m == before:
-                break
-            _, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, m)
-            low, high = span(px, py, pz, run[:m], ax, ay, az, ux, uy, uz)
+        m, ax, ay, az, ux, uy, uz, low, high = grow(
+            cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, 8, seen, near, along, run
+        )
         if m < min_votes:
             continue
         low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)
-        m = _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run)
+        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, seen, near, along, run)
         kept = 0
         for k in range(m):
             t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
@@ -208,7 +205,7 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+        for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
             i = near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -221,68 +218,18 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
 
 
 @njit(cache=True)
-def _around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):
-    """`walk` with a mark of its own: the last of ``seen`` counts them."""
-    seen[-1] += 1
-    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, seen, seen[-1], near)
-
-
-@njit(cache=True)
-def _run(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near, along, run):
-    """Free points within dx of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their number.
-
-    The points are looked for a few gaps beyond ``low`` and ``high``; twice as far if the run comes near to where the
-    search ended.
-    """
-    beyond = 4.0 * GAP * dx
-    while True:
-        n = 0
-        for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, seen, near)):
-            i = near[c]
-            x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
-            t = x * ux + y * uy + z * uz
-            inside = low - beyond <= t <= high + beyond
-            if free[i] and inside and x * x + y * y + z * z - t * t <= dx * dx:
-                near[n], along[n] = i, t
-                n += 1
-        order = np.argsort(along[:n])
-        m = first = 0
-        overlap, reach = 0.0, 0.0
-        for k in range(1, n + 1):
-            if k < n and along[order[k]] - along[order[k - 1]] <= GAP * dx:
-                continue
-            shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
-            if shared > overlap:  # of several runs, the one that shares most with the proposal
-                overlap, m = shared, k - first
-                reach = max(along[order[k - 1]] - high, low - along[order[first]])
-                for j in range(m):
-                    run[j] = near[order[first + j]]
-            first = k
-        if m == 0 or reach + GAP * dx < beyond:
-            return m
-        beyond *= 2.0
-
-
-@njit(cache=True)
 def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):
     """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
 
-    Kadane's maximum-sum stretch over slices one dx long.
+    The `best_stretch` of slices one dx long.
     """
     slices = np.zeros(int((high - low) / dx) + 1)
-    for c in range(_around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+    for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
         i = near[c]
         x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
         t = x * ux + y * uy + z * uz
         distance2 = x * x + y * y + z * z - t * t
         if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:
             slices[int((t - low) / dx)] += 1.0 if distance2 <= dx * dx else -RING_WEIGHT
-    total = excess = 0.0
-    begin = first = last = 0
-    for k in range(len(slices)):
-        if total <= 0.0:
-            total, begin = 0.0, k
-        total += slices[k]
-        if total > excess:
-            excess, first, last = total, begin, k + 1
+    first, last, excess = best_stretch(slices)
     return low + first * dx, min(high, low + last * dx), excess

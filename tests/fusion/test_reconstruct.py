@@ -10,9 +10,11 @@ from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct, reconstruct_cloud
 from steelnb.fusion.scales import Scales
+from steelnb.hough.tube import tube_radius
 from steelnb.metrics.matching import match_members
 from steelnb.metrics.reconstruction import reference, score_structure
 from steelnb.settings import ExperimentSettings, StructureSettings
+from tests.lattice import lattice, scanned, thinned
 
 CORNERS = np.array([(0, 0, 0), (2, 0, 0), (0, 0, 3), (2, 0, 3)], dtype=float)
 FRAME = CORNERS[[(0, 2), (1, 3), (2, 3), (0, 3), (0, 1)]]
@@ -56,6 +58,27 @@ def test_a_cloud_without_lines_gives_an_empty_structure_and_says_so(what):
     structure = reconstruct_cloud(cloud)
     assert len(structure) == len(structure.joint) == 0
     assert ("too few" if what == "few" else "planar or volumetric regions") in structure.reason
+
+
+def leg_coverage(structure, legs, near_m):
+    """Share ``(L,)`` of the length of each leg ``(L, 2, 3)`` that the bar which covers most of it runs along."""
+    at = legs[:, 0, None] + np.linspace(0, 1, 60)[:, None] * (legs[:, 1] - legs[:, 0])[:, None]
+    axis = (legs[:, 1] - legs[:, 0]) / np.linalg.norm(legs[:, 1] - legs[:, 0], axis=1)[:, None]
+    bars = structure.segments
+    away = at[:, :, None] - bars.start
+    along = np.einsum("lsbc,bc->lsb", away, bars.direction)
+    beside = np.linalg.norm(away - along[..., None] * bars.direction, axis=-1)
+    on = (beside < near_m) & (along > -near_m) & (along < bars.length + near_m)
+    on &= np.abs(axis @ bars.direction.T)[:, None] > np.cos(np.radians(5))
+    return on.mean(axis=1).max(axis=1)
+
+
+def test_one_bar_covers_most_of_a_leg_whose_braces_are_few_tubes_apart():
+    # As a drone's LiDAR sees a tower from afar: points 0.2 m apart, 8 cm of noise.
+    bars = lattice(15, 4, 2, 5)
+    points = thinned(scanned(bars, 120, 0.1, 0.08), 0.2)
+    structure = reconstruct_cloud(points, StructureSettings.for_cloud(tube_radius(points)))
+    assert leg_coverage(structure, bars[:4], 0.3).mean() > 0.65
 
 
 def test_bad_input_is_refused():
