@@ -30,7 +30,7 @@ CASES = {"before": (0.0, 0.0), "after": (uncertainty.SHARED_SIGMA_M, uncertainty
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 106)))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
     parser.add_argument("--sensor", choices=START, default="starling2")
     parser.add_argument("--figure", type=Path)
     arguments = parser.parse_args()

@@ -16,8 +16,8 @@ from steelnb.types import Estimate, Flight, Trajectory
 Stages = tuple[tuple[int, int], ...]
 ROUNDS: tuple[tuple[int, Stages], ...] = (1, ((8, 2),)), (2, ((8, 2), (1, 2)))
 """Of each round: how often sections are fitted; then one in how many pixels, and how many steps: first few points, then
-all. Chosen on the development seeds 11 to 13: with half of the pixels, or sections fitted once in the second round,
-errors after alignment grow by a fifth and by half."""
+all. Chosen on the vertical flight of the development seed 11, where half of the pixels in the last steps, or sections
+fitted once in both rounds, make errors after alignment larger by a fifth and by half; see benchmarks/smoothing.md."""
 BARS_MIN = 3
 
 
