@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from steelnb.types import Array, IntArray
 
@@ -28,7 +27,7 @@ class Observations(NamedTuple):
         for k, point, bar in scans:
             count = np.bincount(bar)
             name = np.flatnonzero(count)
-            points.append(_sorted(point, bar, np.cumsum(count) - count))
+            points.append(point[np.argsort(bar, kind="stable")].astype(np.float32))
             counts.append(np.column_stack([np.full(len(name), k), name, count[name]]))
         scan, bar, count = np.concatenate(counts).T
         return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
@@ -36,15 +35,3 @@ class Observations(NamedTuple):
     def thinned(self, pixels: int) -> "Observations":
         """One in ``pixels`` of the points of each pair, and of all pairs alike."""
         return self._replace(point=self.point[::pixels], first=-(-self.first // pixels))
-
-
-@njit(cache=True)
-def _sorted(point, bar, place):  # type: ignore[no-untyped-def]
-    """The points in the order of their bars, each bar's from its ``place (B,)`` on, which moves on."""
-    result = np.empty((len(point), 3), np.float32)
-    for i in range(len(point)):
-        b = bar[i]
-        for n in range(3):
-            result[place[b], n] = point[i, n]
-        place[b] += 1
-    return result
