@@ -97,8 +97,8 @@ def figure_worlds(runs: pd.DataFrame) -> Figure:
         for k, method in enumerate(methods):
             ate = 100 * here.loc[here["method"] == method, "ate_rmse_m"].to_numpy()
             if len(ate):
-                place = row + 0.26 * (k - 0.5 * (len(methods) - 1))
-                draw_sample(panel, place, ate, COLOURS[method], width=0.2, across=True, markersize=5)
+                place = row + 0.8 / len(methods) * (k - 0.5 * (len(methods) - 1))
+                draw_sample(panel, place, ate, COLOURS[method], width=0.6 / len(methods), across=True, markersize=5)
     panel.set_xscale("log")
     panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     panel.set_yticks(range(len(worlds)), worlds)
