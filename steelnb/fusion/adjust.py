@@ -87,11 +87,7 @@ def _gather(points, T, bar, start, direction, length, across, corner, matrix, ve
         b = bar[i]
         if b < 0:
             continue
-        sx, sy, sz = points[i]
-        cx = -(T[0, 0] * sx + T[0, 1] * sy + T[0, 2] * sz)
-        cy = -(T[1, 0] * sx + T[1, 1] * sy + T[1, 2] * sz)
-        cz = -(T[2, 0] * sx + T[2, 1] * sy + T[2, 2] * sz)
-        x, y, z = T[0, 3] - cx - start[b, 0], T[1, 3] - cy - start[b, 1], T[2, 3] - cz - start[b, 2]
+        x, y, z, cx, cy, cz = sections.sighting(T, points[i], start[b])
         u, v, t = sections.in_frame(direction[b], across[b], x, y, z)
         p, q, w = sections.in_frame(direction[b], across[b], cx, cy, cz)
         residual, sigma, _, cosine, sine, _, _, rise = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])

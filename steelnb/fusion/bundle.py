@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
@@ -76,9 +77,14 @@ class Bars:
     turn: Array
     flange: Array
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which of them take part ``(B,)``."""
+        return np.isfinite(self.flange)
+
     def sectioned(self) -> "Bars":
         """Those that take part."""
-        known = np.isfinite(self.flange)
+        known = self.known
         return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
 
 
@@ -115,7 +121,7 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     The range noise is taken from the residuals before the step (their median).
     """
     T, bars, right = bundle.T_world_sensor, bundle.bars, equations.right.copy()
-    n, known = len(bars.turn), np.isfinite(bars.flange)
+    n, known = len(bars.turn), bars.known
     right[known, 4:] -= (np.column_stack([bars.turn, bars.flange]) - bundle.fitted)[known] * BAR_SIGMA[4:] ** -2.0
     matrix, beside, vector = increments(T, prior, stamp_s)
     poses = Chain.factored(equations.matrix + matrix, beside)
@@ -131,7 +137,7 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
     bars = bundle.bars
-    corner = sections.outlines(bars.turn, np.where(np.isfinite(bars.flange), bars.flange, 0.05))
+    corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
     return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio)
 
 

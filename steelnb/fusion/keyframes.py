@@ -5,7 +5,7 @@ import numpy as np
 from steelnb.fusion import bundle
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
-from steelnb.fusion.reconstruct import MappedScans, find_bars
+from steelnb.fusion.reconstruct import MappedScans
 from steelnb.fusion.scales import Scales
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
@@ -50,11 +50,8 @@ class Keyframes:
         """Find bars, and adjust them and all poses together (`fusion.bundle`); None where there are too few bars."""
         if not len(self.voxels):
             return None
-        bars, _ = find_bars(self.voxels, self.settings, grids=1)
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
-        fitted = None
-        for _ in range(REFINED if len(bars) else 0):
-            fitted, bars = mapped.refine(bars, every=1)
+        fitted, _ = mapped.find_and_fit(REFINED, every=1)
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return None
         found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)

@@ -227,19 +227,10 @@ class MappedScans:
         bar_of_voxel = nearest_bars(bars, self.voxels.means(), 2.0 * s.tube_m, 0.5 * s.tube_m)
         for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
             some = _flat(scan.points)[k % pixels :: pixels]
-            yield (
-                k,
-                *points_on_bars(
-                    some,
-                    self.T_world_sensor[k],
-                    s.range_max_m,
-                    s.floor_m,
-                    bar_of_voxel,
-                    grid.voxel_m,
-                    grid.key,
-                    grid.slot,
-                ),
+            points, bar = points_on_bars(
+                some, self.T_world_sensor[k], s.range_max_m, s.floor_m, bar_of_voxel, grid.voxel_m, grid.key, grid.slot
             )
+            yield k, points, bar
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections to the points of each bar; the axes of the bars move to the centroids of their sections."""
@@ -266,6 +257,15 @@ class MappedScans:
         tied = _tied(fitted, scales).segments
         return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
 
+    def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
+        """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason."""
+        bars, reason = find_bars(self.voxels, self.settings, grids=1)
+        fitted = None
+        for _ in range(fits if len(bars) else 0):
+            # Bars extended to their joints have more points, so a second fit is more exact.
+            fitted, bars = self.refine(bars, every)
+        return fitted if len(bars) else None, reason
+
 
 def map_and_fit(
     scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, fits: int = 2
@@ -274,12 +274,7 @@ def map_and_fit(
     of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `EmptyCloudError` as
     `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
-    bars, reason = find_bars(flight.voxels, settings, grids=1)
-    fitted = None
-    for _ in range(fits if len(bars) else 0):
-        # Bars extended to their joints have more points, so a second fit is more exact.
-        fitted, bars = flight.refine(bars)
-    return flight, fitted if len(bars) else None, reason
+    return flight, *flight.find_and_fit(fits)
 
 
 def _tied(fitted: FittedBars, scales: Scales) -> Structure:

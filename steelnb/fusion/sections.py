@@ -45,16 +45,23 @@ def in_frame(direction, across, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def sighting(T, point, start):  # type: ignore[no-untyped-def]
+    """Of a ``point (3,)`` in the frame of a sensor at ``T (4, 4)``: the vector to it from the ``start (3,)`` of a bar,
+    and the vector from it to the sensor, both in the world frame."""
+    cx = -(T[0, 0] * point[0] + T[0, 1] * point[1] + T[0, 2] * point[2])
+    cy = -(T[1, 0] * point[0] + T[1, 1] * point[1] + T[1, 2] * point[2])
+    cz = -(T[2, 0] * point[0] + T[2, 1] * point[1] + T[2, 2] * point[2])
+    return T[0, 3] - cx - start[0], T[1, 3] - cy - start[1], T[2, 3] - cz - start[2], cx, cy, cz
+
+
+@njit(cache=True)
 def accumulate(points, T, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
     """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``. Points
     within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third of the bar at
     either end."""
     for i in range(len(points)):
-        b, s = bar[i], points[i]
-        cx = -(T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2])
-        cy = -(T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2])
-        cz = -(T[2, 0] * s[0] + T[2, 1] * s[1] + T[2, 2] * s[2])
-        x, y, z = T[0, 3] - cx - start[b, 0], T[1, 3] - cy - start[b, 1], T[2, 3] - cz - start[b, 2]
+        b = bar[i]
+        x, y, z, cx, cy, cz = sighting(T, points[i], start[b])
         u, v, t = in_frame(direction[b], across[b], x, y, z)
         edge = min(margin, length[b] / 3.0)
         if t < edge or t > length[b] - edge:

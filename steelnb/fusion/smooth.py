@@ -48,17 +48,18 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
                 equations = bundle.linearised(state, some)
                 state = bundle.improve(state, equations, prior, stamp_s)
         T = state.T_world_sensor
-    known = np.isfinite(state.bars.flange)
-    segments, across = state.bars.segments.take(known), state.bars.across[known]
+    bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:
         pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)
         pose_covariance = uncertainty.pose_covariances(pose, T, mount)
-        axis_covariance = uncertainty.axis_covariances(bar[known], segments, across, state.sigma_ratio)
+        axis_covariance = uncertainty.axis_covariances(
+            bar[state.bars.known], bars.segments, bars.across, state.sigma_ratio
+        )
     except SingularError as fault:
         unsure = str(fault)
     corrected = Trajectory(stamp_s, T @ np.linalg.inv(mount))
     return replace(
-        estimate, corrected=corrected, points=scans.voxels.means(), segments=segments, unsmoothed="",
+        estimate, corrected=corrected, points=scans.voxels.means(), segments=bars.segments, unsmoothed="",
         pose_covariance=pose_covariance, axis_covariance=axis_covariance, unsure=unsure,
     )  # fmt: skip

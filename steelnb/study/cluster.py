@@ -106,14 +106,14 @@ def compute(client: "Client", runs: Sequence[Run]) -> Iterator[tuple[Run, Row]]:
         del flown, futures  # what is referred to here stays in the memory of the workers
         for future in ended:
             # A result stays with its worker until it is asked for, and is lost, even while asked for, if that dies.
-            try:
-                found = future.result()
-            except Exception as fault:
-                if future.status != "error":  # the scheduler, then
-                    raise
-                # `run_on` raises nothing: the workers that tried it died.
-                found = {"status": FAILED, "error": f"{type(fault).__name__}: the workers that tried it died"}
-            yield keyed[future.key], found
+            found = client.gather([future], errors="skip")
+            if found:
+                yield keyed[future.key], found[0]
+            elif future.status == "error":  # `run_on` raises nothing: the workers that tried it died
+                name = type(future.exception()).__name__
+                yield keyed[future.key], {"status": FAILED, "error": f"{name}: the workers that tried it died"}
+            else:
+                raise CancelledError(future.key)
     except (CancelledError, OSError) as fault:
         raise SchedulerError(
             f"the scheduler went away ({type(fault).__name__}); what had ended is stored, and the next call goes on"
