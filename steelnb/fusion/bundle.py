@@ -251,7 +251,7 @@ def yaw_of(rotation: Array) -> Array:
     return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def gather(  # type: ignore[no-untyped-def]
     point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio
 ):  # fmt: skip

@@ -137,7 +137,7 @@ class _Unexplained(Sequence[Scan]):
         points = np.array(scan.points, dtype=np.float64)
         flat = points.reshape(-1, 3)
         seen = np.flatnonzero(np.isfinite(flat).all(axis=1))
-        flat[seen[self.bars.near(flat[seen] @ R.T + t)]] = np.nan
+        flat[seen[self.bars.voxels.near(flat[seen] @ R.T + t)]] = np.nan
         return replace(scan, points=points)
 
 

@@ -30,6 +30,7 @@ class Keyframes:
         self.voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
+        self._ratio: float | None = None  # range noise as a multiple of that in `points.ranges`
 
     def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
         """Add a scan, some ``points (N, 3)`` of it in the sensor frame to fit bars to, its pose, and the sensor's pose
@@ -56,9 +57,9 @@ class Keyframes:
             return None
         found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
         state = bundle.start(self.T_world_sensor, self._prior, found)
-        seen = Observations.gathered(mapped.bar_points(fitted.bars, every=1, pixels=1))
         stamp_s = np.array([scan.stamp_s for scan in self.scans])
+        seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
         for _ in range(STEPS):
             state = bundle.improve(state, bundle.linearised(state, seen), self._prior, stamp_s)
-        self.T_world_sensor = state.T_world_sensor
+        self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

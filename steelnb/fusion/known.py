@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
+from steelnb.fusion.bar_voxels import BarVoxels
 from steelnb.fusion.bundle import BAR, POSE, Bars, equations
 from steelnb.fusion.observations import Observations
-from steelnb.fusion.point_association import bars_of_points, nearest_bars
 from steelnb.fusion.structure import Structure
-from steelnb.points.voxel_kernels import BITS, EMPTY, REACH, pack, rehash
 from steelnb.types import Array, IntArray
 
 VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
@@ -35,7 +34,7 @@ class KnownBars:
 
     ``bars``: B bars as `fusion.bundle` has them; ``sectioned (B,)``: which of them are angle sections, the others being
     tubes as wide as their flange; ``sigma_m (B,)``: standard deviations of their place, at least `SIGMA_MIN_M` of which
-    are added. ``corner (B, 6, 2)``: their outlines; ``table``: the bar of each voxel, and the hash table of the voxels.
+    are added. ``corner (B, 6, 2)``: their outlines.
     """
 
     def __init__(self, bars: Bars, sectioned: Mask, sigma_m: Array) -> None:
@@ -45,11 +44,7 @@ class KnownBars:
         # The hexagon of the same area as the tube.
         tube = np.stack([np.cos(angle), np.sin(angle)], axis=1) * math.sqrt(2 * math.pi / (3 * math.sqrt(3)))
         self.corner[~sectioned] = 0.5 * bars.flange[~sectioned, None, None] * tube
-        centre, key = _voxels(bars.segments.start, bars.segments.end, REACH_M, VOXEL_M)
-        bar_of_voxel = nearest_bars(bars.segments, centre, REACH_M, MARGIN_M)
-        size = 1 << max(10, (2 * len(key)).bit_length())
-        self.table = bar_of_voxel, np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
-        rehash(key, *self.table[1:])
+        self.voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
 
     @classmethod
     def of(cls, structure: Structure) -> "KnownBars":
@@ -71,15 +66,6 @@ class KnownBars:
     def __len__(self) -> int:
         return len(self.sigma_m)
 
-    def bar_of(self, points: Array) -> IntArray:
-        """The bar ``(N,)`` that each point ``(N, 3)`` in the world frame belongs to, −1 for none."""
-        return bars_of_points(points, self.table[0], VOXEL_M, *self.table[1:])
-
-    def near(self, points: Array) -> Mask:
-        """Which points ``(N, 3)`` in the world frame lie near any bar."""
-        slots = np.arange(len(self.table[0]))
-        return bars_of_points(points, slots, VOXEL_M, *self.table[1:]) >= 0
-
     def equations(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[Array, Array, Array]:
         """Normal equations ``(4, 4)``, ``(4,)`` of the pose of a scan (x, y, z, yaw) from its ``points (N, 3)``, sensor
         frame, and the histogram of their residuals (`fusion.bundle.equations`).
@@ -88,7 +74,7 @@ class KnownBars:
         alike: the points of one bar tell no more than its place is known. ``ratio``: the range noise as a multiple of
         that in `points.ranges`.
         """
-        bar = self.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
+        bar = self.voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
         points, bar = points[bar >= 0], bar[bar >= 0]
         whole = Observations.gathered([(0, points, bar)])
         seen, b = whole.pair_bar, self.bars
@@ -108,31 +94,13 @@ class KnownBars:
         """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on
         its front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
         world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        bar, b = self.bar_of(world), self.bars
+        bar, b = self.voxels.bar_of(world), self.bars
         distance = _face_sigmas(
             world, T_world_sensor[:3, 3], bar, b.segments.start, b.segments.direction, b.segments.length, b.across,
             self.corner, ratio,
         )  # fmt: skip
         on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
         return np.bincount(bar[bar >= 0], minlength=len(self)), np.bincount(bar[on], minlength=len(self))
-
-
-def _voxels(start: Array, end: Array, reach: float, voxel: float) -> tuple[Array, IntArray]:
-    """Centres ``(V, 3)`` and keys ``(V,)`` of the voxels around bars."""
-    side = math.ceil(reach / voxel)
-    around = np.arange(-side, side + 1)
-    ball = np.stack(np.meshgrid(around, around, around, indexing="ij"), axis=-1).reshape(-1, 3)
-    ball = ball[np.linalg.norm(ball, axis=1) <= side + 1]
-    found = []
-    for a, b in zip(start, end, strict=True):
-        count = math.ceil(np.linalg.norm(b - a) / voxel) + 1
-        along = np.unique(np.floor(np.linspace(a, b, count) / voxel).astype(np.int64), axis=0)
-        cube = along[:, None] + ball
-        found.append(np.unique(pack(cube[..., 0], cube[..., 1], cube[..., 2])))
-    key = np.unique(np.concatenate(found))
-    mask = (1 << (BITS + 1)) - 1
-    index = np.stack([key >> (2 * BITS + 2), (key >> (BITS + 1)) & mask, key & mask], axis=1) - REACH
-    return (index + 0.5) * voxel, key
 
 
 @njit(cache=True, error_model="numpy")

@@ -31,7 +31,3 @@ class Observations(NamedTuple):
             counts.append(np.column_stack([np.full(len(name), k), name, count[name]]))
         scan, bar, count = np.concatenate(counts).T
         return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
-
-    def thinned(self, pixels: int) -> "Observations":
-        """One in ``pixels`` of the points of each pair, and of all pairs alike."""
-        return self._replace(point=self.point[::pixels], first=-(-self.first // pixels))

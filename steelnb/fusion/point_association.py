@@ -1,13 +1,9 @@
 """Point-to-bar association by voxel lookup: a point belongs to the bar that is nearest to the mean of its voxel."""
 
-import math
-
 import numpy as np
 from numba import njit
 
-from steelnb.hough.cubes import sort_into_cubes, walk
 from steelnb.points.voxel_kernels import find, pack
-from steelnb.types import Array, IntArray, Segments
 
 
 @njit(cache=True)
@@ -32,39 +28,7 @@ def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
     return placed[:n], weight[:n]
 
 
-def nearest_bars(bars: Segments, points: Array, radius_m: float, margin_m: float) -> IntArray:
-    """The nearest bar within ``radius_m`` of each point ``(N, 3)``, −1 for none or where a second bar is less than
-    ``margin_m`` further away."""
-    cubes = sort_into_cubes(points, radius_m + margin_m)
-    bar = np.full(len(points), -1, dtype=np.int64)
-    bar[cubes.order] = _nearest(cubes, bars.start, bars.direction, bars.length, radius_m, margin_m)
-    return bar
-
-
-@njit(cache=True)
-def _nearest(cubes, start, direction, length, radius, margin):  # type: ignore[no-untyped-def]
-    n = len(cubes.px)
-    bar, nearest, second = np.full(n, -1, np.int64), np.full(n, np.inf), np.full(n, np.inf)
-    seen, near = np.full(len(cubes.first) - 1, -1), np.empty(n, np.int64)
-    for b in range(len(length)):
-        (sx, sy, sz), (ux, uy, uz) = start[b], direction[b]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[b], seen, b, near)):
-            i = near[c]
-            x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
-            t = min(max(x * ux + y * uy + z * uz, 0.0), length[b])
-            x, y, z = x - t * ux, y - t * uy, z - t * uz
-            distance = math.sqrt(x * x + y * y + z * z)
-            if distance < nearest[i]:
-                bar[i], nearest[i], second[i] = b, distance, nearest[i]
-            elif distance < second[i]:
-                second[i] = distance
-    for i in range(n):
-        if nearest[i] > radius or second[i] - nearest[i] < margin:
-            bar[i] = -1
-    return bar
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def points_on_bars(points, T, range_max, floor, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
     """Those of the points of a scan ``(N, 3)`` that lie in the voxels of bars, sensor frame, and their bars; points are
     left out as by `world_points`."""

@@ -75,7 +75,7 @@ def _onward(name, p, low):  # type: ignore[no-untyped-def]
     return p
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
     """Mask of the centres that stay. Centres and voxels are both sorted by name, so the columns move on with the
     centres: no voxel is searched for, and memory is read in order."""
@@ -98,7 +98,7 @@ def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ign
     return stay
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _contract(centre, mean, kept, name, others, weight, column, height, rank, radius):  # type: ignore[no-untyped-def]
     moved = mean.copy()
     at = np.zeros(len(column), np.int64)

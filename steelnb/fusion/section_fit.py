@@ -43,7 +43,7 @@ class Sections(NamedTuple):
     tilt: Array
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``; ``length (B,)`` metres."""
     n = len(length)

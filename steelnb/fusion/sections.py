@@ -54,7 +54,7 @@ def sighting(T, point, start):  # type: ignore[no-untyped-def]
     return T[0, 3] - cx - start[0], T[1, 3] - cy - start[1], T[2, 3] - cz - start[2], cx, cy, cz
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def accumulate(points, T, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
     """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``. Points
     within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third of the bar at
@@ -132,7 +132,9 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
     beside = -sine * u + cosine * v
     front, rise = front_face(corner, cosine, sine, beside)
     residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
-    return residual, range_sigma_m(range_) * distance / range_, distance, cosine, sine, beside, front, rise
+    # The noise is that at the range of the face: at the measured one, points that noise brings nearer would count more.
+    sigma = range_sigma_m(range_ * (1.0 + residual / distance)) * distance / range_
+    return residual, sigma, distance, cosine, sine, beside, front, rise
 
 
 @njit(cache=True)

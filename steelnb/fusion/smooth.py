@@ -32,6 +32,7 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
+    ratio = None
     for fits, stages in ROUNDS:
         try:
             scans, fitted, reason = map_and_fit(flight.scans, T, settings, fits)
@@ -40,14 +41,14 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         state = bundle.start(T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
-        least = min(pixels for pixels, _ in stages)
-        seen = Observations.gathered(scans.bar_points(fitted.bars, 1, least))
+        voxels = scans.around(fitted.bars)
         for pixels, steps in stages:
-            some = seen.thinned(pixels // least)
+            scans = replace(scans, T_world_sensor=state.T_world_sensor)
+            seen = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
             for _ in range(steps):
-                equations = bundle.linearised(state, some)
+                equations = bundle.linearised(state, seen)
                 state = bundle.improve(state, equations, prior, stamp_s)
-        T = state.T_world_sensor
+        T, ratio = state.T_world_sensor, state.sigma_ratio
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:

@@ -9,8 +9,7 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import sections
-from steelnb.fusion.known import VOXEL_M, KnownBars
-from steelnb.fusion.point_association import points_on_bars
+from steelnb.fusion.known import KnownBars
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, Scan
 
@@ -33,9 +32,7 @@ class Views:
         """Add a scan at the pose of its sensor."""
         b, s, segments = self.bars.bars, self.settings, self.bars.bars.segments
         flat = np.ascontiguousarray(scan.points, dtype=np.float64).reshape(-1, 3)
-        points, bar = points_on_bars(
-            flat, T_world_sensor, s.range_max_m, s.floor_m, self.bars.table[0], VOXEL_M, *self.bars.table[1:]
-        )
+        points, bar = self.bars.voxels.points_on_bars(flat, T_world_sensor, s.range_max_m, s.floor_m)
         sections.accumulate(
             points, T_world_sensor, bar, segments.start, segments.direction, segments.length, b.across, END_M,
             self.histogram,

@@ -160,7 +160,7 @@ def _strongest(score, stale, most):
     return first + np.argmax(score[first : first + GROUP])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
     """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
     px, py, pz = cubes.px, cubes.py, cubes.pz

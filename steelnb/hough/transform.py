@@ -101,7 +101,7 @@ def drop(gone, px, py, pz, original):
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def iterate(
     px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
 ):

@@ -3,16 +3,18 @@
 A map of points is biased: a voxel averages over the faces that it holds, so what a scan is registered to changes with
 the side from which it is seen. A bar whose section is known has no such bias. So every `KEYFRAME_S` a scan becomes a
 keyframe; every ``refit_s`` bars are found in all of these, and their poses and the bars adjusted together
-(`steelnb.fusion.keyframes`); and scans are registered to the bars' front faces (`steelnb.odometry.face_registration`).
-Where these do not tell the pose, at the beginning and where the view is new, the odometry by clouds does.
+(`steelnb.fusion.keyframes`), in a thread beside the scans to come; and scans are registered to the bars' front faces
+(`steelnb.odometry.face_registration`). Where these do not tell the pose, at the beginning and where the view is new,
+the odometry by clouds does.
 """
 
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_step
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, Bundle, moved_poses, pose_step
 from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.known import KnownBars
 from steelnb.odometry.base import scan_of
@@ -25,6 +27,9 @@ from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
 
 KEYFRAME_S = 1.0
+ADOPT_S = 2.0
+"""Time of flight after which the result of an adjustment is taken over, whenever it is there: estimates do not depend
+on the machine's speed. It takes up to 2 s of one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
 REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001])
@@ -61,6 +66,9 @@ class FaceOdometry:
         self.faces: FaceRegistration | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         self._behind = np.zeros(4)  # what is put out lies behind the estimate by so much: x, y, z, yaw
+        self._adjustment: Future[Bundle | None] | None = None
+        self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
+        self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
@@ -83,11 +91,10 @@ class FaceOdometry:
             begin = time.perf_counter()
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
             seconds["map"] += time.perf_counter() - begin
-            self._refit_s = min(self._refit_s, scan.stamp_s + (self.settings.refit_s or np.inf))
-            if scan.stamp_s >= self._refit_s - 1e-6:
-                begin = time.perf_counter()
-                self._refit(put_out, prior)
-                seconds["refit"] = time.perf_counter() - begin
+        if scan.stamp_s >= self._adopt_s - 1e-6:
+            begin = time.perf_counter()
+            self._adopt(T_world_drone, put_out, prior)
+            seconds["refit"] = time.perf_counter() - begin
         return OdometryStep(step.stamp_s, put_out, step.used, step.reason, step.matches, seconds)
 
     def map_points(self) -> Array:
@@ -117,27 +124,52 @@ class FaceOdometry:
         """Add a scan to the keyframes, and where it is not ``mapped`` yet to the cloud."""
         s, T_sensor = self.settings.preprocess, T_world_drone @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, KEYFRAME_POINTS)
-        self.keyframes.add(scan, points, T_sensor, prior @ self.T_drone_sensor)
+        self._waiting.append((scan, points, T_sensor, prior @ self.T_drone_sensor))
         self._keyframe_s = scan.stamp_s
+        if self._adjustment is None:
+            self._insert_waiting()
+            self._start_adjustment()
         cloud = np.zeros((0, 3)) if mapped else preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s)
         if len(cloud):
             if self.settings.near_side:
                 cloud = self.clouds.near_side.shifted(cloud, self.T_drone_sensor[:3, 3])
             self.clouds.insert(cloud, T_world_drone)
 
-    def _refit(self, put_out: Array, prior: Array) -> None:
-        """Adjust the keyframes, the latest of which is the scan at hand, and go on from there."""
-        self._refit_s = np.inf
-        state = self.keyframes.adjust()
-        if state is None:
+    def _insert_waiting(self, moved: Array | None = None) -> None:
+        """Hand over the keyframes that wait, ``moved (4, 4)`` in the world as an adjustment moved the one before."""
+        for scan, points, T_sensor, prior in self._waiting:
+            self.keyframes.add(scan, points, T_sensor if moved is None else moved @ T_sensor, prior)
+        self._waiting = []
+
+    def _start_adjustment(self) -> None:
+        """Adjust the keyframes in a thread, if it is time to."""
+        period_s = self.settings.refit_s or np.inf
+        self._refit_s = min(self._refit_s, self._stamp_s + period_s)
+        if self._stamp_s < self._refit_s - 1e-6:
             return
+        self._refit_s, self._adopt_s = self._stamp_s + period_s, self._stamp_s + min(ADOPT_S, period_s)
+        self._adjusted_from = self.keyframes.T_world_sensor[-1]
+        pool = ThreadPoolExecutor(1)
+        self._adjustment = pool.submit(self.keyframes.adjust)
+        pool.shutdown(wait=False)
+
+    def _adopt(self, T_world_drone: Array, put_out: Array, prior: Array) -> None:
+        """Go on from the result of the adjustment, at the scan at hand."""
+        assert self._adjustment is not None
+        state = self._adjustment.result()
+        self._adjustment, self._adopt_s = None, np.inf
+        if state is None:
+            self._insert_waiting()
+            return
+        moved = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
+        self._insert_waiting(moved)
         bars = state.bars.sectioned()
         known = KnownBars(bars, np.ones(len(bars.turn), dtype=bool), np.zeros(len(bars.turn)))
         self.faces = FaceRegistration(known, self._stamp_s, self.faces.ratio if self.faces else state.sigma_ratio)
         self.faces.variance = REFITTED_SIGMA**2
-        T_world_drone = state.T_world_sensor[-1] @ np.linalg.inv(self.T_drone_sensor)
-        self.clouds.prediction.correct(T_world_drone, prior)
-        self._behind = pose_step(T_world_drone, put_out)
+        self.clouds.prediction.lose()  # an adjustment is no motion
+        self.clouds.prediction.correct(moved @ T_world_drone, prior)
+        self._behind = pose_step(moved @ T_world_drone, put_out)
 
     def _put_out(self, T_world_drone: Array) -> Array:
         """The pose to put out for an estimate: behind it after an adjustment, and catching up."""

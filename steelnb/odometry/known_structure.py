@@ -13,7 +13,7 @@ from numba import njit
 
 from steelnb.errors import MapMismatchError
 from steelnb.fusion.bundle import moved_poses
-from steelnb.fusion.known import VOXEL_M, KnownBars
+from steelnb.fusion.known import KnownBars
 from steelnb.fusion.structure import Structure
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, points_in_range
@@ -120,7 +120,7 @@ def _search(points: Array, T_world_sensor: Array, known: KnownBars) -> list[Arra
     some = np.ascontiguousarray(some[:: max(1, len(some) // SEARCH_POINTS_MAX)] @ T_world_sensor[:3, :3].T)
     shift = np.arange(-START_M, START_M + 1e-9, STEP_M)
     yaw = np.arange(-START_RAD, START_RAD + 1e-9, STEP_RAD)
-    score = _score(some, T_world_sensor[:3, 3], yaw, shift, VOXEL_M, *known.table)
+    score = _score(some, T_world_sensor[:3, 3], yaw, shift, *known.voxels)
     found: list[Array] = []
     while len(found) < REFINED and score.max() > 0:
         best = np.unravel_index(score.argmax(), score.shape)
@@ -130,7 +130,7 @@ def _search(points: Array, T_world_sensor: Array, known: KnownBars) -> list[Arra
 
 
 @njit(cache=True)
-def _score(points, position, yaw, shift, voxel, bar_of_voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
+def _score(points, position, yaw, shift, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
     """Number of points near bars ``(Y, S, S, S)`` for each yaw and shift."""
     n = len(shift)
     score = np.zeros((len(yaw), n, n, n), np.int64)

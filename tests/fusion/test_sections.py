@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import section_fit, sections
 from steelnb.fusion.adjust import ANCHOR_SCANS, adjust
-from steelnb.fusion.point_association import bars_of_points, nearest_bars, world_points
+from steelnb.fusion.bar_voxels import BarVoxels
+from steelnb.fusion.point_association import bars_of_points, world_points
 from steelnb.points import VoxelMap
 from tests.fusion.made import bars_of, random_bars, rigid
 
@@ -39,17 +40,20 @@ def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flan
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 20))
-def test_a_point_belongs_to_the_nearest_bar_unless_another_is_nearly_as_near(seed, n):
+def test_a_voxel_belongs_to_the_nearest_bar_unless_another_is_nearly_as_near(seed, n):
     rng = np.random.default_rng(seed)
     bars = random_bars(seed, n)
     at = np.concatenate([rng.uniform(-2.5, 2.5, (500, 3)), np.repeat(bars.middle, 30, axis=0)])
     at[500:] += rng.normal(scale=0.1, size=(30 * n, 3))
+    at = (np.floor(at / 0.04) + 0.5) * 0.04  # centres of voxels
     along = np.einsum("nbk,bk->nb", at[:, None] - bars.start, bars.direction).clip(0, bars.length)
     distance = np.linalg.norm(at[:, None] - bars.start - along[..., None] * bars.direction, axis=2)
     nearest, second = np.sort(np.column_stack([distance, np.full(len(at), np.inf)]), axis=1)[:, :2].T
     expected = np.where((nearest <= 0.2) & (second - nearest >= 0.05), distance.argmin(axis=1), -1)
     assert np.count_nonzero(expected >= 0) > 0
-    np.testing.assert_array_equal(nearest_bars(bars, at, 0.2, 0.05), expected)
+    voxels = BarVoxels.around(bars, 0.2, 0.05, 0.04)
+    np.testing.assert_array_equal(voxels.bar_of(at), expected)
+    np.testing.assert_array_equal(voxels.near(at), nearest <= 0.2)
 
 
 def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
@@ -140,3 +144,27 @@ def test_adjusting_brings_a_shifted_and_turned_pose_back_and_leaves_right_ones_a
     blind, kept = adjust(bars, turn, np.full(4, np.nan), across, given, seen)
     np.testing.assert_allclose(blind, given, atol=1e-12)
     np.testing.assert_allclose(kept.start, bars.start, atol=1e-12)
+
+
+def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
+    # The nearer one of two bars takes the points of the other that noise brings near to it.
+    rng, sigma_m, n = np.random.default_rng(0), 0.03, 16_000
+    bars, turn, flange = bars_of([[0, 0, 0], [0, 0, 2]], [[0.13, 0, 0], [0.13, 0, 2]]), np.full(2, 0.3), np.full(2, 0.1)
+    across, corner = sections.frames(bars.direction), sections.outlines(turn, flange)
+    T = np.eye(4)
+    T[:3, 3] = sensor = np.array([3.0, 0.5, 1.0])
+    towards = across[0] @ (sensor * [1, 1, 0])
+    at = near_face(corner[0], towards / np.linalg.norm(towards), rng, n) @ across[0]
+    at[:, 2] += rng.uniform(0.2, 1.8, n)
+    noise, ray = rng.standard_normal(n), at - sensor
+    points = ray * (1 + sigma_m * noise / np.linalg.norm(ray, axis=1))[:, None]
+    voxels = BarVoxels.around(bars, 0.144, 0.03, 0.04)
+    first = voxels.bar_of(points + sensor) == 0
+    none = np.zeros(first.sum(), dtype=np.int64)
+    whole = voxels.whole(points[first], none, T, bars, across, corner, 2.0, 0.06)
+    chosen = noise[first][whole]
+    assert len(chosen) > 1000
+    assert np.abs(chosen).max() <= 2.0 * 1.05  # the noise of a range grows with it
+    assert abs(chosen.mean()) < 3 / np.sqrt(len(chosen))
+    assert noise[first].mean() > 0.1
+    assert not voxels.whole(points[first], none, T, bars, across, corner, 0.0, 0.06).any()
