@@ -8,42 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import EmptyCloudError, SettingsError
-from steelnb.fusion import sections
-from steelnb.fusion.adjust import adjust
+from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.bundle import Bars
+from steelnb.fusion.bundle import DRIFT_PERIOD_S, Bars
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
+from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
-from steelnb.fusion.regions import is_lattice, linear_share
-from steelnb.fusion.ridges import ridge_points
+from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
-from steelnb.hough.blocks import SHADOW, SHIFTS, segment_structure, within
-from steelnb.hough.long_bars import long_bars
-from steelnb.points import VoxelMap, smooth_ranges, voxel_grid
+from steelnb.hough.blocks import SHIFTS
+from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
 
 END_TUBES = 1.2
 """Points within this many tubes of the ends of a bar are left out of the fit of its section."""
-RIDGE_SHARE = 0.2
-"""Least weight of a voxel on a ridge, as a share of the largest around it. Chosen with `fusion.scales.Scales`."""
-LINEAR_SHARE_MIN = 0.5
-"""Least share of the length of all lines outside planar and volumetric regions (`regions.linear_share`: at most 0.02 in
-shapes without bars, at least 0.75 on towers scanned closely)."""
 TILT_MAX_RAD = 0.05
 """A bar whose direction has a larger standard deviation is left out."""
 CHUNK = 1 << 17
+ADJUST_STEPS, ADJUST_PIXELS = 2, 4
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly further."""
 FACE_SIGMAS, FACE_MAX_TUBES = 2.5, 1.3
 """How far from the front face of its bar a point of an adjustment may lie, in standard deviations of the range noise,
 and at most. On the development seeds 11 and 12 errors are alike from 2 to 3 of them with ``starling2``; with the
 report's sensor a larger bound leaves too few points of the first scan, which says where the whole stands."""
-GRIDS = 4
-"""Grids of blocks in which bars are proposed. On flights eight find no more."""
 
 
 def reconstruct(
@@ -63,7 +55,7 @@ def reconstruct(
 
     The axis of a bar is the line through the centroids of its sections (`fusion.section_fit`); a bar with too few
     points to tell its section and its direction is left out. With ``adjust``, poses and bars are adjusted together
-    (`fusion.adjust`). Returns a `Structure` in the world frame, metres; an empty one has the reason. Raises
+    (`fusion.bundle`). Returns a `Structure` in the world frame, metres; an empty one has the reason. Raises
     `SettingsError` for poses that do not fit the scans or are not finite, `EmptyCloudError` for scans without any
     return above the floor.
     """
@@ -74,8 +66,7 @@ def reconstruct(
     if settings.adjust:
         flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
         if fitted is not None:
-            points = flight.bar_points(flight.around(fitted.bars), every=1, pixels=4)
-            T_world_sensor, _ = adjust(fitted.bars, fitted.turn, fitted.width, fitted.across, T_world_sensor, points)
+            T_world_sensor = flight.adjusted(fitted)
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
     bars, reason = find_bars(flight.voxels, settings)
     if not len(bars):
@@ -146,60 +137,6 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
     )
 
 
-def find_bars(
-    voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS, coarse: bool = False
-) -> tuple[Segments, str]:
-    """Bars of a voxel map, their axes in the middle of their points, strongest first; or none, and the reason.
-
-    ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``coarse``: bars may be only a few tubes apart.
-    """
-    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
-    points = voxel_grid(ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.contract_m), tube / math.sqrt(3))
-    if len(points) < votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
-        return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    lines = segment_structure(points, tube, votes, s.length_min_m / tube, grids)
-    bars = _with_struts(voxels, lines, settings, grids)
-    # A bar inside a lattice looks volumetric, but not most of a structure; unless the cloud is so coarse that all its
-    # bars are near others: then braces claim the points of the legs, unless long bars come first.
-    if len(bars) and linear_share(points, bars, 2 * tube) < LINEAR_SHARE_MIN:
-        if not (coarse and is_lattice(points, lines, tube, votes, s.length_min_m / tube)):
-            return Segments.empty(), f"most of {len(bars)} lines lie in planar or volumetric regions"
-        long = long_bars(voxels.means(), tube, votes)
-        left = points[~within(points, long, SHADOW * tube)]
-        lines = segment_structure(left, tube, votes, s.length_min_m / tube, grids) if len(left) else Segments.empty()
-        lines = Segments.joined((long, lines))
-        bars = _with_struts(voxels, lines, settings, grids)
-    return bars, "" if len(bars) else f"none of {len(points)} points on ridges lie along a line"
-
-
-def _with_struts(voxels: VoxelMap, lines: Segments, settings: StructureSettings, grids: int) -> Segments:
-    """Bars of the lines of a voxel map, and the short ones between them.
-
-    A short bar between long ones is weak beside them, and its ends lie within their tubes: it is found in what they
-    leave.
-    """
-    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
-    bars = merge_pieces(lines, s.gap_max_m, settings.copy_distance_m, tube)
-    if not len(bars):
-        return bars
-    hidden = within(voxels.means(), bars, s.strut_hide_m)
-    left = ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.strut_contract_m, hidden)
-    left = voxel_grid(left, s.strut_tube_m / math.sqrt(3))
-    if len(left) < votes:
-        return bars
-    more = segment_structure(left, s.strut_tube_m, votes, s.strut_length_min_m / s.strut_tube_m, grids)
-    more = more.take(_between_bars(more, bars, s.reach_m, tube))
-    return merge_pieces(Segments.joined((bars, more)), s.gap_max_m, settings.copy_distance_m, tube)
-
-
-def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:
-    """Mask of the segments that come within ``aside_m`` of a bar at both ends, extended by up to ``lead_m``."""
-    step = np.arange(0, lead_m + 1e-9, 0.03)[:, None, None]
-    led = np.stack([some.start - step * some.direction, some.end + step * some.direction])
-    near = within(led.reshape(-1, 3), bars, aside_m).reshape(led.shape[:3])
-    return np.asarray(near.any(axis=1).all(axis=0))
-
-
 @dataclass(frozen=True)
 class FittedBars:
     """B bars with their fitted sections: frames ``across (B, 2, 3)``, flange ``width``, ``turn``, standard deviations
@@ -256,6 +193,16 @@ class MappedScans:
             T = self.T_world_sensor[k]
             whole = voxels.whole(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
             yield k, points[whole], bar[whole]
+
+    def adjusted(self, fitted: "FittedBars") -> Array:
+        """The poses after `ADJUST_STEPS` of them and the bars together (`fusion.bundle`), by one in `ADJUST_PIXELS` of
+        the points. The poses themselves stand for the prior's increments, and the first one stays."""
+        T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
+        state = bundle.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
+        seen = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
+        for _ in range(ADJUST_STEPS):
+            state = bundle.improve(state, bundle.linearised(state, seen), T, stamp_s)
+        return state.T_world_sensor
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections to the points of each bar; the axes of the bars move to the centroids of their sections."""

@@ -20,9 +20,9 @@ from steelnb.fusion.chain import Chain
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 
-SHARED_SIGMA_M = 0.005
+SHARED_SIGMA_M = 0.001
 """Standard deviation, an axis, of the displacement that all points of a bar in a scan share, at the range noise of
-`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds 11 and 12;
+`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds 11 to 15;
 see benchmarks/uncertainty.md."""
 END_SIGMA_M = 0.006
 """Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section that

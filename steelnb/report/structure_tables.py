@@ -17,7 +17,8 @@ from steelnb import experiment
 from steelnb.errors import SettingsError
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.joints import find_joints
-from steelnb.fusion.reconstruct import find_bars, map_scans, reconstruct
+from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.reconstruct import map_scans, reconstruct
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure

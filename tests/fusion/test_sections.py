@@ -1,4 +1,4 @@
-"""Points of bars by voxel lookup, the fit of their sections, and the adjustment of poses by them."""
+"""Points of bars by voxel lookup, their choice for an adjustment, and the fit of sections."""
 
 import math
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import section_fit, sections
-from steelnb.fusion.adjust import ANCHOR_SCANS, adjust
 from steelnb.fusion.bar_voxels import BarVoxels
 from steelnb.fusion.point_association import bars_of_points, world_points
 from steelnb.points import VoxelMap
@@ -111,39 +109,6 @@ def test_the_axis_of_an_angle_section_is_found_from_its_near_faces(flange, turn)
     assert found.flange[0] == pytest.approx(flange, rel=0.12)
     assert np.abs(found.slope).max() < 0.006
     assert np.isnan(section_fit.fit_sections(0 * histogram, bar.length).flange[0])
-
-
-def test_adjusting_brings_a_shifted_and_turned_pose_back_and_leaves_right_ones_alone():
-    rng = np.random.default_rng(2)
-    bars = bars_of(
-        [[3, -1, 0], [3, -1, 3]], [[3, 1, 0], [3, 1, 3]], [[3, -1, 2], [3, 1, 2]], [[3.3, -1, 0], [3.3, 1, 1]]
-    )
-    turn, flange, across = np.array([0.4, 2.0, 1.0, 3.0]), np.full(4, 0.1), sections.frames(bars.direction)
-    corner = sections.outlines(turn, flange)
-    true, scans = np.tile(np.eye(4), (ANCHOR_SCANS + 5, 1, 1)), []
-    for k in range(len(true)):
-        true[k, :3, 3] = [0, rng.uniform(-1, 1), rng.uniform(0.5, 2.5)]
-        points = []
-        for b in range(4):
-            for t in rng.uniform(0.2, bars.length[b] - 0.2, 40):
-                at = bars.start[b] + t * bars.direction[b]
-                towards = across[b] @ (true[k, :3, 3] - at)
-                points.append(at + near_face(corner[b], towards / np.linalg.norm(towards), rng, 1)[0] @ across[b])
-        scans.append(np.array(points) - true[k, :3, 3])  # in the sensor frame, which is not turned
-    bar = np.repeat(np.arange(4), 40)
-    given = true.copy()
-    given[ANCHOR_SCANS:, :3, 3] += [0.02, -0.015, 0.01]
-    given[ANCHOR_SCANS:, :3, :3] = Rotation.from_rotvec([0, 0, 0.005]).as_matrix()
-    seen = [(k, points, bar) for k, points in enumerate(scans)]
-    poses, moved = adjust(bars, turn, flange, across, given, seen)
-    before, after = (np.linalg.norm((T - true)[:, :3, 3], axis=1) for T in (given, poses))
-    assert after[:ANCHOR_SCANS].max() < 0.004
-    assert after[ANCHOR_SCANS:].max() < 0.2 * before.max()
-    assert np.abs(poses[ANCHOR_SCANS:, 1, 0]).max() < 0.0015
-    assert np.abs(moved.start - bars.start).max() < 0.005
-    blind, kept = adjust(bars, turn, np.full(4, np.nan), across, given, seen)
-    np.testing.assert_allclose(blind, given, atol=1e-12)
-    np.testing.assert_allclose(kept.start, bars.start, atol=1e-12)
 
 
 def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
