@@ -21,8 +21,8 @@ from steelnb.types import Array, IntArray, Segments
 
 
 class BarVoxels(NamedTuple):
-    """The bar ``(V,)`` of each voxel around bars, −1 where a second one is hardly further away; the edge of the voxels,
-    metres; and their hash table."""
+    """The bar ``(V,)`` of each voxel around bars, −1 where it is too far or a second one hardly further; the edge of
+    the voxels, metres; and their hash table."""
 
     bar: IntArray
     voxel_m: float
@@ -31,8 +31,8 @@ class BarVoxels(NamedTuple):
 
     @classmethod
     def around(cls, bars: Segments, reach_m: float, margin_m: float, voxel_m: float) -> "BarVoxels":
-        """The voxels with their centres within ``reach_m`` of bars; one belongs to the nearest bar unless a second one
-        is less than ``margin_m`` further away."""
+        """The voxels with their centres within ``reach_m + margin_m`` of bars. One within ``reach_m`` belongs to the
+        nearest bar unless a second one is less than ``margin_m`` further away."""
         key, bar = _label(bars.start, bars.end, reach_m, margin_m, voxel_m)
         size = 1 << max(10, (2 * len(key)).bit_length())
         table = np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
@@ -44,7 +44,7 @@ class BarVoxels(NamedTuple):
         return bars_of_points(points, *self)
 
     def near(self, points: Array) -> NDArray[np.bool_]:
-        """Which points ``(N, 3)`` in the world frame lie near any bar."""
+        """Which points ``(N, 3)`` in the world frame lie in voxels around any bar."""
         return bars_of_points(points, np.arange(len(self.bar)), *self[1:]) >= 0
 
     def points_on_bars(
@@ -71,7 +71,7 @@ class BarVoxels(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
-    """Keys ``(V,)`` of the voxels with their centres within ``reach`` of bars, and the bar of each ``(V,)``.
+    """Keys ``(V,)`` of the voxels with their centres within ``reach + margin`` of bars, and the bar of each ``(V,)``.
 
     Slab by slab along the axis of the world that a bar is nearest to, so that it meets each voxel once.
     """
@@ -121,9 +121,8 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
                         bar[slot], second[slot], nearest[slot] = b, nearest[slot], distance
                     elif distance < second[slot]:
                         second[slot] = distance
-    kept = np.flatnonzero(nearest[:n] <= reach)
-    apart = second[kept] - nearest[kept] >= margin
-    return keys[kept], np.where(apart, bar[kept], -1)
+    own = (nearest[:n] <= reach) & (second[:n] - nearest[:n] >= margin)
+    return keys[:n], np.where(own, bar[:n], -1)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
