@@ -294,6 +294,16 @@ def test_a_combination_left_out_of_the_matrix_runs_where_its_axis_is_named(proje
     assert [part.name for part in make_parts(project, pair, "full", {"count": 2})] == ["vertical", "orbit"]
 
 
+@pytest.mark.parametrize("left_out", ['trajectori = "orbit"', 'trajectory = "orbits"', "count = 2"])
+def test_what_is_left_out_of_a_matrix_must_be_in_it(
+    project: Path, capsys: pytest.CaptureFixture, left_out: str
+) -> None:
+    matrix = 'matrix = { trajectory = ["vertical", "orbit"] }'
+    edit(project / "notebooks" / "experiments.toml", matrix, f"{matrix}\nwithout = [{{ {left_out} }}]")
+    assert main(["reproduce"]) == 2
+    assert f"without: {left_out.replace(chr(34), chr(39))}: expected" in capsys.readouterr().err
+
+
 def test_failing_notebooks_are_named_and_the_others_finish(project: Path, capsys: pytest.CaptureFixture) -> None:
     table = '[{0}]\nnotebook = "tiny.ipynb"\ntitle = "fails"\nfull = {{ fail = "{1}" }}\nsmoke = {{}}\n'
     failing = {"wrong": "ValueError", "refused": "SettingsError", "dead": "exit", "empty": "nothing"}

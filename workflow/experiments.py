@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from steelnb.errors import OutputError, SettingsError, UnknownExperimentError
 from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
@@ -41,6 +41,16 @@ class Experiment(Settings):
     smoke: dict[str, Any]
     inputs: list[str] = Field(default_factory=list)
     apart: bool = False
+
+    @model_validator(mode="after")
+    def _left_out_of_the_matrix(self) -> Self:
+        for each in self.without:
+            for axis, value in each.items():
+                if value not in self.matrix.get(axis, []):
+                    raise ValueError(
+                        f"without: {axis} = {value!r}: expected an axis of the matrix and one of its values"
+                    )
+        return self
 
 
 @dataclass(frozen=True)
