@@ -2,7 +2,7 @@
 
     PYTHONPATH=. .venv/bin/python benchmarks/uncertainty.py [--seeds 101 102 …] [--sensor starling2] [--figure FILE.png]
 
-Flights of 200 s with random walk and yaw random walk. “Before”: every point an observation of its own, bars without
+Flights of 200 s with random walk. “Before”: every point an observation of its own, bars without
 errors of their own. Set STEELNB_CACHE to a folder to keep flights and estimates between calls. Prints the table of
 uncertainty.md.
 """
@@ -23,7 +23,7 @@ from steelnb.metrics.uncertainty import HELD
 from steelnb.settings import ExperimentSettings
 
 FLIGHTS = ("vertical", "orbit")
-NOISE = "random-walk+yaw-random-walk"
+NOISE = "random-walk"
 START = {"starling2": "combined", "report": "best"}
 CASES = {"before": (0.0, 0.0), "after": (uncertainty.SHARED_SIGMA_M, uncertainty.END_SIGMA_M)}
 

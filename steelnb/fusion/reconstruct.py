@@ -32,10 +32,11 @@ CHUNK = 1 << 17
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly further."""
-FACE_SIGMAS, FACE_MAX_TUBES = 2.5, 1.3
+FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
 """How far from the front face of its bar a point of an adjustment may lie, in standard deviations of the range noise,
 and at most. On the development seeds 11 and 12 errors are alike from 2 to 3 of them with ``starling2``; with the
-report's sensor a larger bound leaves too few points of the first scan, which says where the whole stands."""
+report's sensor a larger bound leaves too few points of the first scan, which says where the whole stands. With a range
+noise below `RATIO_MIN` times that of `points.ranges` it is the poses and sections that are off, not the points."""
 
 
 def reconstruct(
@@ -187,7 +188,7 @@ class MappedScans:
         if sigma_ratio is None:
             yield from self.bar_points(voxels, 1, pixels)
             return
-        corner, sigmas = sections.outlines(bars.turn, bars.flange), FACE_SIGMAS * sigma_ratio
+        corner, sigmas = sections.outlines(bars.turn, bars.flange), FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
         most_m = FACE_MAX_TUBES * self.settings.tube_m
         for k, points, bar in self.bar_points(voxels, 1, pixels):
             T = self.T_world_sensor[k]

@@ -175,3 +175,17 @@ def test_methods_that_refit_are_by_clouds():
         FaceOdometry(OdometrySettings.preset("combined"))
     with pytest.raises(SettingsError, match=r"refit_s = 5: expected a method by clouds"):
         OdometrySettings.preset("average", overrides={"refit_s": 5.0})
+
+
+def test_keyframes_of_an_exact_sensor_are_adjusted_where_their_poses_are_off():
+    flight = around(small_tower(), poses=24)
+    true, rng = flight.prior.T_world_drone, np.random.default_rng(3)
+    kept = keyframes.Keyframes(StructureSettings())
+    for k, scan in enumerate(flight.scans):
+        kept.add(scan, points_in_range(scan, true[k], 6.0, 0.2, 4000), true[k], true[k])
+    assert kept.adjust() is not None  # and the noise is known to be next to nothing
+    kept.T_world_sensor = true.copy()
+    kept.T_world_sensor[1:, :3, 3] += rng.normal(scale=0.006, size=(len(true) - 1, 3))
+    before, _ = np.linalg.norm((kept.T_world_sensor - true)[1:, :3, 3], axis=1), kept.adjust()
+    after = np.linalg.norm((kept.T_world_sensor - true)[1:, :3, 3], axis=1)
+    assert np.median(after) < 0.3 * np.median(before)
