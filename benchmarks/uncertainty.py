@@ -2,9 +2,8 @@
 
     PYTHONPATH=. .venv/bin/python benchmarks/uncertainty.py [--seeds 101 102 …] [--sensor starling2] [--figure FILE.png]
 
-Flights of 200 s with random walk. “Before”: every point an observation of its own, bars without
-errors of their own. Set STEELNB_CACHE to a folder to keep flights and estimates between calls. Prints the table of
-uncertainty.md.
+Flights of 200 s with random walk. “Before”: every point an observation of its own, bars without errors of their
+own. Set STEELNB_CACHE to a folder to keep flights and estimates between calls. Prints the table of uncertainty.md.
 """
 
 import argparse

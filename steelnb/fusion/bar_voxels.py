@@ -69,7 +69,7 @@ class BarVoxels(NamedTuple):
         return np.asarray(whole)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
     """Keys ``(V,)`` of the voxels with their centres within ``reach + margin`` of bars, and the bar of each ``(V,)``.
 

@@ -127,7 +127,7 @@ class FaceOdometry:
         self._waiting.append((scan, points, T_sensor, prior @ self.T_drone_sensor))
         self._keyframe_s = scan.stamp_s
         if self._adjustment is None:
-            self._insert_waiting()
+            self._insert_waiting(np.eye(4))
             self._start_adjustment()
         cloud = np.zeros((0, 3)) if mapped else preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s)
         if len(cloud):
@@ -135,10 +135,10 @@ class FaceOdometry:
                 cloud = self.clouds.near_side.shifted(cloud, self.T_drone_sensor[:3, 3])
             self.clouds.insert(cloud, T_world_drone)
 
-    def _insert_waiting(self, moved: Array | None = None) -> None:
+    def _insert_waiting(self, moved: Array) -> None:
         """Hand over the keyframes that wait, ``moved (4, 4)`` in the world as an adjustment moved the one before."""
         for scan, points, T_sensor, prior in self._waiting:
-            self.keyframes.add(scan, points, T_sensor if moved is None else moved @ T_sensor, prior)
+            self.keyframes.add(scan, points, moved @ T_sensor, prior)
         self._waiting = []
 
     def _start_adjustment(self) -> None:
@@ -159,7 +159,7 @@ class FaceOdometry:
         state = self._adjustment.result()
         self._adjustment, self._adopt_s = None, np.inf
         if state is None:
-            self._insert_waiting()
+            self._insert_waiting(np.eye(4))
             return
         moved = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
         self._insert_waiting(moved)

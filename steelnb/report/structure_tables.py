@@ -120,8 +120,7 @@ def rebuild(
             if value not in known:
                 raise SettingsError(f"{label} = {value!r}: expected one of {', '.join(map(repr, known))}")
     flight, runs = source.flight, []
-    cases = [(each, name) for each in poses for name in method]
-    for k, (each, name) in enumerate(cases):
+    for k, (each, name) in enumerate(itertools.product(poses, method), start=1):
         began = time.perf_counter()
         if name == "final":
             chosen = StructureSettings().replace(adjust=False) if each == "raw" else StructureSettings()
@@ -131,7 +130,7 @@ def rebuild(
         seconds = time.perf_counter() - began
         runs.append(Rebuilt(source, each, name, structure, score_structure(structure, source.reference), seconds))
         if on_progress:
-            on_progress((k + 1) / len(cases))
+            on_progress(k / (len(poses) * len(method)))
     return runs
 
 
