@@ -191,7 +191,8 @@ class OdometryStep:
     """Result of one scan.
 
     ``T_world_drone (4, 4)`` is the corrected pose; ``used`` says whether the scan corrected it at all, and ``reason``
-    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took.
+    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took; ``unobserved`` is
+    the number of directions, 0 to 3, in which a scan that was used says nothing, and the prior was followed.
     """
 
     stamp_s: float
@@ -200,6 +201,7 @@ class OdometryStep:
     reason: str
     matches: int
     seconds: dict[str, float]
+    unobserved: int = 0
 
 
 @dataclass(frozen=True)
