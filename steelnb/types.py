@@ -191,7 +191,8 @@ class OdometryStep:
     """Result of one scan.
 
     ``T_world_drone (4, 4)`` is the corrected pose; ``used`` says whether the scan corrected it at all, and ``reason``
-    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took.
+    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took; ``unobserved`` is
+    the number of directions, 0 to 3, in which a scan that was used says nothing, and the prior was followed.
     """
 
     stamp_s: float
@@ -200,6 +201,7 @@ class OdometryStep:
     reason: str
     matches: int
     seconds: dict[str, float]
+    unobserved: int = 0
 
 
 @dataclass(frozen=True)
@@ -208,8 +210,9 @@ class Estimate:
 
     ``prior`` and ``corrected`` are poses at the scans; ``points (N, 3)`` and ``segments`` are the map in the world
     frame. Per scan: ``matches (K,)`` pairs; ``reason``, why it corrected nothing, empty where it did; ``seconds`` maps
-    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update. ``unsmoothed`` is the reason
-    why the flight could not be smoothed, where that was asked for; else empty.
+    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update; ``unobserved (K,)``, the
+    number of directions, 0 to 3, in which a scan that was used says nothing (empty where that is not known).
+    ``unsmoothed`` is the reason why the flight could not be smoothed, where that was asked for; else empty.
 
     A smoothed flight has covariances, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
     corrected poses, metres and radians, in the axes of the world (`fusion.uncertainty.pose_covariances`; that of the
@@ -229,6 +232,7 @@ class Estimate:
     pose_covariance: Array | None = None
     axis_covariance: Array | None = None
     unsure: str = ""
+    unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def period_s(self) -> Array:

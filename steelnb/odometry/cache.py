@@ -56,6 +56,7 @@ def _pack(estimate: Estimate) -> Arrays:
         "stage": np.array(list(estimate.seconds), dtype=str),
         "seconds": np.array(list(estimate.seconds.values())),
         "update_s": estimate.update_s,
+        "unobserved": estimate.unobserved,
     }
 
 
@@ -69,4 +70,5 @@ def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
         reason=tuple(arrays["reason"].tolist()),
         seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
         update_s=arrays["update_s"],
+        unobserved=arrays["unobserved"],
     )

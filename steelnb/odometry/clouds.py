@@ -23,6 +23,12 @@ SIGMA_RELATIVE = 0.01
 """Range noise along a ray: the larger of both, of a Starling 2's sensor."""
 INLIER_SHARE_MIN = 0.3
 """With fewer of a scan's points paired, the scan corrects nothing."""
+POINTS_MIN = {False: 10, True: 100}
+"""Whether the prediction has a stated uncertainty → the number of points below which a scan says too little. Eight by
+eight pixels never say enough: they sample a surface more coarsely than the map's voxels."""
+NORMALS_MIN = 0.05
+"""With a prediction of stated uncertainty: the share of normals below which a shift is its own (`unobserved_shifts`).
+Before a wall, with noise, it is up to 0.02; before the towers of the study 0.1 at least."""
 STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 """``fast`` → the rotation (rad) and translation (m) below which the solver stops."""
 
@@ -62,7 +68,7 @@ class CloudOdometry:
         clock.append(time.perf_counter())
         target, covariance = self._prepare(points, T_init)
         clock.append(time.perf_counter())
-        T_world_drone, reason, inliers = self._register(points, covariance, target, T_init)
+        T_world_drone, reason, inliers, unobserved = self._register(points, covariance, target, T_init)
         used = reason == ""
         if not len(points):
             reason = nothing_left(scan, s.preprocess.crop_m) or reason
@@ -72,12 +78,12 @@ class CloudOdometry:
         if used:
             if c.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
-            self.prediction.correct(T_world_drone, T_world_drone_prior)
+            self.prediction.correct(T_world_drone, T_world_drone_prior, unobserved)
         else:
             self.prediction.lose()
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds)
+        return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.clouds
@@ -115,28 +121,29 @@ class CloudOdometry:
 
     def _register(
         self, points: Array, covariance: Array | None, target: Target | VoxelTarget | None, T_init: Array
-    ) -> tuple[Array, str, int]:
-        s = self.clouds
-        if len(points) < 10:
-            return T_init, "too few points", 0
+    ) -> tuple[Array, str, int, Array]:
+        s, known, nothing = self.clouds, self.information is not None, np.zeros((0, 3))
+        if len(points) < POINTS_MIN[known]:
+            return T_init, "too few points", 0, nothing
         if not len(self.map):
-            return T_init, "first scan", 0
+            return T_init, "first scan", 0, nothing
         if target is None:
-            return T_init, "no map in sight", 0
+            return T_init, "no map in sight", 0, nothing
         rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
             "geman_mcclure" if s.robust_scale else "none", s.robust_scale or 1.0, s.iterations_max,
             rotation_epsilon_rad, translation_epsilon_m, s.fast, self._terms(points, T_init),
+            NORMALS_MIN if known and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < INLIER_SHARE_MIN * len(points):
-            return T_init, "too little overlap", result.inliers
+            return T_init, "too little overlap", result.inliers, nothing
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
-            return T_init, result.reason, result.inliers
+            return T_init, result.reason, result.inliers, nothing
         if jump > s.jump_max_m:
-            return T_init, f"jump of {jump:.2f} m", result.inliers
-        return result.T_target_source, "", result.inliers
+            return T_init, f"jump of {jump:.2f} m", result.inliers, nothing
+        return result.T_target_source, "", result.inliers, result.unobserved
 
     def _terms(self, points: Array, T_init: Array) -> list[Term]:
         """Further costs of the pose of the scan's ``points (N, 3)``: its distance from the prediction."""

@@ -95,7 +95,7 @@ class FaceOdometry:
             begin = time.perf_counter()
             self._adopt(T_world_drone, put_out, prior)
             seconds["refit"] = time.perf_counter() - begin
-        return OdometryStep(step.stamp_s, put_out, step.used, step.reason, step.matches, seconds)
+        return OdometryStep(step.stamp_s, put_out, step.used, step.reason, step.matches, seconds, step.unobserved)
 
     def map_points(self) -> Array:
         """Means of the voxels of the keyframes, ``(N, 3)`` in the world frame."""

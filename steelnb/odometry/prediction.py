@@ -31,14 +31,17 @@ class Prediction:
         T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
         return T
 
-    def correct(self, T_world_drone: Array, T_world_drone_prior: Array) -> None:
-        """Update with the pose of a registered scan."""
+    def correct(self, T_world_drone: Array, T_world_drone_prior: Array, unobserved: Array | None = None) -> None:
+        """Update with the pose of a registered scan. Along ``unobserved (u, 3)``, unit vectors, the pose is the
+        prediction's, and the rate of the drift is not known."""
         turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
         offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
         if self._followed:  # a jump after a gap is no rate
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
             turned = Rotation.from_matrix(turn @ self.turn.T).as_rotvec()
             self.turn_rate = self.turn_rate + self.gain * (turned - self.turn_rate)
+        if unobserved is not None and len(unobserved):
+            self.offset_rate = self.offset_rate - unobserved.T @ (unobserved @ self.offset_rate)
         self.turn, self.offset, self._followed = turn, offset, True
 
     def lose(self) -> None:

@@ -55,6 +55,7 @@ def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None
         reason=tuple(reason),
         seconds={stage: np.array([s.seconds[stage] for s in steps]) for stage in stages},
         update_s=update_s,
+        unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
     )
 
 

@@ -1,7 +1,7 @@
 """The result of a registration: pose, convergence, covariance, weakly constrained directions."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +43,8 @@ class RegistrationResult:
     displacement at ``length_m`` from the centre (the cloud's root mean square radius), so that turns and shifts
     compare; ``weak (w, 6)``, the unit twists (ω · length_m, v) whose eigenvalue is below 1 % of the largest. For
     the error ``point`` the shifts' part of H is N·I whatever the scene, so it cannot see a degenerate one: judge by
-    ``plane`` or ``gicp``.
+    ``plane`` or ``gicp``. ``unobserved (u, 3)``, unit vectors: shifts that were left out of the solve, since the
+    surfaces paired have no normals along them (`observability.unobserved_shifts`).
     """
 
     T_target_source: Array
@@ -59,6 +60,7 @@ class RegistrationResult:
     reason: str
     centre: Array
     length_m: float
+    unobserved: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def covariance_at(self, point: Array) -> Array:
         """Covariance ``(6, 6)`` of the turn and the shift of another point ``(3,)`` of the target frame.
@@ -85,7 +87,15 @@ def scaled_basis(free: Array, length_m: float) -> Array:
 
 
 def judge(
-    T: Array, converged: bool, iterations: int, normal: Normal, basis: Array, length_m: float, rank: int, reason: str
+    T: Array,
+    converged: bool,
+    iterations: int,
+    normal: Normal,
+    basis: Array,
+    length_m: float,
+    rank: int,
+    reason: str,
+    unobserved: Array,
 ) -> RegistrationResult:
     """Work out covariance and weak directions from the normal equations at the end.
 
@@ -118,4 +128,5 @@ def judge(
         reason=reason,
         centre=normal.centre,
         length_m=length_m,
+        unobserved=unobserved,
     )

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
 from steelnb.registration import normal_equations as kernels
+from steelnb.registration.observability import unobserved_shifts, without_shifts
 from steelnb.registration.result import BLIND, Normal, RegistrationResult, judge, middle_and_length, scaled_basis
 from steelnb.registration.target import Target, VoxelTarget
 from steelnb.types import Array, IntArray
@@ -59,12 +60,15 @@ def align(
     translation_epsilon_m: float = 1e-3,
     accelerated: bool = False,
     terms: Sequence[Term] = (),
+    normals_min: float = 0.0,
 ) -> RegistrationResult:
     """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
 
     A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
     the source. ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
-    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``terms`` are further costs.
+    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``terms`` are further costs. With
+    ``normals_min`` above 0 the solve leaves out shifts along which the surfaces do not determine the pose
+    (`observability.unobserved_shifts`, for ``gicp``); they are in ``unobserved`` of the result.
     A step after which the same pairs fit worse is taken back and damped (Levenberg–Marquardt). Stops when a step turns
     by less than ``rotation_epsilon_rad`` and moves the middle by less than ``translation_epsilon_m``, the criterion of
     small_gicp. Checks nothing; `register` does.
@@ -79,10 +83,13 @@ def align(
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
     reason, converged, iterations, damping = "iterations exhausted", False, 0, 0.0
-    metric, before = np.array([length_m] * 3 + [1.0] * 3), None
+    metric, before, unobserved = np.array([length_m] * 3 + [1.0] * 3), None, np.zeros((0, 3))
     while iterations < iterations_max:
         iterations += 1
         pairs.update(T)
+        if iterations == 1 and normals_min > 0:
+            unobserved = unobserved_shifts(target.covariance, pairs.match, normals_min)
+            basis = scaled_basis(without_shifts(free, unobserved), length_m)
         here = problem.linearise(T, pairs.match, limit)
         if here.inliers < least:
             reason = "too few pairs"
@@ -104,7 +111,7 @@ def align(
             reason, converged = "converged", True
             break
     here = problem.linearise(T, pairs.match, limit, spread=True)
-    return judge(T, converged, iterations, here, basis, length_m, RANK[error], reason)
+    return judge(T, converged, iterations, here, basis, length_m, RANK[error], reason, unobserved)
 
 
 def prior_term(information: Array, T_init: Array, source: Array) -> Term:

@@ -35,6 +35,8 @@ def write_recording(
     if built is not None:
         write_structure(built, folder / "structure.json", about=about)
     frames = pd.DataFrame({"stamp_s": estimate.prior.stamp_s, "matches": estimate.matches, "not_used": estimate.reason})
+    if len(estimate.unobserved):
+        frames["unobserved"] = estimate.unobserved
     frames["ms"] = 1e3 * estimate.update_s
     for name, path in (("prior", estimate.prior), ("corrected", estimate.corrected)):
         error_m = np.full(len(frames), np.nan)

@@ -16,7 +16,8 @@ TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_
 def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | None) -> dict[str, float]:
     """Scans used and not used by reason, milliseconds an update, and, at the poses of ``truth``, errors in metres.
 
-    ``on_time_share``: share of updates done before the next scan.
+    ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that were used, but say
+    nothing of one direction or more.
     """
     total, ms = len(estimate.reason), 1e3 * estimate.update_s
     unused = Counter(reason.partition(":")[0] for reason in estimate.reason if reason)
@@ -25,6 +26,7 @@ def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | No
         "frames": total,
         "used": total - unused.total(),
         **{f"not used: {reason}": count for reason, count in unused.most_common()},
+        "prior_followed": int((estimate.unobserved > 0).sum()),
         **{f"skipped: {reason}": count for reason, count in sorted(flight.skipped.items())},
         "duration_s": float(np.ptp(estimate.prior.stamp_s)),
         **dict(zip(TIMES, (p50, p95, p99, float(ms.max()), estimate.on_time_share), strict=True)),
@@ -46,12 +48,14 @@ def summary_lines(
     """The results of a run in lines of text; ``notes`` are told after what was read."""
     unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
     skipped = [f"{count} {reason}" for reason, count in sorted(flight.skipped.items())]
+    followed = counted(numbers["prior_followed"], "scan") if numbers["prior_followed"] else ""
     median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
     lines = [
         f"read      {flight.name}: {counted(numbers['frames'], 'scan')} with a pose over {numbers['duration_s']:.1f} s",
         *([f"skipped   {'; '.join(skipped)}"] if skipped else []),
         *(f"note      {note}" for note in notes),
         f"used      {counted(numbers['used'], 'scan')}" + (f"; not used: {', '.join(unused)}" if unused else ""),
+        *([f"weak      {followed} of a wall or of flat ground: along it the prior was followed"] if followed else []),
         f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
         f"{100 * on_time:.1f} % on time",
     ]

@@ -1,0 +1,82 @@
+"""Never worse than the drift: scans that say little of the pose, or of a part of it."""
+
+import numpy as np
+import pytest
+
+from steelnb.odometry import make_odometry, run
+from steelnb.settings import OdometrySettings, TofSettings
+from steelnb.types import Flight, Scan, Trajectory
+
+X_M, SCANS = 2.0, 60
+
+
+def before_a_wall(sensor, seed, corner=False, **changed):
+    """A flight to and fro before a wall at x = 2 m, or in a corner of it with the ground and a second wall, with the
+    random walk of twice the report's as its drift: flight, true positions."""
+    g = np.random.default_rng(seed)
+    half = {"columns": 90, "rows": 120} if sensor == "starling2" else {}
+    tof = TofSettings.preset(sensor).replace(**half | changed)
+    side, up = (
+        np.tan(fov / 2) * (1 - (2 * np.arange(count) + 1) / count)
+        for fov, count in ((tof.fov_horizontal_rad, tof.columns), (tof.fov_vertical_rad, tof.rows))
+    )
+    ray = np.stack([np.ones((tof.rows, tof.columns)), *np.meshgrid(side, up)], axis=-1)
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    stamp_s = 0.2 * np.arange(SCANS)
+    wide_m = 0.5 if corner else 1.5
+    true = np.column_stack(
+        [0.2 * np.sin(0.13 * stamp_s), wide_m * np.sin(0.2 * stamp_s), 1.5 + 0.3 * np.sin(0.1 * stamp_s)]
+    )
+    walls = [(0, X_M)] + ([(2, 0.6), (1, 1.1)] if corner else [])
+    scans = []
+    for place, at_s in zip(true, stamp_s, strict=True):
+        with np.errstate(divide="ignore"):
+            away = np.stack([(at - place[axis]) / ray[..., axis] for axis, at in walls])
+        away = np.where(away > 0, away, np.inf).min(axis=0)
+        away += g.normal(0, np.maximum(tof.sigma_floor_m, tof.sigma_relative * np.minimum(away, 9)))
+        scans.append(Scan(float(at_s), np.where(away < tof.range_max_m, away, np.nan)[..., None] * ray))
+    T = np.tile(np.eye(4), (SCANS, 1, 1))
+    T[:, :3, 3] = true + np.cumsum(g.normal(0, 0.02, (SCANS, 3)) * (stamp_s > 0)[:, None], axis=0)
+    return Flight(scans, Trajectory(stamp_s, T), np.eye(4)), true
+
+
+def ate_m(poses, true, axes=(0, 1, 2)):
+    return float(np.sqrt(((poses.position - true)[:, axes] ** 2).sum(axis=1).mean()))
+
+
+def fly(flight, method, sensor):
+    return run(flight, make_odometry(OdometrySettings.preset(method, sensor), np.eye(4)))
+
+
+@pytest.mark.parametrize(
+    ("method", "sensor"),
+    [("best", "starling2"), ("combined", "starling2"), ("faces", "starling2"), ("best", "report")],
+)
+def test_before_a_wall_the_distance_is_corrected_and_along_it_the_prior_is_followed(method, sensor):
+    flight, true = before_a_wall(sensor, seed=1)
+    estimate = fly(flight, method, sensor)
+    assert ate_m(estimate.corrected, true) <= 1.02 * ate_m(flight.prior, true)
+    assert ate_m(estimate.corrected, true, [0]) < 0.5 * ate_m(flight.prior, true, [0])
+    assert (estimate.unobserved[1:] == 2).mean() > 0.95
+
+
+def test_in_a_corner_every_direction_is_corrected():
+    flight, true = before_a_wall("starling2", seed=2, corner=True)
+    estimate = fly(flight, "best", "starling2")
+    assert ate_m(estimate.corrected, true) < 0.3 * ate_m(flight.prior, true)
+    assert (estimate.unobserved == 0).all()
+
+
+@pytest.mark.parametrize("method", ["best", "combined", "faces"])
+def test_eight_by_eight_pixels_follow_the_prior_and_say_so(method):
+    flight, _ = before_a_wall("starling2", seed=3, columns=8, rows=8)
+    estimate = fly(flight, method, "starling2")
+    np.testing.assert_allclose(estimate.corrected.T_world_drone, flight.prior.T_world_drone, atol=1e-9)
+    assert set(estimate.reason) == {"too few points"}
+
+
+def test_methods_without_a_stated_uncertainty_of_the_prior_use_every_scan_as_the_report_did():
+    flight, _ = before_a_wall("starling2", seed=1)
+    estimate = fly(flight, "gicp-4dof", "starling2")
+    assert not estimate.unobserved.any()
+    assert not any(estimate.reason[1:])
