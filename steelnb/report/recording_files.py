@@ -44,7 +44,8 @@ def write_recording(
     for name, path in (("prior", estimate.prior), ("corrected", estimate.corrected)):
         error_m = np.full(len(frames), np.nan)
         if truth is not None:
-            error_m[_index(flight, truth)] = position_error_m(path.at(truth.stamp_s), truth)
+            judged = np.searchsorted(flight.prior.stamp_s, truth.stamp_s - 1e-6)  # the scans that the truth covers
+            error_m[judged] = position_error_m(path.at(truth.stamp_s), truth)
         frames[f"{name}_error_m"] = error_m
     digits = {"stamp_s": 6, "ms": 2, "prior_error_m": 4, "corrected_error_m": 4}
     frames.round(digits).to_csv(folder / "frames.csv", index=False, lineterminator="\n", errors="backslashreplace")
@@ -72,11 +73,6 @@ def with_sigma(structure: Structure, estimate: Estimate) -> Structure:
     joint_sigma_m = np.full(len(joint), np.nan)
     joint_sigma_m[held] = np.sqrt(np.linalg.eigvalsh(joint[held])[:, -1])
     return replace(structure, sigma_m=sigma_m, joint_sigma_m=joint_sigma_m)
-
-
-def _index(flight: Flight, truth: Trajectory) -> list[int]:
-    """Numbers of the scans that ``truth`` has a pose for."""
-    return np.searchsorted(flight.prior.stamp_s, truth.stamp_s - 1e-6).tolist()
 
 
 def measure_recording(flight: Flight, estimate: Estimate, truth: Trajectory | None) -> dict[str, float]:
