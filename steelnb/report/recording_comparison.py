@@ -73,7 +73,7 @@ def compare_recording(
         for name, (each, structure) in settings.items():
             report = run_recording(
                 flight, folder / name, each, structure=structure,
-                on_stage=lambda stage, name=name: on_stage(f"{name}: {stage}"), **options,
+                on_stage=_named(name, on_stage), **options,
             )  # fmt: skip
             if report.truth is not None and not rows:
                 rows.append({"odometry": DRIFTING, **{column: report.numbers[f"prior_{column}"] for column in ERRORS}})
@@ -99,6 +99,10 @@ def compare_recording(
     )
     summary = (*notes, f"compared  {len(settings)} odometries; {meaning}", *_printed(table), written)
     return ComparisonReport(target, table, figure, summary)
+
+
+def _named(name: str, on_stage: Callable[[str], None]) -> Callable[[str], None]:
+    return lambda stage: on_stage(f"{name}: {stage}")
 
 
 def _row(report: RecordingReport) -> dict[str, float]:
