@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
 from steelnb.files import new_folder, replace_files
 from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
-from steelnb.io.bags import CLOUD, IMU, ODOMETRY
+from steelnb.io.bags import CLOUD, IMU, ODOMETRY, TRANSFORM
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 
@@ -144,28 +144,23 @@ class Messages:
     """The messages of ROS 1 or 2, which differ in their headers alone."""
 
     def __init__(self, ros: int) -> None:
-        self._ros, self._types = ros, typestore(ros).types
+        self._sequence, self._store = (0,) if ros == 1 else (), typestore(ros)
 
     def transform(self, stamp_ns: int, parent: str, child: str, place: Array, turn: Array) -> Any:
         """tf with one transform."""
-        transform = self.make("geometry_msgs/msg/Transform", self._vector(place), self._quaternion(turn))
-        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(stamp_ns, parent), child, transform)
-        return self.make(TRANSFORMS[0], [stamped])
+        pose = (tuple(place.tolist()), tuple(turn.tolist()))
+        return self.make(TRANSFORMS[0], [self.make(TRANSFORM, self.header(stamp_ns, parent), child, pose)])
 
     def odometry(self, stamp_ns: int, place: Array, turn: Array) -> Any:
         """Odometry without velocities."""
-        point = self.make("geometry_msgs/msg/Point", *map(float, place))
-        pose = self.make("geometry_msgs/msg/Pose", point, self._quaternion(turn))
-        twist = self.make("geometry_msgs/msg/Twist", self._vector(np.zeros(3)), self._vector(np.zeros(3)))
-        posed = self.make("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36))
-        moving = self.make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36))
-        return self.make(ODOMETRY, self.header(stamp_ns, WORLD), BODY, posed, moving)
+        pose, still, unknown = (tuple(place.tolist()), tuple(turn.tolist())), (0.0, 0.0, 0.0), np.zeros(36)
+        return self.make(ODOMETRY, self.header(stamp_ns, WORLD), BODY, (pose, unknown), ((still, still), unknown))
 
     def imu(self, stamp_ns: int, force: Array, rate: Array) -> Any:
         """Specific force and angular rate; no orientation, which −1 in its covariance says."""
-        unknown, none = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), np.zeros(9)
-        level, header = self._quaternion(np.array([0, 0, 0, 1.0])), self.header(stamp_ns, BODY)
-        return self.make(IMU, header, level, unknown, self._vector(rate), none, self._vector(force), none)
+        unknown, none, level = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), np.zeros(9), (0.0, 0.0, 0.0, 1.0)
+        turning, pushed = tuple(rate.tolist()), tuple(force.tolist())
+        return self.make(IMU, self.header(stamp_ns, BODY), level, unknown, turning, none, pushed, none)
 
     def cloud(self, stamp_ns: int, points: Array) -> Any:
         """PointCloud2 of float32 x, y, z without padding, organised where the points ``(H, W, 3)`` are."""
@@ -177,20 +172,15 @@ class Messages:
         header = self.header(stamp_ns, SENSOR)
         return self.make(CLOUD, header, rows, columns, fields, False, 12, 12 * columns, data, dense)
 
-    def header(self, stamp_ns: int, frame: str) -> Any:
-        """Header with a sequence number in ROS 1."""
-        stamp = self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
-        return self.make("std_msgs/msg/Header", *((0,) if self._ros == 1 else ()), stamp, frame)
+    def header(self, stamp_ns: int, frame: str) -> tuple:
+        """Values of a header, with a sequence number in ROS 1."""
+        return (*self._sequence, divmod(stamp_ns, 10**9), frame)
 
     def make(self, kind: str, *values: Any) -> Any:
-        """A message of a type from the values of its fields."""
-        return self._types[kind](*values)
-
-    def _vector(self, xyz: Array) -> Any:
-        return self.make("geometry_msgs/msg/Vector3", *map(float, xyz))
-
-    def _quaternion(self, xyzw: Array) -> Any:
-        return self.make("geometry_msgs/msg/Quaternion", *map(float, xyzw))
+        """A message of a type from the values of its fields; a tuple holds those of a message inside it."""
+        fields = self._store.fielddefs[kind][1]
+        pairs = zip(fields, values, strict=True)
+        return self._store.types[kind](*(self.make(of, *v) if isinstance(v, tuple) else v for (_, (_, of)), v in pairs))
 
 
 def _ns(stamp_s: float) -> int:

@@ -146,11 +146,11 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
     """One line for each bar, joint and tie, so that two files can be compared line by line."""
     s = structure.segments
     columns = {
-        "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _nullable(structure.width_m),
-        "sigma_m": _nullable(structure.sigma_m), "sightings": structure.sightings.tolist(),
-        "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": _opening(structure),
+        "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _nullable(structure.width_m, len(s)),
+        "sigma_m": _nullable(structure.sigma_m, len(s)), "sightings": structure.sightings.tolist(),
+        "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": _nullable(structure.opening, len(s)),
     }  # fmt: skip
-    joint = [None] * len(structure.joint) if structure.joint_sigma_m is None else _nullable(structure.joint_sigma_m)
+    joint = _nullable(structure.joint_sigma_m, len(structure.joint))
     for column, values in columns.items():
         if len(values) != len(s):
             raise StructureError(f"{name}: {column} has {len(values)} rows for {len(s)} bars; expected one each")
@@ -171,13 +171,9 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
-def _nullable(values: Array) -> list[float | None]:
-    return [None if np.isnan(value) else value for value in values.tolist()]
-
-
-def _opening(structure: Structure) -> list[list[float] | None]:
-    opening = np.full((len(structure), 3), np.nan) if structure.opening is None else structure.opening
-    return [None if np.isnan(row).all() else row.tolist() for row in opening]
+def _nullable(values: Array | None, count: int) -> list[Any]:
+    """``count`` numbers or rows of numbers, null where they are not known."""
+    return [None] * count if values is None else [None if np.isnan(row).all() else row for row in values.tolist()]
 
 
 def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileContentError) -> Structure:
@@ -215,17 +211,16 @@ def _structure(document: Document) -> Structure:
         joint=_points([joint.position_m for joint in document.joints]),
         tie=np.array([(tie.joint, tie.bar) for tie in document.ties], dtype=np.int64).reshape(-1, 2),
         reason=document.reason,
-        opening=_known([bar.opening for bar in bars]),
-        joint_sigma_m=_any([joint.sigma_m for joint in document.joints]),
+        opening=_known([bar.opening for bar in bars], (np.nan,) * 3),
+        joint_sigma_m=_known([joint.sigma_m for joint in document.joints], np.nan),
     )
 
 
-def _known(rows: Sequence[tuple[float, float, float] | None]) -> Array | None:
-    return _points([row or (np.nan,) * 3 for row in rows]) if any(rows) else None
-
-
-def _any(values: Sequence[float | None]) -> Array | None:
-    return np.array(values, dtype=float) if any(value is not None for value in values) else None
+def _known(values: Sequence[Any], unknown: Any) -> Array | None:
+    """Numbers or rows of numbers with ``unknown`` for those that are null; None where all are."""
+    if all(value is None for value in values):
+        return None
+    return np.array([unknown if value is None else value for value in values], dtype=float)
 
 
 def _points(rows: Sequence[tuple[float, float, float]]) -> Array:

@@ -3,6 +3,7 @@
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 
@@ -83,13 +84,7 @@ class Transforms:
     def fixed(self, target: str, source: str) -> Array | None:
         """``T_target_source (4, 4)`` by transforms that never moved; None where they do not join the two."""
         path = self._path(plain(target), plain(source), moving=False)
-        if path is None:
-            return None
-        T_target_source = np.eye(4)
-        for edge, forward in path:
-            T = self._fixed(edge)
-            T_target_source = T_target_source @ (T if forward else np.linalg.inv(T))
-        return T_target_source
+        return None if path is None else reduce(np.matmul, (self._fixed(*each) for each in path), np.eye(4))
 
     def trajectory(self, world: str, body: str) -> Trajectory | None:
         """Poses of a frame in another over time; None where nothing joins the two, or what does never moved.
@@ -108,9 +103,9 @@ class Transforms:
             if edge in self._moving:
                 T, known = interpolate(self._samples(edge), stamp_s, np.inf)
                 covered &= known
+                T_world_body = T_world_body @ (T if forward else np.linalg.inv(T))
             else:
-                T = self._fixed(edge)
-            T_world_body = T_world_body @ (T if forward else np.linalg.inv(T))
+                T_world_body = T_world_body @ self._fixed(edge, forward)
         return Trajectory(stamp_s[covered], T_world_body[covered])
 
     def _samples(self, edge: tuple[str, str]) -> Trajectory:
@@ -118,10 +113,11 @@ class Transforms:
         _, order = np.unique(rows[:, 0], return_index=True)
         return Trajectory(rows[order, 0], matrices(rows[order, 1:4], rows[order, 4:]))
 
-    def _fixed(self, edge: tuple[str, str]) -> Array:
-        """``T_parent_child (4, 4)`` as it was first."""
+    def _fixed(self, edge: tuple[str, str], forward: bool) -> Array:
+        """``T_parent_child (4, 4)`` as it was first, or its inverse."""
         first = self._first[edge][None]
-        return matrices(first[:, 1:4], first[:, 4:])[0]
+        T_parent_child = matrices(first[:, 1:4], first[:, 4:])[0]
+        return T_parent_child if forward else np.linalg.inv(T_parent_child)
 
     def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
         """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""

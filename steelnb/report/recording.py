@@ -25,8 +25,7 @@ from steelnb.metrics import position_error_m
 from steelnb.odometry import KnownStructureOdometry, Odometry
 from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
-from steelnb.report.recording_files import with_sigma, write_recording
-from steelnb.report.recording_numbers import TIMES, measure_recording, summary_lines
+from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments

@@ -13,7 +13,7 @@ from steelnb.files import new_folder, replace_files
 from steelnb.metrics import position_error_m
 from steelnb.report.recording import FILES, RecordingReport, check_folder, default_folder, run_recording
 from steelnb.report.recording_figures import figure_comparison
-from steelnb.report.recording_numbers import TIMES
+from steelnb.report.recording_files import TIMES
 from steelnb.report.style import Figure
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.types import Array, Flight

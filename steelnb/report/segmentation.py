@@ -179,15 +179,9 @@ def attempt_conditions(
     """The methods under other values of one of `USUAL` at a time, ``levels``, on as many views of each seed as
     ``usual`` has; before them those of the ``trials`` on ``usual`` itself. Slow methods see the first seed alone, under
     other conditions its first view."""
-    places = {id(scene): seed for seed, some in usual.items() for scene in some}
     seeds = list(usual)
-    found = [
-        trial
-        for trial in trials
-        if id(trial.scene) in places
-        and trial.method in methods
-        and (trial.method not in slow or places[id(trial.scene)] == seeds[0])
-    ]
+    every, first = ({scene for seed in some for scene in usual[seed]} for some in (seeds, seeds[:1]))
+    found = [t for t in trials if t.method in methods and t.scene in (first if t.method in slow else every)]
     others = [(name, value) for name, values in levels.items() for value in values if value != USUAL[name]]
     for k, (name, value) in enumerate(others):
         views = [scene for seed in seeds for scene in scenes.frames(seed, len(usual[seed]), **{name: value})]

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb.hough import suggest_dx
+from steelnb.report.batch import flat
 from steelnb.report.segmentation import MEASURES, Scene, attempt, over_cases, trial_table
 from steelnb.settings import SegmentationSettings
 from steelnb.types import Array
@@ -62,9 +63,6 @@ def cost_of_rules(tuning: pd.DataFrame) -> pd.DataFrame:
 
 def rule_metrics(cost: pd.DataFrame) -> dict[str, float]:
     """The numbers of `cost_of_rules` in one flat map, ``<rule>.<noise>_cm.<name>``."""
-    return {
-        f"{rule}.{100 * row['noise_m']:g}_cm.{name}": row[name]
-        for rule, label in (("dx_from_points", CHOSEN), ("dx_of_reference", REFERENCE))
-        for row in cost[cost["rule"] == label].to_dict("records")
-        for name in ("dx_m", "recall_lost", "precision_lost")
-    }
+    rules = cost["rule"].map({CHOSEN: "dx_from_points", REFERENCE: "dx_of_reference"})
+    named = cost.assign(rule=rules, noise=[f"{100 * noise_m:g}_cm" for noise_m in cost["noise_m"]])
+    return flat(named, ("rule", "noise"), ("dx_m", "recall_lost", "precision_lost"))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from steelnb.errors import MissingExtraError, SchedulerError, SettingsError
+from steelnb.errors import SchedulerError, SettingsError, needs
 from steelnb.settings import ExperimentSettings
 from steelnb.study.plan import Run, by_flight, software_digest
 from steelnb.study.row import FAILED, OK, Flown, fly, run_on
@@ -143,13 +143,11 @@ def connected(workers: int | None, scheduler: str | None, flights: int) -> "Iter
         raise SettingsError(f"workers = {workers}: expected at least 1")
     if workers is not None and scheduler is not None:
         raise SettingsError(f"workers = {workers}: a cluster has the workers that it has; leave out one of the two")
-    try:
+    with needs("study"):
         import cryptography as _  # noqa: F401 for the certificate
         import dask.system
         from distributed import Client, LocalCluster
         from distributed.security import Security
-    except ImportError as fault:
-        raise MissingExtraError(f"{fault.name}: not installed; expected it from pip install 'steelnb[study]'") from None
     # Faults are told here, in one line; Dask's own words would come from every process.
     for name in ("distributed", "distributed.client", "distributed.nanny", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
