@@ -9,8 +9,8 @@ from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import CastScans, Truth, build_tower, fly, fly_and_scan
-from steelnb.types import Estimate, Flight, Trajectory
+from steelnb.simulation import CastScans, Truth, build_tower, filtered_attitude, fly, fly_and_scan, measured_imu
+from steelnb.types import Array, Estimate, Flight, Imu, Trajectory
 
 Progress = Callable[[float], None]
 
@@ -33,8 +33,9 @@ def run(settings: ExperimentSettings, on_progress: Progress | None = None) -> Re
 def simulate(settings: ExperimentSettings) -> tuple[Flight, Truth]:
     """The flight as an estimator sees it, and the truth apart. Raises `CollisionError`."""
     tower = build_tower(settings.tower)
-    trajectory, imu, scans, visibility = fly_and_scan(tower, settings.flight, settings.tof, settings.seed)
-    prior = drifting(trajectory, settings.noise, settings.seed).at(scans.stamp_s)
+    trajectory, exact, scans, visibility = fly_and_scan(tower, settings.flight, settings.tof, settings.seed)
+    imu = read_imu(settings, exact)
+    prior = drift(settings, trajectory, imu, scans.stamp_s)
     return Flight(scans, prior, settings.tof.T_drone_sensor, imu), Truth(trajectory, tower, visibility)
 
 
@@ -42,16 +43,26 @@ def simulate_anew(settings: ExperimentSettings) -> tuple[Flight, Trajectory]:
     """The flight of `simulate`, whose scans are cast whenever they are iterated over, and the true trajectory: a flight
     of any length takes no more memory than its poses."""
     tower, mount = build_tower(settings.tower), settings.tof.T_drone_sensor
-    trajectory, imu = fly(tower, settings.flight, settings.seed)
-    scans = CastScans(tower, trajectory, mount, settings.tof, settings.seed)
-    prior = drifting(trajectory, settings.noise, settings.seed).at(scans.stamp_s)
-    return Flight(scans, prior, mount, imu), trajectory
+    trajectory, exact = fly(tower, settings.flight, settings.seed)
+    scans, imu = CastScans(tower, trajectory, mount, settings.tof, settings.seed), read_imu(settings, exact)
+    return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu), trajectory
+
+
+def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
+    """What the IMU reads: the exact values, or with the errors of the settings."""
+    return measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
+
+
+def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stamp_s: Array) -> Trajectory:
+    """The drifting poses at the scans; with an IMU in the settings, roll and pitch are those of a filter on it."""
+    if settings.imu and imu:
+        truth = filtered_attitude(truth, imu)
+    return drifting(truth, settings.noise, settings.seed).at(stamp_s)
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
     """The same flight and scans under the noise of other settings: what a comparison of noises needs."""
-    prior = drifting(truth.trajectory, settings.noise, settings.seed).at(flight.prior.stamp_s)
-    return replace(flight, prior=prior)
+    return replace(flight, prior=drift(settings, truth.trajectory, flight.imu, flight.prior.stamp_s))
 
 
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:

@@ -169,3 +169,15 @@ def registration_terms(error, source, C_source, target, normal, C_target, match,
             root = np.eye(3)
         terms.append((e, root, q))
     return terms
+
+
+def mixed(range_m, light, detour, detour_light, ambiguity_m=7.5):
+    """Range and equivalent range of a pixel of a phase-measuring camera: the sum of its complex returns."""
+    returns = [(r, a) for r, a in zip(range_m, light, strict=True) if a > 0]
+    if not returns:
+        return np.inf, np.inf
+    returns += [(r, a) for r, a in zip(detour, detour_light, strict=True) if a > 0]
+    total = sum(a * np.exp(2j * np.pi * r / ambiguity_m) for r, a in returns)
+    strongest = range_m[np.argmax(light)]
+    periods = round((strongest - np.angle(total) / (2 * np.pi) * ambiguity_m) / ambiguity_m)
+    return (np.angle(total) / (2 * np.pi) + periods) * ambiguity_m, 1 / np.sqrt(abs(total) / len(range_m))

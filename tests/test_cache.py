@@ -49,7 +49,10 @@ def test_a_kept_flight_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.
         ({"noise.random_walk_m": 0.5}, 1),
         ({"tof.sigma_floor_m": 0.5}, 2),
         ({"tof.blind_s": [[1.0, 2.0]]}, 2),
+        ({"tof.faults": {"footprint_px": 1.0}}, 2),
+        ({"imu": {"gyro_noise": 1e-3}}, 1),
         ({"flight.gust_sigma_m_s": 0.01}, 2),
+        ({"flight.gust_spectrum": "dryden"}, 2),
         ({"tower.base_width_m": 4.1}, 2),
     ],
 )

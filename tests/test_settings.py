@@ -40,6 +40,15 @@ from steelnb.settings.presets import PRESETS
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
         ({"overrides": {"tower.arm_reach_m": [3.0]}}, "same length"),
+        ({"overrides": {"flight.gust_spectrum": "white"}}, "gust_spectrum = 'white'"),
+        ({"overrides": {"tof.faults": {"blur_px": 1.0}}}, "blur_px = 1.0"),
+        ({"overrides": {"tof.faults.exposure_s": 0.01}}, "unknown setting 'tof.faults.exposure_s'"),
+        ({"overrides": {"imu": 3}}, "imu = 3"),
+        ({"sensor": "starling2-honest", "overrides": {"tof.faults.exposure_s": -0.01}}, "exposure_s = -0.01"),
+        ({"sensor": "starling2-honest", "overrides": {"tof.faults.sigma_max_m": 0.0}}, "sigma_max_m = 0.0"),
+        ({"sensor": "starling2-honest", "overrides": {"tof.faults.exposure": 0}}, "mean 'tof.faults.exposure_s'"),
+        ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
+        ({"sensor": "starling2-honest", "overrides": {"tof.flying_pixel_probability": 0.1}}, "expected 0 with faults"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(arguments, says):
@@ -106,6 +115,12 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     settings = ExperimentSettings.preset(sensor=str(own), method="combined")
     assert (settings.tof.range_max_m, settings.odometry.preprocess.crop_m) == (5.0, 5.0)
     assert settings.odometry.segments == ExperimentSettings.preset(method="combined").odometry.segments
+    own.write_text('based_on = "starling2-honest"\n[tof.faults]\nexposure_s = 0.01\n')
+    honest = ExperimentSettings.preset(sensor="starling2-honest", overrides={"tof.faults.exposure_s": 0.01})
+    assert ExperimentSettings.preset(sensor=str(own)).replace(sensor=honest.sensor) == honest
+    own.write_text('based_on = "lidar"\n')
+    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report', 'starling2'"):
+        ExperimentSettings.preset(sensor=str(own))
     own.write_text("[hough]\ndxm = 1.0\n")
     with pytest.raises(SettingsError, match="dxm"):
         ExperimentSettings.preset(sensor=str(own), method="combined")
@@ -126,7 +141,17 @@ def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
         settings.override({missing: 1})
 
 
-def test_there_are_at_most_ninety_settings():
+def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
+    ideal, honest = (ExperimentSettings.preset(sensor=name) for name in ("starling2", "starling2-honest"))
+    assert ideal.tof.faults is None
+    assert ideal.imu is None
+    assert honest.odometry == ideal.odometry  # the estimator knows of no fault
+    assert honest.override({"tof.faults": None, "imu": None}).replace(sensor="starling2") == ideal
+    assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
+
+
+def test_there_are_at_most_106_settings():
+    """90, nine faults of a Time-of-Flight camera, six of an IMU, and the spectrum of the gusts."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -134,7 +159,7 @@ def test_there_are_at_most_ninety_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 90
+    assert len(leaves) <= 106
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:

@@ -25,7 +25,8 @@ from steelnb.errors import SettingsError
 from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.libraries import import_open3d
 from steelnb.settings import TofSettings
-from steelnb.simulation.tof import RANGE_MIN_M, make_scene, rays
+from steelnb.simulation.scene import make_scene, rays
+from steelnb.simulation.tof import RANGE_MIN_M
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 

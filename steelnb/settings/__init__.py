@@ -18,6 +18,7 @@ from steelnb.settings.odometry import (
     SegmentSettings,
 )
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
+from steelnb.settings.sensors import ImuSettings, TofFaultSettings
 from steelnb.settings.structure import SegmentationSettings, StructureSettings, Tolerance
 from steelnb.settings.world import (
     REPORT_NOISE,
@@ -34,8 +35,8 @@ METHODS = method_names()
 
 __all__ = [
     "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CloudSettings", "ExperimentSettings",
-    "FlightSettings", "FusionSettings", "HoughSettings", "NoiseSettings", "OdometrySettings", "Positive",
-    "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings", "StructureSettings", "TofSettings",
-    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_tables", "read_toml",
-    "sensor_names",
+    "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings", "NoiseSettings", "OdometrySettings", "Positive",
+    "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings", "StructureSettings",
+    "TofFaultSettings", "TofSettings", "Tolerance", "TowerSettings", "TrajectoryName", "method_names",
+    "parse_parameter", "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ import json
 import tomllib
 from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.errors import SettingsError
 
@@ -42,6 +42,13 @@ class Settings(BaseModel):
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
 
+def table(kind: type[Settings]) -> BeforeValidator:
+    """Lets a field that holds settings of a ``kind`` be given as a dict, as files and overrides have them."""
+    return BeforeValidator(
+        lambda given: kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
+    )
+
+
 def describe_fault(where: str, fault: ValidationError) -> str:
     """The first fault of a pydantic error as one line: where, the value given, and the value expected."""
     first = fault.errors()[0]
@@ -63,16 +70,21 @@ def as_tuples(value: Any) -> Any:
 
 
 def overridden(settings: S, overrides: dict[str, Any]) -> S:
-    """A copy with single settings changed, each named ``table.setting`` or ``setting``. Raises `SettingsError`."""
+    """A copy with single settings changed, each named ``table.setting`` or ``setting``; a whole table, such as
+    ``tof.faults``, may be given as a dict, or as None where there may be none. Raises `SettingsError`."""
     for path, value in overrides.items():
-        table, _, name = path.rpartition(".")
-        place = getattr(settings, table, None) if table else settings
-        if not isinstance(place, Settings) or name not in setting_names(place):
+        *tables, name = path.split(".")
+        places: list[Any] = [settings]
+        for table in tables:
+            places.append(getattr(places[-1], table, None))
+        if not isinstance(places[-1], Settings) or name not in type(places[-1]).model_fields:
             near = difflib.get_close_matches(path, setting_names(settings), n=1)
             guess = f", did you mean {near[0]!r}?" if near else ""
             raise SettingsError(f"overrides: unknown setting {path!r}{guess}; expected table.setting")
-        changed = place.replace(**{name: as_tuples(value)})
-        settings = settings.replace(**{table: changed}) if table else changed  # type: ignore[assignment]
+        changed = as_tuples(value)
+        for place, field in zip(reversed(places), [name, *reversed(tables)], strict=True):
+            changed = place.replace(**{field: changed})
+        settings = changed
     return settings
 
 

@@ -1,14 +1,18 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from steelnb.settings.base import Seed, Settings, overridden
+from steelnb.settings.base import Seed, Settings, overridden, table
 from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
 
 
 class ExperimentSettings(Settings):
-    """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower."""
+    """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower.
+
+    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them.
+    """
 
     sensor: str
     noise_name: str
@@ -16,6 +20,7 @@ class ExperimentSettings(Settings):
     tower: TowerSettings = TowerSettings()
     flight: FlightSettings
     tof: TofSettings
+    imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
     noise: NoiseSettings
     odometry: OdometrySettings
 
@@ -45,6 +50,7 @@ class ExperimentSettings(Settings):
             seed=seed,
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
+            imu=ImuSettings.preset(sensor),
             noise=NoiseSettings.parse(noise),
             odometry=OdometrySettings.preset(method, sensor),
         )
@@ -53,13 +59,13 @@ class ExperimentSettings(Settings):
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
         """A copy with single settings changed, each named ``table.setting``. Raises `SettingsError`.
 
-        The tables are those of the world (``tower``, ``flight``, ``tof``, ``noise``) and of the odometry
+        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``, ``noise``) and of the odometry
         (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, and ``odometry`` for its own).
         """
         settings = self
         for path, value in overrides.items():
-            table = path.partition(".")[0]
-            if table != "odometry" and table in type(self).model_fields:
+            first = path.partition(".")[0]
+            if first != "odometry" and first in type(self).model_fields:
                 settings = overridden(settings, {path: value})
             else:
                 odometry = settings.odometry.override({path.removeprefix("odometry."): value})

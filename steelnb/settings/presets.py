@@ -49,12 +49,20 @@ def sensor_names() -> tuple[str, ...]:
 
 
 def sensor_preset(sensor: str) -> dict[str, Any]:
-    """The tables of a sensor's preset, or of a file whose name ends in ``.toml``. Raises `SettingsError`."""
+    """The tables of a sensor's preset, or of a file whose name ends in ``.toml``; what it does not say is said by the
+    preset that it is ``based_on``. Raises `SettingsError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
-        return _values(read_toml(Path(sensor), "a sensor's preset"))
-    if sensor not in sensor_names():
+        own = _values(read_toml(Path(sensor), "a sensor's preset"))
+    elif sensor in sensor_names():
+        own = dict(_preset(f"sensors/{sensor}"))
+    else:
         raise SettingsError(f"sensor = {sensor!r}: expected one of {quoted(sensor_names())}, or a file FILE.toml")
-    return _preset(f"sensors/{sensor}")
+    base = own.pop("based_on", None)
+    if base is None:
+        return own
+    if base not in sensor_names():
+        raise SettingsError(f"{sensor}: based_on = {base!r}: expected one of {quoted(sensor_names())}")
+    return merged(sensor_preset(base), own)
 
 
 def flight_preset(trajectory: str) -> dict[str, Any]:

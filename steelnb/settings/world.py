@@ -12,8 +12,9 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
-from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, quoted
+from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, quoted, table
 from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
+from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
 TrajectoryName = Literal["vertical", "orbit"]
@@ -62,7 +63,12 @@ class TowerSettings(Settings):
 
 
 class FlightSettings(Settings):
-    """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height."""
+    """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height.
+
+    ``gust_sigma_m_s`` is the standard deviation of the gusts along the vertical; ``gust_spectrum`` says whether they
+    are alike along all axes, with a correlation time of 2 s, or have the Dryden spectra near the ground
+    (`steelnb.simulation.gusts`).
+    """
 
     trajectory: TrajectoryName = "vertical"
     duration_s: Duration = 200.0
@@ -72,6 +78,7 @@ class FlightSettings(Settings):
     levels: Annotated[int, Field(ge=2, le=100)] = 12
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
+    gust_spectrum: Literal["first-order", "dryden"] = "first-order"
 
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
@@ -85,7 +92,9 @@ class TofSettings(Settings):
     The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. A pixel beside a depth edge
     turns into a flying pixel, somewhere between the two depths, with ``flying_pixel_probability``; any pixel is lost
     with ``dropout_probability``; in the intervals ``blind_s`` (from, to) nothing returns at all. ``mount_m`` and
-    ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor on the drone.
+    ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor on the drone. With ``faults`` the
+    sensor errs as a real one: the standard deviation of a range is then that of the range at which the data sheet's
+    target, seen squarely, returns as much light as the pixel got.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -101,6 +110,16 @@ class TofSettings(Settings):
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    faults: Annotated[TofFaultSettings | None, table(TofFaultSettings)] = None
+
+    @model_validator(mode="after")
+    def _mixed_once(self) -> Self:
+        if self.faults is not None and self.flying_pixel_probability > 0:
+            raise ValueError(
+                f"flying_pixel_probability = {self.flying_pixel_probability}: expected 0 with faults, whose footprint"
+                " mixes the pixels at edges"
+            )
+        return self
 
     @property
     def T_drone_sensor(self) -> Array:

@@ -2,11 +2,12 @@
 
 from steelnb.simulation.cache import fly_and_scan
 from steelnb.simulation.flight import fly
+from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.tof import CastScans, scan_flight
 from steelnb.simulation.tower import Member, Tower, build_tower, changed_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "CastScans", "Member", "Tower", "Truth", "Visibility", "build_tower", "changed_tower", "fly", "fly_and_scan",
-    "scan_flight",
+    "CastScans", "Member", "Tower", "Truth", "Visibility", "build_tower", "changed_tower", "filtered_attitude", "fly",
+    "fly_and_scan", "measured_imu", "scan_flight",
 ]  # fmt: skip

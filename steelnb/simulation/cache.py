@@ -5,7 +5,8 @@ import numpy as np
 from steelnb.cache import Arrays, kept
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation.flight import fly
-from steelnb.simulation.tof import rays, scan_flight
+from steelnb.simulation.scene import rays
+from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import Visibility
 from steelnb.types import Array, Imu, RangeScans, Trajectory

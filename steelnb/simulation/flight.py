@@ -1,6 +1,5 @@
 """A quadrotor-sized rigid body flown along a path in PyBullet, with true poses and IMU readings at every step."""
 
-import itertools
 import math
 import os
 import sys
@@ -11,15 +10,13 @@ from typing import cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
 from steelnb.errors import CollisionError, needs
 from steelnb.settings import FlightSettings
+from steelnb.simulation.gusts import gusts
 from steelnb.simulation.paths import heading, setpoints
 from steelnb.simulation.tower import Tower
 from steelnb.types import Imu, Trajectory
 
-GUST_TIME_S = 2.0
-"""Correlation time of the gusts."""
 STEP_S = 0.008
 GRAVITY = 9.81
 MASS_KG = 0.275
@@ -34,15 +31,15 @@ TILT_ACCELERATION_MAX = 5.0
 def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`. Gusts, an
-    Ornstein-Uhlenbeck process from the stream ``gust`` of the seed, act through the drag. World frame and REP 103 drone
-    frame; specific force (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises
-    `CollisionError` with time and place when the body touches the structure or the ground.
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`. `gusts` act
+    through the drag. World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over
+    the step that ends at their stamp. Raises `CollisionError` with time and place when the body touches the structure
+    or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
     target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
-    wind = _gusts(settings, seed, steps)
+    wind = gusts(settings, seed, steps, STEP_S).tolist()
     state = np.empty((steps + 1, 7))
     imu = np.empty((steps + 1, 6))
     client = pybullet.connect(pybullet.DIRECT)
@@ -71,14 +68,6 @@ def _import_pybullet() -> ModuleType:
         os.close(kept)
         os.close(null)
     return cast(ModuleType, pybullet)
-
-
-def _gusts(settings: FlightSettings, seed: int, steps: int) -> list[list[float]]:
-    """Wind velocity at each step, m/s: standard deviation ``gust_sigma_m_s``, correlation time `GUST_TIME_S`."""
-    keep = math.exp(-STEP_S / GUST_TIME_S)
-    shocks = rng.stream(seed, "gust").standard_normal((steps, 3)) * settings.gust_sigma_m_s * math.sqrt(1 - keep**2)
-    # Not scipy.signal.lfilter, which gives the same bits: to import it takes longer than a short flight.
-    return np.array(list(itertools.accumulate(shocks, lambda wind, shock: keep * wind + shock))).tolist()
 
 
 def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: float) -> int:  # type: ignore[no-untyped-def]

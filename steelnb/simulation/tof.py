@@ -1,14 +1,15 @@
-"""A Time-of-Flight camera on a flight, by ray casting against the tower's mesh (Open3D, Embree) on one thread."""
+"""A Time-of-Flight camera on a flight: ideal, or with the faults of a real one."""
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb import rng
-from steelnb.libraries import import_open3d
 from steelnb.settings import TofSettings
+from steelnb.simulation.exposure import MOMENTS, Exposure, draw_camera, expose
+from steelnb.simulation.scene import Scene, cast_rays, make_scene, rays
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
 from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
@@ -18,17 +19,8 @@ EDGE_M = 0.1
 """Neighbouring ranges further apart than this make a depth edge, where flying pixels live."""
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""
-GROUND_M = 60.0
-
-
-def rays(settings: TofSettings) -> Array:
-    """Unit viewing rays ``(rows, columns, 3)`` in the sensor frame: x along the optical axis, y left, z up."""
-    u = (np.arange(settings.columns) + 0.5) / settings.columns * 2 - 1
-    v = (np.arange(settings.rows) + 0.5) / settings.rows * 2 - 1
-    ray = np.ones((settings.rows, settings.columns, 3))
-    ray[..., 1] = -np.tan(settings.fov_horizontal_rad / 2) * u
-    ray[..., 2] = -np.tan(settings.fov_vertical_rad / 2) * v[:, None]
-    return np.asarray(ray / np.linalg.norm(ray, axis=2, keepdims=True))
+AMPLITUDE_SCATTER = 0.1
+"""Relative standard deviation of the noise that a driver reckons with from a pixel's amplitude, itself measured."""
 
 
 def scan_flight(
@@ -41,9 +33,9 @@ def scan_flight(
     tower: world frame.
     trajectory: true poses of the drone at even steps of time, the first at t = 0.
     T_drone_sensor: ``(4, 4)``, the mount; the optical axis is the sensor's x axis.
-    settings: pinhole, rate, noise and limits of the sensor.
+    settings: pinhole, rate, noise, limits and faults of the sensor.
     seed: noise comes from the stream ``("tof", k)`` for scan k, so that a longer flight begins with the scans of a
-        shorter one.
+        shorter one; with faults, the camera from ``("tof-camera",)`` and its rays from ``("tof-rays", k)``.
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
@@ -72,6 +64,10 @@ class CastScans(Sequence[Scan]):
         self.stamp_s, self.ray = trajectory.stamp_s[index], rays(settings)
         self._tower, self._settings, self._seed = tower, settings, seed
         self._T_world_sensor = trajectory.T_world_drone[index] @ T_drone_sensor
+        self._T_exposed = np.broadcast_to(self._T_world_sensor[:, None], (len(index), len(MOMENTS), 4, 4))
+        if settings.faults and settings.faults.exposure_s > 0:
+            stamp_s = self.stamp_s[:, None] + settings.faults.exposure_s * MOMENTS
+            self._T_exposed = poses_between(trajectory, stamp_s) @ T_drone_sensor
 
     def __len__(self) -> int:
         return len(self.stamp_s)
@@ -86,30 +82,60 @@ class CastScans(Sequence[Scan]):
 
     def cast(self) -> Iterator[tuple[np.ndarray, np.ndarray, IntArray, Array]]:
         """Of each scan measured and exact ranges ``(H, W)`` float32, the members hit, and ``T_world_sensor``."""
-        scene = make_scene(self._tower)
+        exposures = self._exposures(make_scene(self._tower))
+        for k, (seen, T) in enumerate(zip(exposures, self._T_world_sensor, strict=True)):
+            image = measured_ranges(
+                seen.range_m, self._settings, rng.stream(self._seed, "tof", k), as_far_as_m=seen.as_far_as_m
+            )
+            if any(first <= self.stamp_s[k] < last for first, last in self._settings.blind_s):
+                image[:] = np.nan
+            yield image, seen.exact_m, seen.member, T
+
+    def _exposures(self, scene: Scene) -> Iterator[Exposure]:
+        """Each scan without noise."""
+        if self._settings.faults:
+            camera = draw_camera(self._settings.faults, rng.stream(self._seed, "tof-camera"))
+            for k, T_exposed in enumerate(self._T_exposed):
+                yield expose(scene, self._settings, camera, T_exposed, rng.stream(self._seed, "tof-rays", k))
+            return
         for begin in range(0, len(self), SCANS_AT_ONCE):
-            T_world_sensor = self._T_world_sensor[begin : begin + SCANS_AT_ONCE]
-            exact, member = cast_rays(scene, T_world_sensor, self.ray)
-            for k, T in enumerate(T_world_sensor):
-                image = measured_ranges(exact[k], self._settings, rng.stream(self._seed, "tof", begin + k))
-                if any(first <= self.stamp_s[begin + k] < last for first, last in self._settings.blind_s):
-                    image[:] = np.nan
-                yield image, exact[k], member[k], T
+            exact, member = cast_rays(scene, self._T_world_sensor[begin : begin + SCANS_AT_ONCE], self.ray)
+            for image, hit in zip(exact, member, strict=True):
+                yield Exposure(image, None, image, hit)
 
 
-def measured_ranges(exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator) -> np.ndarray:
+def poses_between(trajectory: Trajectory, stamp_s: Array) -> Array:
+    """``T_world_drone (..., 4, 4)`` at any stamps ``(...)``: linear between those of the trajectory, along the shortest
+    turn, and its first and last pose before and after it."""
+    flat = np.clip(stamp_s, trajectory.stamp_s[0], trajectory.stamp_s[-1]).ravel()
+    T = np.tile(np.eye(4), (len(flat), 1, 1))
+    T[:, :3, :3] = Slerp(trajectory.stamp_s, Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]))(
+        flat
+    ).as_matrix()
+    T[:, :3, 3] = np.column_stack([np.interp(flat, trajectory.stamp_s, axis) for axis in trajectory.position.T])
+    return T.reshape(*stamp_s.shape, 4, 4)
+
+
+def measured_ranges(
+    exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, as_far_as_m: np.ndarray | None = None
+) -> np.ndarray:
     """Measured range image ``(H, W)`` float32 from the exact one, metres, infinite where nothing is hit.
 
     Flying pixels first (between two surfaces there is one wrong range, not two noisy ones), then Gaussian noise,
-    dropouts, and the sensor's limits; NaN for no return.
+    dropouts, and the sensor's limits; NaN for no return. The noise is that of the ranges ``as_far_as_m`` (default: the
+    exact ones).
     """
     result = exact_m.astype(np.float32)
     if settings.flying_pixel_probability > 0:
         result = _flying_pixels(result, settings.flying_pixel_probability, noise)
     seen = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
     value = result.ravel()[seen]
-    sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * value)
+    far = value if as_far_as_m is None else as_far_as_m.ravel()[seen]
+    sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * far)
     value = value + sigma * noise.standard_normal(len(value), dtype=np.float32)
+    if settings.faults:
+        reckoned = sigma * (1 + AMPLITUDE_SCATTER * noise.standard_normal(len(value), dtype=np.float32))
+        value[reckoned > settings.faults.sigma_max_m] = np.nan
     if settings.dropout_probability > 0:
         value[noise.random(len(value)) < settings.dropout_probability] = np.nan
     result.fill(np.nan)
@@ -133,39 +159,3 @@ def _flying_pixels(exact: np.ndarray, probability: float, noise: np.random.Gener
     share = noise.random(exact.shape, dtype=np.float32)
     other[flying] = exact[flying] + share[flying] * (other[flying] - exact[flying])
     return np.where(flying, other, exact)
-
-
-class Scene(NamedTuple):
-    """The mesh of a tower on the ground plane as Open3D casts rays on it, and the member of each triangle, −1 for the
-    ground and, as the last entry, for no hit."""
-
-    mesh: Any
-    member: IntArray
-
-
-def make_scene(tower: Tower) -> Scene:
-    """The scene of a tower that stands on z = 0."""
-    open3d = import_open3d()
-    corners = GROUND_M * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
-    vertices = np.concatenate([tower.vertices, corners]).astype(np.float32)
-    n = len(tower.vertices)
-    triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]]).astype(np.uint32)
-    mesh = open3d.t.geometry.RaycastingScene(nthreads=1)
-    mesh.add_triangles(open3d.core.Tensor.from_numpy(vertices), open3d.core.Tensor.from_numpy(triangles))
-    return Scene(mesh, np.append(tower.triangle_member, [-1, -1, -1]))
-
-
-def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
-    """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
-    −1 for the ground and for none. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
-    open3d = import_open3d()
-    flat = ray.reshape(-1, 3).astype(np.float32)
-    bundle = np.empty((len(T_world_sensor), len(flat), 6), dtype=np.float32)
-    bundle[:, :, :3] = T_world_sensor[:, None, :3, 3]
-    for k, T in enumerate(T_world_sensor):
-        np.matmul(flat, T[:3, :3].T.astype(np.float32), out=bundle[k, :, 3:])
-    hit = scene.mesh.cast_rays(open3d.core.Tensor.from_numpy(bundle), nthreads=1)
-    shape = (len(T_world_sensor), *ray.shape[:2])
-    # Open3D's number for no hit is the largest of its type: the last entry.
-    triangle = np.minimum(hit["primitive_ids"].numpy(), len(scene.member) - 1).astype(np.int64)
-    return hit["t_hit"].numpy().reshape(shape), scene.member[triangle].reshape(shape)

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from steelnb import rng
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.tof import GROUND_M, RANGE_MIN_M, cast_rays, make_scene, measured_ranges, rays
+from steelnb.simulation.scene import GROUND_M, cast_rays, make_scene, rays
+from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.types import Trajectory
 
 TOWER = build_tower()

@@ -1,0 +1,309 @@
+"""Faults of a real Time-of-Flight camera, on walls about a sensor at (0, 0, 5) that looks along x."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from steelnb import rng
+from steelnb.settings import FlightSettings, TofFaultSettings, TofSettings
+from steelnb.simulation import build_tower, scan_flight
+from steelnb.simulation.exposure import (
+    MIDDLE,
+    MOMENTS,
+    WIGGLE_PERIOD_M,
+    Camera,
+    _mix,
+    draw_camera,
+    expose,
+)
+from steelnb.simulation.scene import cast_rays, make_scene, rays
+from steelnb.simulation.tof import measured_ranges, poses_between
+from steelnb.simulation.views import Viewer, pose_on_path
+from steelnb.types import Trajectory
+from tests import naive
+
+SMALL = TofSettings(
+    columns=24, rows=20, fov_horizontal_rad=0.4, fov_vertical_rad=0.3, range_max_m=8.0, sigma_floor_m=0.0
+)
+PERFECT = Camera(0.0, 1.0, 0.0)
+HERE = np.eye(4)
+HERE[2, 3] = 5.0
+TOWER = build_tower()
+
+
+def walls(*corners):
+    """A scene of rectangles, each given by a corner and the two beside it."""
+    vertices, triangles = [], []
+    for a, b, c in np.array(corners, dtype=float):
+        n = len(vertices)
+        vertices += [a, b, b + c - a, c]
+        triangles += [(n, n + 1, n + 2), (n, n + 2, n + 3)]
+    member = np.repeat(np.arange(len(corners)), 2)
+    return make_scene(
+        SimpleNamespace(vertices=np.array(vertices), triangles=np.array(triangles), triangle_member=member)
+    )
+
+
+def wall(x, y_from=-6.0, y_to=6.0, lean=0.0):
+    """A wall across the view; ``lean`` is the slope of its x over y."""
+    return ((x + lean * y_from, y_from, 0), (x + lean * y_to, y_to, 0), (x + lean * y_from, y_from, 10))
+
+
+def seen(scene, faults, tof=SMALL, T=HERE, seed=1, camera=PERFECT):
+    poses = np.tile(T, (9, 1, 1)) if T.ndim == 2 else T
+    return expose(scene, tof.replace(faults=faults), camera, poses, rng.stream(seed, "test"))
+
+
+def moving(velocity, seconds=1.0, step_s=0.008):
+    stamp = np.arange(round(seconds / step_s) + 1) * step_s
+    T = np.tile(HERE, (len(stamp), 1, 1))
+    T[:, :3, 3] += (stamp[:, None] - 0.5 * seconds) * velocity
+    return Trajectory(stamp, T)
+
+
+def test_neither_columns_nor_rows_of_a_pixel_s_rays_go_with_time():
+    grid = MOMENTS.reshape(3, 3)
+    np.testing.assert_allclose([grid.sum(axis=0), grid.sum(axis=1)], 0, atol=1e-12)
+    assert MOMENTS[MIDDLE] == 0
+    np.testing.assert_allclose(np.diff(np.sort(MOMENTS)), 1 / 9)
+
+
+def test_without_faults_an_exposure_sees_what_the_ideal_camera_sees():
+    scene, T = make_scene(TOWER), pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.3)
+    tof = TofSettings.preset("report")
+    exact, member = cast_rays(scene, T[None], rays(tof))
+    found = seen(scene, TofFaultSettings(), tof, T)
+    same = found.member == member[0]
+    assert same.mean() > 0.999  # rays that graze an edge may fall to either side
+    np.testing.assert_allclose(found.range_m[same], exact[0][same], rtol=1e-5)
+    np.testing.assert_array_equal(found.exact_m, found.range_m)
+
+
+def test_a_flight_without_faults_is_measured_as_ever():
+    """Range images are, to the bit, exact ranges with the noise of the stream ("tof", k)."""
+    trajectory = Trajectory(*(each[:251] for each in (np.arange(300) * 0.008, np.tile(HERE, (300, 1, 1)))))
+    trajectory.T_world_drone[:, 0, 3] -= 3.5
+    tof = TofSettings.preset("starling2").replace(columns=45, rows=60, dropout_probability=0.1)
+    scans, _ = scan_flight(TOWER, trajectory, np.eye(4), tof, 6)
+    exact, _ = cast_rays(make_scene(TOWER), trajectory.at(scans.stamp_s).T_world_drone, rays(tof))
+    for k in range(len(scans)):
+        np.testing.assert_array_equal(scans.range_m[k], measured_ranges(exact[k], tof, rng.stream(6, "tof", k)))
+
+
+@pytest.mark.kernels
+def test_the_kernel_that_mixes_phasors_does_as_its_slow_twin():
+    random = np.random.default_rng(2)
+    range_m = random.uniform(1, 4, (9, 40)).astype(np.float32)
+    range_m[random.random((9, 40)) < 0.3] = np.inf
+    range_m[:, 3] = np.inf
+    light = (random.uniform(0, 1, range_m.shape) / range_m**2).astype(np.float32)
+    detour = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
+    detour_light = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
+    mixed, as_far_as = np.empty(40), np.empty(40)
+    _mix(range_m, light, detour, detour_light, mixed, as_far_as)
+    expected = np.array(
+        [naive.mixed(*column) for column in zip(range_m.T, light.T, detour.T, detour_light.T, strict=True)]
+    )
+    np.testing.assert_allclose(mixed, expected[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(as_far_as, expected[:, 1], rtol=1e-5)
+    assert np.isinf(mixed[3])
+
+
+def test_mixed_pixels_lie_between_two_depths_and_only_at_their_edge():
+    # The near wall covers the right half and a quarter of the column beside it: three of the nine rays of its pixels.
+    pitch = 2 * np.tan(0.2) / 24
+    scene = walls(wall(2.0, -6.0, 2.0 * 0.2501 * pitch), wall(3.5))
+    sharp, mixed = (seen(scene, TofFaultSettings(footprint_px=width)) for width in (0.0, 1.0))
+    near, far = (seen(walls(wall(x)), TofFaultSettings()).range_m for x in (2.0, 3.5))
+    between = (mixed.range_m > 1.001 * near) & (mixed.range_m < 0.999 * far)
+    edge = np.zeros(between.shape, dtype=bool)
+    edge[:, 11] = True
+    np.testing.assert_array_equal(between, edge)
+    np.testing.assert_allclose(mixed.range_m[~edge], sharp.range_m[~edge], rtol=1e-3)
+    assert not ((sharp.range_m > 1.001 * near) & (sharp.range_m < 0.999 * far)).any()
+    # Light 3 / 2² from near and 6 / 3.5² from far, 1.5 m apart of the 7.5 m of a period.
+    apart = 2 * np.pi * 1.5 / 7.5
+    share = np.angle(3 / 2**2 + 6 / 3.5**2 * np.exp(1j * apart)) / apart
+    np.testing.assert_allclose(((mixed.range_m - near) / (far - near))[edge], share, atol=0.01)
+    assert (mixed.as_far_as_m[edge] > near[edge]).all()
+
+
+def test_a_wider_footprint_mixes_more_pixels():
+    scene = walls(wall(2.0, -6.0, 0.0085), wall(3.5))  # a quarter of a pixel into a column
+    counts = []
+    for width in (0.0, 1.0, 3.0):
+        found = seen(scene, TofFaultSettings(footprint_px=width)).range_m
+        counts.append(((found > 2.15) & (found < 3.4)).sum())
+    assert counts[0] == 0
+    assert 0 < counts[1] < counts[2]
+
+
+def test_light_of_two_ways_makes_corners_too_deep_and_leaves_a_plane_alone():
+    plane, corner = (
+        walls(wall(3.0)),
+        walls(((3, -6, 0), (3, 0.3, 0), (3, -6, 10)), ((3, 0.3, 0), (0.5, 0.3, 0), (3, 0.3, 10))),
+    )
+    once, twice = TofFaultSettings(), TofFaultSettings(multipath=1.0)
+    np.testing.assert_array_equal(seen(plane, once).range_m, seen(plane, twice).range_m)
+    deeper = seen(corner, twice).range_m - seen(corner, once).range_m
+    assert deeper.min() > -1e-3  # rays go on from 1 mm above the surface
+    inside, away = deeper[:, 5:10].mean(), deeper[:, -4:].mean()  # the corner is left of the middle
+    assert 0.01 < inside < 0.5
+    assert away < 0.5 * inside
+    half = seen(corner, TofFaultSettings(multipath=0.5)).range_m - seen(corner, once).range_m
+    assert 0.4 * inside < half[:, 5:10].mean() < 0.95 * inside
+
+
+def test_a_short_exposure_and_one_at_rest_blur_nothing():
+    tower_of = make_scene(TOWER)
+    T = pose_on_path(TOWER, FlightSettings.preset("orbit"), 0.2)
+    stamp = np.arange(20) * 0.008
+    rest = poses_between(Trajectory(stamp, np.tile(T, (20, 1, 1))), 0.08 + 0.03 * MOMENTS)
+    np.testing.assert_allclose(rest, np.tile(T, (9, 1, 1)), atol=1e-12)
+    tof = TofSettings.preset("report")
+    still, held = (seen(tower_of, TofFaultSettings(footprint_px=1.0), tof, poses).range_m for poses in (T, rest))
+    both = np.isfinite(still) & np.isfinite(held)
+    assert (np.abs(still[both] - held[both]) < 1e-4).mean() > 0.999
+    assert (np.isfinite(still) == np.isfinite(held)).mean() > 0.999
+
+
+def test_motion_blurs_edges_and_no_plane_along_it():
+    edge, plane = walls(wall(2.0, -6.0, 0.0), wall(3.5)), walls(wall(2.0))
+    flight = moving(np.array([0.0, 2.0, 0.0]))
+    faults = TofFaultSettings(exposure_s=0.03)
+    found = {}
+    for name, scene in (("edge", edge), ("plane", plane)):
+        poses = poses_between(flight, 0.5 + faults.exposure_s * MOMENTS)
+        found[name] = seen(scene, faults, T=poses).range_m
+    np.testing.assert_allclose(found["plane"], seen(plane, TofFaultSettings()).range_m, rtol=1e-5)
+    # The edge, between two columns of 34 mm, moves by 27 mm to either side: past the middle of both.
+    near, far = (seen(walls(wall(x)), TofFaultSettings()).range_m for x in (2.0, 3.5))
+    between = (found["edge"] > 1.02 * near) & (found["edge"] < 0.98 * far)
+    expected = np.zeros(between.shape, dtype=bool)
+    expected[:, 11:13] = True
+    np.testing.assert_array_equal(between, expected)
+
+
+def test_scans_of_a_flight_are_exposed_about_their_stamps():
+    """Towards a wall at 2 m/s: the middle of the exposure counts, not its beginning or end."""
+    trajectory = moving(np.array([2.0, 0.0, 0.0]))
+    faults = TofFaultSettings(exposure_s=0.03)
+    tower = SimpleNamespace(
+        vertices=np.array([(4.0, -6, 0), (4, 6, 0), (4, 6, 10), (4, -6, 10)]),
+        triangles=np.array([(0, 1, 2), (0, 2, 3)]),
+        triangle_member=np.zeros(2, int),
+        axes=np.array([[(4.0, 0, 0), (4.0, 0, 10)]]),
+    )
+    blurred, sharp = (
+        scan_flight(tower, trajectory, np.eye(4), SMALL.replace(faults=each), 1)[0] for each in (faults, None)
+    )
+    np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm
+
+
+def test_poses_between_others_are_halfway_and_stay_within_the_flight():
+    flight = moving(np.array([1.0, 0.0, 0.0]))
+    found = poses_between(flight, np.array([[-1.0, 0.004], [0.008, 9.0]]))
+    np.testing.assert_allclose(found[..., 0, 3], [[-0.5, -0.496], [-0.492, 0.5]], atol=1e-12)
+
+
+def test_offset_scale_and_wiggling_of_a_camera_are_found_by_regression():
+    faults = TofFaultSettings(wiggle_m=0.006, offset_sigma_m=0.01, scale_sigma=0.004)
+    camera = draw_camera(faults, rng.stream(5, "tof-camera"))
+    scene = walls(wall(3.0, -1.2, 6.0, lean=2.0))
+    tof = SMALL.replace(columns=200, fov_horizontal_rad=1.2)
+    exact, measured = (
+        seen(scene, each, tof, camera=c).range_m for each, c in ((TofFaultSettings(), PERFECT), (faults, camera))
+    )
+    some = np.isfinite(exact)
+    r, error = exact[some].astype(float), (measured[some] - exact[some]).astype(float)
+    assert np.ptp(r) > 3
+    turn = 2 * np.pi * r / WIGGLE_PERIOD_M
+    fitted = np.linalg.lstsq(np.column_stack([np.ones_like(r), r, np.sin(turn), np.cos(turn)]), error, rcond=None)[0]
+    assert fitted[0] == pytest.approx(camera.offset_m, abs=1e-4)
+    assert fitted[1] == pytest.approx(camera.scale - 1, abs=1e-4)
+    assert np.hypot(fitted[2], fitted[3]) == pytest.approx(0.006, abs=1e-4)
+    assert np.arctan2(fitted[3], fitted[2]) % (2 * np.pi) == pytest.approx(camera.phase_rad, abs=0.02)
+
+
+def test_cameras_have_the_spread_of_their_kind_and_a_seed_has_one():
+    faults = TofFaultSettings(offset_sigma_m=0.01, scale_sigma=0.004)
+    cameras = np.array([draw_camera(faults, rng.stream(seed, "tof-camera")) for seed in range(400)])
+    np.testing.assert_allclose(cameras[:, :2].std(axis=0), [0.01, 0.004], rtol=0.12)
+    np.testing.assert_allclose(cameras[:, :2].mean(axis=0), [0, 1], atol=0.002)
+    assert draw_camera(faults, rng.stream(3, "tof-camera")) == Camera(*cameras[3])
+
+
+def noisy(scene, faults, tof, times=60):
+    """Measured images of many exposures of one scene, and the scene's exact range."""
+    tof = tof.replace(faults=faults)
+    images = []
+    for k in range(times):
+        one = seen(scene, faults, tof, seed=k)
+        images.append(measured_ranges(one.range_m, tof, rng.stream(k, "noise"), as_far_as_m=one.as_far_as_m))
+    return np.array(images), one.exact_m
+
+
+def test_noise_goes_with_range_reflectivity_and_incidence():
+    """σ = 1 % of r / √(ρ cos θ)."""
+    tof = SMALL.replace(sigma_relative=0.01)
+    for x, lean, reflectivity in ((2.0, 0.0, 1.0), (4.0, 0.0, 1.0), (2.0, 0.0, 0.25), (2.0, 2.0, 1.0)):
+        images, exact = noisy(walls(wall(x, lean=lean)), TofFaultSettings(reflectivity=reflectivity), tof)
+        cosine = np.abs(rays(tof) @ [1, -lean, 0]) / np.hypot(1, lean)
+        score = (images - exact) / (0.01 * exact / np.sqrt(reflectivity * cosine))
+        assert score.std() == pytest.approx(1, abs=0.03)
+        assert abs(score.mean()) < 0.03
+
+
+def test_lateral_noise_shows_on_a_slope_and_not_on_a_square_wall():
+    square, slope = (
+        noisy(walls(wall(2.0, lean=lean)), TofFaultSettings(lateral_px=0.5), SMALL)[0] for lean in (0.0, 2.0)
+    )
+    middle = (slice(None), slice(8, 12), slice(10, 14))
+    pixel_m = 2 * 2.0 * np.tan(0.2) / 24
+    assert square[middle].std(axis=0).max() < 1e-3
+    # One pixel sideways on a slope of 2 is two pixels in depth.
+    assert slope[middle].std(axis=0).mean() == pytest.approx(0.5 * 2 * pixel_m, rel=0.2)
+
+
+def test_dropout_grows_with_range_and_incidence_and_with_a_darker_surface():
+    tof = SMALL.replace(sigma_relative=0.01)
+
+    def lost(x, lean=0.0, reflectivity=0.5):
+        faults = TofFaultSettings(reflectivity=reflectivity, sigma_max_m=0.05)
+        return np.isnan(noisy(walls(wall(x, lean=lean)), faults, tof, 40)[0][:, 8:12, 11:13]).mean()
+
+    by_range = [lost(x) for x in (2.0, 3.2, 3.6, 4.5)]
+    by_incidence = [lost(2.5, lean) for lean in (0.0, 1.5, 2.5, 6.0)]
+    by_darkness = [lost(2.5, reflectivity=rho) for rho in (1.0, 0.25, 0.2, 0.1)]
+    for shares in (by_range, by_incidence, by_darkness):
+        assert shares[0] < 0.01
+        assert np.all(np.diff(shares) > 0)
+        assert shares[-1] > 0.9
+
+
+def test_an_honest_flight_is_that_of_its_seed_and_begins_as_a_shorter_one():
+    tof = TofSettings.preset("starling2-honest").replace(columns=30, rows=40)
+    path = moving(np.array([0.0, 0.5, 0.0]), 2.0)
+    path.T_world_drone[:, 0, 3] -= 3.5
+    shorter = Trajectory(path.stamp_s[:151], path.T_world_drone[:151])
+    a, b, c, other = (
+        scan_flight(TOWER, flight, np.eye(4), tof, seed)[0].range_m
+        for flight, seed in ((path, 1), (path, 1), (shorter, 1), (path, 2))
+    )
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(a[:5], c[:5])
+    assert np.isfinite(a).mean() > 0.02
+    assert np.nanmax(np.abs(a - other)) > 0.01
+
+
+def test_a_view_of_a_camera_with_faults_is_one_of_its_exposures():
+    T = pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.4)
+    tof = TofSettings.preset("starling2").replace(columns=45, rows=60, sigma_floor_m=0.0, sigma_relative=0.0)
+    ideal, same, worse = (
+        Viewer(TOWER, tof.replace(faults=faults)).view(T, rng.stream(1, "view"))
+        for faults in (None, TofFaultSettings(), TofFaultSettings(footprint_px=1.0))
+    )
+    assert len(same.points) == pytest.approx(len(ideal.points), rel=0.01)
+    assert np.linalg.norm(same.points - same.surface, axis=1).max() < 1e-4
+    assert np.linalg.norm(worse.points - worse.surface, axis=1).max() > 0.05
