@@ -100,8 +100,11 @@ def expose(
     with np.errstate(invalid="ignore"):  # no light: an infinite range
         wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + camera.phase_rad)
     measured = np.where(np.isfinite(mixed), camera.scale * mixed + camera.offset_m + wiggle, np.inf)
-    images = (measured.astype(np.float32), as_far_as.astype(np.float32), hit.range_m[MIDDLE], hit.member[MIDDLE])
-    return Exposure(*(image.reshape(ray.shape[:2]) for image in images))
+    shape = ray.shape[:2]
+    return Exposure(
+        measured.astype(np.float32).reshape(shape), as_far_as.astype(np.float32).reshape(shape),
+        hit.range_m[MIDDLE].reshape(shape), hit.member[MIDDLE].reshape(shape),
+    )  # fmt: skip
 
 
 @njit(cache=True)
