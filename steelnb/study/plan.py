@@ -100,6 +100,11 @@ class Run:
             "method": s.odometry.method,
         }
 
+    @property
+    def label(self) -> str:
+        """Name of the run in a line."""
+        return " ".join(str(value) for value in self.case.values() if value != "")
+
 
 def read_plan(path: Path) -> list[Run]:
     """Runs of a study's TOML file, each once; those of one flight follow each other.
