@@ -91,7 +91,7 @@ BAD = [
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (
         ["run", "{bag}", "--sensor", "lidar"],
-        ["--sensor: unknown 'lidar'; expected one of 'report', 'starling2', or a file FILE.toml"],
+        ["--sensor: unknown 'lidar'; expected one of 'report', 'starling2', 'starling2-honest', or a file FILE.toml"],
     ),
     (["run", "{bag}", "--sensor", "starling"], ["did you mean 'starling2'?"]),
     (["run", "{bag}", "--sensor", "mine.toml"], ["mine.toml", "a sensor's preset"]),

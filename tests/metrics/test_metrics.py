@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from steelnb.metrics import position_error_m, score_segments, score_trajectory, seen_members
@@ -120,6 +120,7 @@ def test_the_true_members_score_perfectly_in_any_frame_and_sense(seed):
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 0.2))
 def test_shifted_members_are_right_up_to_ten_centimetres_and_have_their_shift_as_offset(seed, shift_m):
+    assume(abs(shift_m - 0.1) > 1e-9)  # where rounding decides
     bars = random_bars(seed, 6, reach_m=30.0)  # too far apart to be taken for each other
     axes = np.stack([bars.start, bars.end], axis=1)
     aside = np.cross(bars.direction, np.random.default_rng(seed).normal(size=3))
