@@ -29,12 +29,12 @@ import numpy as np
 import pandas as pd
 from rosbags.highlevel import AnyReader
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from steelnb import odometry, rng
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import within
 from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_tum
+from steelnb.io.transforms import matrices
 from steelnb.metrics import score_trajectory
 from steelnb.report.cloud import segment_file
 from steelnb.report.recording import recording_settings
@@ -282,9 +282,8 @@ def nano_flights(data: Path, work: Path) -> dict:
         poses = poses.groupby("timeStamp").last()
         if len(poses) < 100:
             continue
-        stamp_s, T = poses.index.to_numpy() / 1e3, np.tile(np.eye(4), (len(poses), 1, 1))
-        T[:, :3, :3] = Rotation.from_quat(poses[["qx", "qy", "qz", "qw"]].to_numpy()).as_matrix()
-        T[:, :3, 3] = poses[["posx", "posy", "posz"]].to_numpy()
+        place, turn = poses[["posx", "posy", "posz"]].to_numpy(), poses[["qx", "qy", "qz", "qw"]].to_numpy()
+        stamp_s, T = poses.index.to_numpy() / 1e3, matrices(place, turn)
         frames = np.loadtxt(file.with_name("state_ToF.csv"), delimiter=",")
         frames = frames[: len(frames) // 65 * 65].reshape(-1, 65, 3)
         seen_s, away, state = frames[:, 0, 0] / 1e3, frames[:, 1:, 0] / 1e3, frames[:, 1:, 2]

@@ -47,6 +47,18 @@ class Trajectory:
             raise ValueError("the trajectory has no pose at some of the stamps asked for")
         return Trajectory(self.stamp_s[index], self.T_world_drone[index])
 
+    def between(self, stamp_s: Array) -> Array:
+        """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions linearly, rotations by slerp, and the first and the
+        last pose before and after all others. There must be two poses at least."""
+        from scipy.spatial.transform import Rotation, Slerp  # late: most users of this module do without
+
+        inside = np.clip(stamp_s, self.stamp_s[0], self.stamp_s[-1]).ravel()
+        result = np.tile(np.eye(4), (len(inside), 1, 1))
+        result[:, :3, :3] = Slerp(self.stamp_s, Rotation.from_matrix(self.T_world_drone[:, :3, :3]))(inside).as_matrix()
+        for axis in range(3):
+            result[:, axis, 3] = np.interp(inside, self.stamp_s, self.position[:, axis])
+        return result.reshape(*stamp_s.shape, 4, 4)
+
 
 @dataclass(frozen=True)
 class Imu:

@@ -10,7 +10,6 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.io.calibration import T_OPTICAL_SENSOR
 from steelnb.io.clouds import FARTHEST_M
@@ -41,11 +40,7 @@ def interpolate(trajectory: Trajectory, stamp_s: Array, gap_max_s: float) -> tup
     exact = (before == after) & (np.abs(own[after] - stamp_s) < 1e-6)
     covered = exact | ((own[before] <= stamp_s) & (stamp_s <= own[after]) & (own[after] - own[before] <= gap_max_s))
     if len(own) > 1:
-        inside = np.clip(stamp_s, own[0], own[-1])
-        rotation = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3])
-        result[:, :3, :3] = Slerp(own, rotation)(inside).as_matrix()
-        for axis in range(3):
-            result[:, axis, 3] = np.interp(inside, own, trajectory.position[:, axis])
+        result = trajectory.between(stamp_s)
     result[exact] = trajectory.T_world_drone[after[exact]]
     return result, covered
 

@@ -1,6 +1,7 @@
 """Odometry by clouds: the report's section 3.3, one loop for every method."""
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,16 @@ NORMALS_MIN = 0.05
 report's sensor 0.06. On a tower 6 m wide it falls to 0.03 now and then."""
 STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 """``fast`` → the rotation (rad) and translation (m) below which the solver stops."""
+
+
+class Registered(NamedTuple):
+    """The pose of the drone by a scan, or the predicted one and the reason why; the number of pairs, and the unit
+    vectors ``(u, 3)`` along which the pose is the prediction's."""
+
+    T_world_drone: Array
+    reason: str
+    inliers: int = 0
+    unobserved: Array = np.zeros((0, 3))
 
 
 class CloudOdometry:
@@ -122,14 +133,14 @@ class CloudOdometry:
 
     def _register(
         self, points: Array, covariance: Array | None, target: Target | VoxelTarget | None, T_init: Array
-    ) -> tuple[Array, str, int, Array]:
-        s, known, nothing = self.clouds, self.information is not None, np.zeros((0, 3))
+    ) -> Registered:
+        s, known = self.clouds, self.information is not None
         if len(points) < POINTS_MIN[known]:
-            return T_init, "too few points", 0, nothing
+            return Registered(T_init, "too few points")
         if not len(self.map):
-            return T_init, "first scan", 0, nothing
+            return Registered(T_init, "first scan")
         if target is None:
-            return T_init, "no map in sight", 0, nothing
+            return Registered(T_init, "no map in sight")
         rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
@@ -139,12 +150,12 @@ class CloudOdometry:
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < INLIER_SHARE_MIN * len(points):
-            return T_init, "too little overlap", result.inliers, nothing
+            return Registered(T_init, "too little overlap", result.inliers)
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
-            return T_init, result.reason, result.inliers, nothing
+            return Registered(T_init, result.reason, result.inliers)
         if jump > s.jump_max_m:
-            return T_init, f"jump of {jump:.2f} m", result.inliers, nothing
-        return result.T_target_source, "", result.inliers, result.unobserved
+            return Registered(T_init, f"jump of {jump:.2f} m", result.inliers)
+        return Registered(result.T_target_source, "", result.inliers, result.unobserved)
 
     def _terms(self, points: Array, T_init: Array) -> list[Term]:
         """Further costs of the pose of the scan's ``points (N, 3)``: its distance from the prediction."""

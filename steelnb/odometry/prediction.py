@@ -5,6 +5,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.types import Array
 
+NONE = np.zeros((0, 3))
+"""No directions."""
+
 
 class Prediction:
     """Alpha-beta filter of the correction, with alpha = 1.
@@ -31,7 +34,7 @@ class Prediction:
         T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
         return T
 
-    def correct(self, T_world_drone: Array, T_world_drone_prior: Array, unobserved: Array | None = None) -> None:
+    def correct(self, T_world_drone: Array, T_world_drone_prior: Array, unobserved: Array = NONE) -> None:
         """Update with the pose of a registered scan. Along ``unobserved (u, 3)``, unit vectors, the pose is the
         prediction's, and the rate of the drift is not known."""
         turn = T_world_drone[:3, :3] @ T_world_drone_prior[:3, :3].T
@@ -40,8 +43,7 @@ class Prediction:
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
             turned = Rotation.from_matrix(turn @ self.turn.T).as_rotvec()
             self.turn_rate = self.turn_rate + self.gain * (turned - self.turn_rate)
-        if unobserved is not None and len(unobserved):
-            self.offset_rate = self.offset_rate - unobserved.T @ (unobserved @ self.offset_rate)
+        self.offset_rate = self.offset_rate - unobserved.T @ (unobserved @ self.offset_rate)
         self.turn, self.offset, self._followed = turn, offset, True
 
     def lose(self) -> None:

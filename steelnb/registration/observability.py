@@ -9,9 +9,8 @@ normals in place of the Hessian, in which those samples count.
 """
 
 import numpy as np
-from numba import njit
 
-from steelnb.points.moments import eigen
+from steelnb.points.covariances import normals
 from steelnb.types import Array, IntArray
 
 PAIRS_MAX = 500
@@ -28,7 +27,8 @@ def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) ->
     paired = match[match >= 0]
     if not len(paired):
         return np.zeros((0, 3))
-    value, vector = np.linalg.eigh(_normal_moments(covariance, paired[:: max(1, len(paired) // PAIRS_MAX)]))
+    normal = normals(covariance[paired[:: max(1, len(paired) // PAIRS_MAX)]])
+    value, vector = np.linalg.eigh((normal[:, :, None] * normal[:, None, :]).mean(axis=0))
     return np.ascontiguousarray(vector[:, value < normals_min * value[-1]].T)
 
 
@@ -41,18 +41,3 @@ def without_shifts(free: Array, unobserved: Array) -> Array:
     left[3:] -= unobserved.T @ (unobserved @ free[3:])
     vector, size, _ = np.linalg.svd(left, full_matrices=False)
     return np.asarray(vector[:, size > 1e-9 * size[0]])
-
-
-@njit(cache=True, error_model="numpy")
-def _normal_moments(covariance, chosen):
-    """Mean of n nᵀ ``(3, 3)`` over the normals of the chosen distributions."""
-    total = np.zeros((3, 3))
-    for j in chosen:
-        (_, x, y, z), _, _ = eigen(
-            covariance[j, 0], covariance[j, 1], covariance[j, 2], covariance[j, 3], covariance[j, 4], covariance[j, 5]
-        )
-        n = (x, y, z)
-        for r in range(3):
-            for c in range(3):
-                total[r, c] += n[r] * n[c]
-    return total / len(chosen)

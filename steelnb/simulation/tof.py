@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb import rng
 from steelnb.settings import TofSettings
@@ -67,7 +66,7 @@ class CastScans(Sequence[Scan]):
         self._T_exposed = np.broadcast_to(self._T_world_sensor[:, None], (len(index), len(MOMENTS), 4, 4))
         if settings.faults and settings.faults.exposure_s > 0:
             stamp_s = self.stamp_s[:, None] + settings.faults.exposure_s * MOMENTS
-            self._T_exposed = poses_between(trajectory, stamp_s) @ T_drone_sensor
+            self._T_exposed = trajectory.between(stamp_s) @ T_drone_sensor
 
     def __len__(self) -> int:
         return len(self.stamp_s)
@@ -102,18 +101,6 @@ class CastScans(Sequence[Scan]):
             exact, member = cast_rays(scene, self._T_world_sensor[begin : begin + SCANS_AT_ONCE], self.ray)
             for image, hit in zip(exact, member, strict=True):
                 yield Exposure(image, None, image, hit)
-
-
-def poses_between(trajectory: Trajectory, stamp_s: Array) -> Array:
-    """``T_world_drone (..., 4, 4)`` at any stamps ``(...)``: linear between those of the trajectory, along the shortest
-    turn, and its first and last pose before and after it."""
-    flat = np.clip(stamp_s, trajectory.stamp_s[0], trajectory.stamp_s[-1]).ravel()
-    T = np.tile(np.eye(4), (len(flat), 1, 1))
-    T[:, :3, :3] = Slerp(trajectory.stamp_s, Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]))(
-        flat
-    ).as_matrix()
-    T[:, :3, 3] = np.column_stack([np.interp(flat, trajectory.stamp_s, axis) for axis in trajectory.position.T])
-    return T.reshape(*stamp_s.shape, 4, 4)
 
 
 def measured_ranges(

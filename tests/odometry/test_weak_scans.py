@@ -5,6 +5,8 @@ import pytest
 
 from steelnb.odometry import make_odometry, run
 from steelnb.settings import OdometrySettings, TofSettings
+from steelnb.simulation.scene import rays
+from steelnb.simulation.tof import measured_ranges
 from steelnb.types import Flight, Scan, Trajectory
 
 X_M, SCANS = 2.0, 60
@@ -16,13 +18,7 @@ def before_a_wall(sensor, seed, corner=False, **changed):
     g = np.random.default_rng(seed)
     half = {"columns": 90, "rows": 120} if sensor == "starling2" else {}
     tof = TofSettings.preset(sensor).replace(**half | changed)
-    side, up = (
-        np.tan(fov / 2) * (1 - (2 * np.arange(count) + 1) / count)
-        for fov, count in ((tof.fov_horizontal_rad, tof.columns), (tof.fov_vertical_rad, tof.rows))
-    )
-    ray = np.stack([np.ones((tof.rows, tof.columns)), *np.meshgrid(side, up)], axis=-1)
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    stamp_s = 0.2 * np.arange(SCANS)
+    ray, stamp_s = rays(tof), 0.2 * np.arange(SCANS)
     wide_m = 0.5 if corner else 1.5
     true = np.column_stack(
         [0.2 * np.sin(0.13 * stamp_s), wide_m * np.sin(0.2 * stamp_s), 1.5 + 0.3 * np.sin(0.1 * stamp_s)]
@@ -33,8 +29,7 @@ def before_a_wall(sensor, seed, corner=False, **changed):
         with np.errstate(divide="ignore"):
             away = np.stack([(at - place[axis]) / ray[..., axis] for axis, at in walls])
         away = np.where(away > 0, away, np.inf).min(axis=0)
-        away += g.normal(0, np.maximum(tof.sigma_floor_m, tof.sigma_relative * np.minimum(away, 9)))
-        scans.append(Scan(float(at_s), np.where(away < tof.range_max_m, away, np.nan)[..., None] * ray))
+        scans.append(Scan(float(at_s), measured_ranges(away, tof, g)[..., None] * ray))
     T = np.tile(np.eye(4), (SCANS, 1, 1))
     T[:, :3, 3] = true + np.cumsum(g.normal(0, 0.02, (SCANS, 3)) * (stamp_s > 0)[:, None], axis=0)
     return Flight(scans, Trajectory(stamp_s, T), np.eye(4)), true

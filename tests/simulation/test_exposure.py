@@ -18,7 +18,7 @@ from steelnb.simulation.exposure import (
     expose,
 )
 from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.tof import measured_ranges, poses_between
+from steelnb.simulation.tof import measured_ranges
 from steelnb.simulation.views import Viewer, pose_on_path
 from steelnb.types import Trajectory
 from tests import naive
@@ -159,7 +159,7 @@ def test_a_short_exposure_and_one_at_rest_blur_nothing():
     tower_of = make_scene(TOWER)
     T = pose_on_path(TOWER, FlightSettings.preset("orbit"), 0.2)
     stamp = np.arange(20) * 0.008
-    rest = poses_between(Trajectory(stamp, np.tile(T, (20, 1, 1))), 0.08 + 0.03 * MOMENTS)
+    rest = Trajectory(stamp, np.tile(T, (20, 1, 1))).between(0.08 + 0.03 * MOMENTS)
     np.testing.assert_allclose(rest, np.tile(T, (9, 1, 1)), atol=1e-12)
     tof = TofSettings.preset("report")
     still, held = (seen(tower_of, TofFaultSettings(footprint_px=1.0), tof, poses).range_m for poses in (T, rest))
@@ -174,7 +174,7 @@ def test_motion_blurs_edges_and_no_plane_along_it():
     faults = TofFaultSettings(exposure_s=0.03)
     found = {}
     for name, scene in (("edge", edge), ("plane", plane)):
-        poses = poses_between(flight, 0.5 + faults.exposure_s * MOMENTS)
+        poses = flight.between(0.5 + faults.exposure_s * MOMENTS)
         found[name] = seen(scene, faults, T=poses).range_m
     np.testing.assert_allclose(found["plane"], seen(plane, TofFaultSettings()).range_m, rtol=1e-5)
     # The edge, between two columns of 34 mm, moves by 27 mm to either side: past the middle of both.
@@ -203,7 +203,7 @@ def test_scans_of_a_flight_are_exposed_about_their_stamps():
 
 def test_poses_between_others_are_halfway_and_stay_within_the_flight():
     flight = moving(np.array([1.0, 0.0, 0.0]))
-    found = poses_between(flight, np.array([[-1.0, 0.004], [0.008, 9.0]]))
+    found = flight.between(np.array([[-1.0, 0.004], [0.008, 9.0]]))
     np.testing.assert_allclose(found[..., 0, 3], [[-0.5, -0.496], [-0.492, 0.5]], atol=1e-12)
 
 
