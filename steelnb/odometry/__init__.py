@@ -7,7 +7,7 @@ from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.run import run
-from steelnb.odometry.segments import SegmentOdometry
+from steelnb.odometry.segments import SegmentOdometry, shared_segments
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array
 
@@ -23,5 +23,5 @@ def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdo
 
 __all__ = [
     "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry",
-    "make_odometry", "run", "run_kept",
+    "make_odometry", "run", "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -1,6 +1,10 @@
 """Odometry by segments: the report's section 3.2, with its own correction and a better one."""
 
+import hashlib
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,6 +20,9 @@ from steelnb.points import preprocess_scan
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import HoughSettings, OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
+
+Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
+_shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 
 
 class SegmentOdometry:
@@ -61,7 +68,8 @@ class SegmentOdometry:
             self.near_side.update(scan.points)
             points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
         clock.append(time.perf_counter())
-        seen = segments_in(points, self.hough).transformed(T_world_drone)
+        found, hough_s = timed_segments(points, self.hough)
+        seen = found.transformed(T_world_drone)
         clock.append(time.perf_counter())
         position = T_world_drone[:3, 3].copy()
         correction = CORRECTIONS[s.method](seen, self.map, self.segments, position, self.prior)
@@ -82,6 +90,7 @@ class SegmentOdometry:
             self.map.insert(moved(seen, np.append(correction.yaw_rad, correction.offset), position))
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "hough", "match", "map"), np.diff(clock).tolist(), strict=True))
+        seconds["hough"] = hough_s
         return OdometryStep(scan.stamp_s, T_world_drone, correction.matches > 0, reason, correction.matches, seconds)
 
     def map_points(self, spacing_m: float = 0.05) -> Array:
@@ -103,3 +112,26 @@ def segments_in(points: Array, settings: HoughSettings) -> Segments:
     if len(points) < settings.min_votes or not np.ptp(points, axis=0).max() > settings.dx_m:
         return Segments.empty()
     return detect_segments_with(points, settings)
+
+
+@contextmanager
+def shared_segments() -> Iterator[None]:
+    """While this lasts, equal points are segmented once for all odometries with equal settings: several methods on one
+    flight mostly see the same points. Odometries give the seconds of the time when a scan was segmented."""
+    token = _shared.set({})
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+
+
+def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
+    """`segments_in`, and the seconds it took; both as they were the first time under `shared_segments`."""
+    begin, shared = time.perf_counter(), _shared.get()
+    if shared is None:
+        return segments_in(points, settings), time.perf_counter() - begin
+    key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
+    if key not in shared:
+        begin = time.perf_counter()
+        shared[key] = segments_in(points, settings), time.perf_counter() - begin
+    return shared[key]

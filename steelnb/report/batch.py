@@ -9,6 +9,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.metrics import Bend
+from steelnb.odometry import shared_segments
 from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
 from steelnb.types import Array
 
@@ -84,11 +85,12 @@ def run_all(
         flights.setdefault(str((case.tower, case.flight, case.tof, case.seed)), []).append(k)
     for members in flights.values():
         flight, truth = experiment.simulate(cases[members[0]])
-        for k in members:
-            within = share_of(on_progress, len(results), len(cases))
-            results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, within)
-            if on_run:
-                on_run([results[done] for done in sorted(results)])
+        with shared_segments():
+            for k in members:
+                within = share_of(on_progress, len(results), len(cases))
+                results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, within)
+                if on_run:
+                    on_run([results[done] for done in sorted(results)])
     return [results[k] for k in range(len(cases))]
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import SegmentMap
-from steelnb.odometry import SegmentOdometry
+from steelnb.odometry import SegmentOdometry, segments, shared_segments
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
 from steelnb.settings import FusionSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Scan, Segments
@@ -191,3 +191,20 @@ def test_map_points_lie_on_the_bars():
     apart = points[:, None] - bars.start
     along = (apart * bars.direction).sum(axis=2, keepdims=True) * bars.direction
     assert np.linalg.norm(apart - along, axis=2).min(axis=1).max() < 1e-9
+
+
+def test_methods_that_share_segments_find_them_once_and_end_the_same(monkeypatch):
+    def fly(method):
+        run = odometry(method)
+        steps = [run.update(frame(k), pose(y=0.01 * k)) for k in range(5)]
+        return [step.T_world_drone for step in steps], [step.seconds["hough"] for step in steps]
+
+    alone = {method: fly(method)[0] for method in ("average", "least_squares")}
+    calls, found = [], segments.segments_in
+    monkeypatch.setattr(segments, "segments_in", lambda *given: calls.append(1) or found(*given))
+    with shared_segments():
+        shared = {method: fly(method) for method in alone}
+    assert len(calls) == 5  # no point lies by the floor, so both crop alike
+    for method, poses in alone.items():
+        np.testing.assert_array_equal(shared[method][0], poses)
+    assert shared["average"][1] == shared["least_squares"][1]
