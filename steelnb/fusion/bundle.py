@@ -8,8 +8,10 @@ Odometry places each scan against a map that holds the errors of the scans befor
 - the increments of the drifting prior from scan to scan, in the frame of the earlier pose;
 - the first pose, which is the prior's: drift begins there.
 
-Free are position and yaw of each pose, roll and pitch being the prior's; and place, direction, turn and flange of each
-bar. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
+Free are position and yaw of each pose, and place, direction, turn and flange of each bar. Roll and pitch are the
+prior's; or free, too, where the prior's have a standard deviation: their error is then a first-order Gauss-Markov
+process. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur
+complement).
 """
 
 import math
@@ -26,18 +28,15 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion import sections
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.observations import Observations
+from steelnb.fusion.poses import AXES, POSE, increments, moved_poses, pose_size, yaw_of
 from steelnb.types import Array, IntArray, Segments
 
-POSE, BAR = 4, 6
-"""Degrees of freedom: x, y, z, yaw; and two of place, two of direction, turn, flange."""
-DRIFT_SIGMA = np.array([0.01, 0.01, 0.01, 0.002])
-"""Standard deviation of an increment of the drift in `DRIFT_PERIOD_S`, metres and radians; it grows with √time."""
-DRIFT_PERIOD_S = 0.2
+BAR = 6
+"""Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Standard deviations of a bar: of place and direction for one step, for what its points do not tell, such as the place
 of a face seen from one side alone along that face; of turn and flange about those fitted to the outlines, which take no
 part here. Chosen on the development seed 11."""
-FIXED = 1e12
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.scales.Scales`."""
@@ -45,10 +44,10 @@ MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 
 class Equations(NamedTuple):
-    """Normal equations of all points: of the poses ``matrix (K, 4, 4)``, ``vector (K, 4)``, of the bars ``block
+    """Normal equations of all points: of the poses ``matrix (K, D, D)``, ``vector (K, D)``, of the bars ``block
     (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
-    both ``cross (P, 4, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
-    standard deviations."""
+    both ``cross (P, D, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
+    standard deviations. D is 4, or 6 where roll and pitch are free."""
 
     matrix: Array
     vector: Array
@@ -61,10 +60,11 @@ class Equations(NamedTuple):
     residuals: Array
 
     def between(self) -> Array:
-        """The part between poses and bars ``(K, 4, 6 B)``."""
-        result = np.zeros((len(self.matrix), POSE, len(self.block), BAR))
+        """The part between poses and bars ``(K, D, 6 B)``."""
+        poses, size = self.vector.shape
+        result = np.zeros((poses, size, len(self.block), BAR))
         result[self.pair_scan, :, self.pair_bar] = self.cross
-        return result.reshape(len(self.matrix), POSE, -1)
+        return result.reshape(poses, size, -1)
 
 
 @dataclass(frozen=True)
@@ -91,17 +91,19 @@ class Bars:
 @dataclass(frozen=True)
 class Bundle:
     """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
-    these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, and the ``step (K, 4)``
-    that led here, metres and radians."""
+    these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, the ``step (K, D)``
+    that led here, metres and radians, and the standard deviation of the prior's roll and pitch, 0 where they are kept.
+    """
 
     T_world_sensor: Array
     bars: Bars
     sigma_ratio: float
     fitted: Array
     step: Array
+    tilt_sigma_rad: float = 0.0
 
 
-def start(T_world_sensor: Array, prior: Array, bars: Bars) -> Bundle:
+def start(T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0) -> Bundle:
     """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
     them, by a turn about z and a shift."""
     between = prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T
@@ -111,7 +113,8 @@ def start(T_world_sensor: Array, prior: Array, bars: Bars) -> Bundle:
     segments = bars.segments.transformed(turn)
     moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
-    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, np.zeros((len(prior), POSE)))
+    step = np.zeros((len(prior), pose_size(tilt_sigma_rad)))
+    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, step, tilt_sigma_rad)
 
 
 def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> Bundle:
@@ -123,7 +126,7 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     T, bars, right = bundle.T_world_sensor, bundle.bars, equations.right.copy()
     n, known = len(bars.turn), bars.known
     right[known, 4:] -= (np.column_stack([bars.turn, bars.flange]) - bundle.fitted)[known] * BAR_SIGMA[4:] ** -2.0
-    matrix, beside, vector = increments(T, prior, stamp_s)
+    matrix, beside, vector = increments(T, prior, stamp_s, bundle.tilt_sigma_rad)
     poses = Chain.factored(equations.matrix + matrix, beside)
     half = poses.half(np.concatenate([equations.between(), (equations.vector + vector)[:, :, None]], axis=2))
     flat = half.reshape(-1, BAR * n + 1)
@@ -131,18 +134,21 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     moved = cho_solve(cho_factor(reduced(equations.block, told[:-1, :-1])), right.ravel() - told[:-1, -1])
     step = poses.rest((half[:, :, -1] - half[:, :, :-1] @ moved)[:, :, None])[:, :, 0]
     bars, ratio = _moved_bars(bars, moved.reshape(n, BAR)), noise_ratio(equations.residuals, bundle.sigma_ratio)
-    return Bundle(moved_poses(T, step), bars, ratio, bundle.fitted, step)
+    return Bundle(moved_poses(T, step), bars, ratio, bundle.fitted, step, bundle.tilt_sigma_rad)
 
 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
     bars = bundle.bars
     corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
-    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio)
+    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, bundle.step.shape[1])
 
 
-def equations(seen: Observations, T_world_sensor: Array, bars: Bars, corner: Array, sigma_ratio: float) -> Equations:
-    """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``.
+def equations(
+    seen: Observations, T_world_sensor: Array, bars: Bars, corner: Array, sigma_ratio: float, size: int = POSE
+) -> Equations:
+    """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``, of poses with ``size`` degrees
+    of freedom.
 
     A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
     """
@@ -151,7 +157,7 @@ def equations(seen: Observations, T_world_sensor: Array, bars: Bars, corner: Arr
         *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
         sigma_ratio,
     )  # fmt: skip
-    moved = _as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar)
+    moved = _as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
     cross, vector = moved @ shares, (moved @ told[:, :, None])[:, :, 0]
     poses, n = len(T_world_sensor), len(bars.turn)
     matrix, vector = summed(cross @ moved.transpose(0, 2, 1), scan, poses), summed(vector, scan, poses)
@@ -159,18 +165,19 @@ def equations(seen: Observations, T_world_sensor: Array, bars: Bars, corner: Arr
     return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
 
 
-def _as_bars_move(sensor: Array, bars: Bars, bar: IntArray) -> Array:
-    """How each bar seems to move as a pose does: the derivatives of a residual by x, y, z and yaw of a pose are these
-    ``(P, 4, 6)`` times those by the bar; ``sensor (P, 3)`` from the start of the ``bar (P,)``, world frame."""
+def _as_bars_move(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
+    """How each bar seems to move as a pose does: the derivatives of a residual by the degrees of freedom of a pose are
+    these ``(P, size, 6)`` times those by the bar; ``sensor (P, 3)`` from the start of the ``bar (P,)``, world frame."""
     across, direction = bars.across[bar], bars.segments.direction[bar]
     beside = (across @ sensor[:, :, None])[:, :, 0]
     ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
-    up, along = across[:, :, 2], direction[:, 2]
-    result = np.zeros((len(bar), POSE, BAR))
+    result = np.zeros((len(bar), size, BAR))
     result[:, :3, :2] = -across.transpose(0, 2, 1)
-    result[:, 3, 0] = -ahead * up[:, 1] - along * beside[:, 1]
-    result[:, 3, 1] = ahead * up[:, 0] + along * beside[:, 0]
-    result[:, 3, 2], result[:, 3, 3], result[:, 3, 4] = -up[:, 1], up[:, 0], -along
+    for row, axis in zip(range(3, size), AXES, strict=False):
+        up, along = across[:, :, axis], direction[:, axis]
+        result[:, row, 0] = -ahead * up[:, 1] - along * beside[:, 1]
+        result[:, row, 1] = ahead * up[:, 0] + along * beside[:, 0]
+        result[:, row, 2], result[:, row, 3], result[:, row, 4] = -up[:, 1], up[:, 0], -along
     return result
 
 
@@ -185,42 +192,6 @@ def reduced(block: Array, told: Array) -> Array:
     """The normal equations of the bars ``(6 B, 6 B)`` once the poses, which ``told`` that much, are eliminated (Schur
     complement)."""
     return block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - told
-
-
-def increments(T: Array, prior: Array, stamp_s: Array) -> tuple[Array, Array, Array]:
-    """The normal equations of the increments of the prior and of the first pose: ``(K, 4, 4)`` and ``(K, 4)`` of the
-    poses, and between each pose and the next ``(K − 1, 4, 4)``."""
-    matrix, vector = np.zeros((len(T), POSE, POSE)), np.zeros((len(T), POSE))
-    time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
-    weight = DRIFT_SIGMA**-2.0 / time[:, None]
-    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
-    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
-    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error = np.empty((len(time), POSE))
-    error[:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
-    error[:, 3] = yaw_of(apart)
-    before = np.tile(-np.eye(POSE), (len(time), 1, 1))  # derivative by the earlier pose; by the later one: identity
-    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
-    weighed = weight[:, :, None] * before
-    matrix[:-1] += before.transpose(0, 2, 1) @ weighed
-    matrix[1:] += weight[:, :, None] * np.eye(POSE)
-    vector[:-1] -= (weighed.transpose(0, 2, 1) @ error[:, :, None])[:, :, 0]
-    vector[1:] -= weight * error
-    matrix[0] += FIXED * np.eye(POSE)
-    return matrix, weighed.transpose(0, 2, 1), vector
-
-
-def moved_poses(T: Array, step: Array) -> Array:
-    """Poses ``(K, 4, 4)`` after steps ``(K, 4)`` of x, y, z, metres, and yaw about their own places, radians."""
-    result = T.copy()
-    result[:, :3, 3] += step[:, :3]
-    result[:, :3, :3] = Rotation.from_rotvec(step[:, 3:] * [0, 0, 1]).as_matrix() @ T[:, :3, :3]
-    return result
-
-
-def pose_step(T_from: Array, T_to: Array) -> Array:
-    """The step ``(4,)`` of x, y, z, metres, and yaw, radians, from one pose to another; undone by `moved_poses`."""
-    return np.append(T_to[:3, 3] - T_from[:3, 3], yaw_of(T_to[:3, :3] @ T_from[:3, :3].T))
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:
@@ -243,12 +214,6 @@ def noise_ratio(residuals: Array, before: float) -> float:
         return before
     median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
     return float(before * median / 0.6745)
-
-
-def yaw_of(rotation: Array) -> Array:
-    """The angle about z, radians, that is nearest to each rotation ``(…, 3, 3)``."""
-    first, second = rotation[..., 0, :], rotation[..., 1, :]
-    return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

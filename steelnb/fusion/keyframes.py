@@ -22,11 +22,12 @@ BARS_MIN = 4
 class Keyframes:
     """Some scans of a flight, accumulated in voxels at the poses that they had when they came.
 
-    ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is.
+    ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is,
+    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`bundle.Bundle`).
     """
 
-    def __init__(self, settings: StructureSettings) -> None:
-        self.settings = settings
+    def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
+        self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
         self.voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
@@ -56,7 +57,7 @@ class Keyframes:
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return None
         found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
-        state = bundle.start(self.T_world_sensor, self._prior, found)
+        state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad)
         stamp_s = np.array([scan.stamp_s for scan in self.scans])
         seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
         for _ in range(STEPS):

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.bundle import BAR, POSE, Bars, equations
+from steelnb.fusion.bundle import BAR, Bars, equations
 from steelnb.fusion.observations import Observations
+from steelnb.fusion.poses import POSE
 from steelnb.fusion.structure import Structure
 from steelnb.types import Array, IntArray
 
@@ -66,9 +67,12 @@ class KnownBars:
     def __len__(self) -> int:
         return len(self.sigma_m)
 
-    def equations(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[Array, Array, Array]:
-        """Normal equations ``(4, 4)``, ``(4,)`` of the pose of a scan (x, y, z, yaw) from its ``points (N, 3)``, sensor
-        frame, and the histogram of their residuals (`fusion.bundle.equations`).
+    def equations(
+        self, points: Array, T_world_sensor: Array, ratio: float, size: int = POSE
+    ) -> tuple[Array, Array, Array]:
+        """Normal equations ``(size, size)``, ``(size,)`` of the pose of a scan (x, y, z, yaw, and if size is 6 roll and
+        pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
+        (`fusion.bundle.equations`).
 
         Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
         alike: the points of one bar tell no more than its place is known. ``ratio``: the range noise as a multiple of
@@ -80,7 +84,8 @@ class KnownBars:
         seen, b = whole.pair_bar, self.bars
         n, segments = len(seen), b.segments.take(seen)
         among = Bars(segments, b.across[seen], b.turn[seen], b.flange[seen])
-        found = equations(whole._replace(pair_bar=np.arange(n)), T_world_sensor[None], among, self.corner[seen], ratio)
+        own = whole._replace(pair_bar=np.arange(n))
+        found = equations(own, T_world_sensor[None], among, self.corner[seen], ratio, size)
         sigma = np.empty((n, BAR))
         sigma[:, :2] = self.sigma_m[seen, None]
         sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
@@ -88,7 +93,7 @@ class KnownBars:
         found.block[:, np.arange(BAR), np.arange(BAR)] += sigma**-2.0
         beside = np.concatenate([found.cross.transpose(0, 2, 1), found.right[:, :, None]], axis=2)
         freed = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
-        return found.matrix[0] - freed[:, :POSE], found.vector[0] - freed[:, POSE], found.residuals
+        return found.matrix[0] - freed[:, :size], found.vector[0] - freed[:, size], found.residuals
 
     def matched(self, points: Array, T_world_sensor: Array, ratio: float) -> tuple[IntArray, IntArray]:
         """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on

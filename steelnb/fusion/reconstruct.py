@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, Bars
+from steelnb.fusion.bundle import Bars
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
+from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections

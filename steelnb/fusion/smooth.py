@@ -21,10 +21,13 @@ fitted once in both rounds, make errors after alignment larger by a fifth and by
 BARS_MIN = 3
 
 
-def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | None = None) -> Estimate:
+def smooth(
+    flight: Flight, estimate: Estimate, settings: StructureSettings | None = None, tilt_sigma_rad: float = 0.0
+) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`fusion.bundle`).
 
-    ``settings`` say what a bar is, as for `reconstruct`. The corrected poses become smooth, the first one the prior's,
+    ``settings`` say what a bar is, as for `reconstruct`; ``tilt_sigma_rad`` is the standard deviation of the prior's
+    roll and pitch, which are kept where it is 0. The corrected poses become smooth, the first one the prior's,
     where drift begins; the map's points are those of one in three scans at the poses before the last steps, its
     segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as it
     was, with the reason in ``unsmoothed``.
@@ -40,7 +43,9 @@ def smooth(flight: Flight, estimate: Estimate, settings: StructureSettings | Non
             return replace(estimate, unsmoothed=str(fault))
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
-        state = bundle.start(T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
+        state = bundle.start(
+            T, prior, bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width), tilt_sigma_rad
+        )
         voxels = scans.around(fitted.bars)
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
-from steelnb.fusion.bundle import BAR, POSE, Bundle, Equations, increments, reduced, summed
+from steelnb.fusion.bundle import BAR, Bundle, Equations, reduced, summed
 from steelnb.fusion.chain import Chain
+from steelnb.fusion.poses import AXES, POSE, increments
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 
@@ -29,8 +30,9 @@ END_SIGMA_M = 0.006
 is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.
 It grows with the range noise."""
 ATTITUDE_SIGMA_RAD = 0.01
-"""Standard deviation of roll and pitch, which are the prior's: half a degree, as of attitude filters on small drones.
-Simulated attitudes are exact unless the noise has tilt, so there it is too large. The position does not contain it."""
+"""Standard deviation of roll and pitch where they are the prior's: half a degree, as of attitude filters on small
+drones. Simulated attitudes are exact unless the noise has tilt, so there it is too large. The position does not contain
+it."""
 FREE_SIGMA = 10.0
 """A larger standard deviation, metres or radians, means that nothing holds that direction."""
 HOLD = 1e-6
@@ -39,9 +41,10 @@ POSE_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 class Marginals(NamedTuple):
-    """Marginal covariances: ``pose (K, 4, 4)`` of x, y, z, yaw of the sensor, the first one zero since it is held
-    there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the bar's frame ``across``, turn and
-    flange. What a bar's points do not tell has the standard deviation of `bundle.BAR_SIGMA`, half a metre a metre."""
+    """Marginal covariances: ``pose (K, D, D)`` of x, y, z, yaw of the sensor, and for D = 6 of roll and pitch, the
+    first one zero since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
+    bar's frame ``across``, turn and flange. What a bar's points do not tell has the standard deviation of
+    `bundle.BAR_SIGMA`, half a metre a metre."""
 
     pose: Array
     bar: Array
@@ -61,8 +64,8 @@ def marginals(
     if sigma_m:
         unknown[:, :2, :2] = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
     lost = cross @ unknown
-    known, beside, _ = increments(bundle.T_world_sensor, prior, stamp_s)
-    known += equations.matrix + HOLD * np.eye(POSE)
+    known, beside, _ = increments(bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad)
+    known += equations.matrix + HOLD * np.eye(known.shape[1])
     matrix = known - summed(lost @ cross.transpose(0, 2, 1), equations.pair_scan, len(known))
     block = equations.block - summed(shares @ unknown @ shares, equations.pair_bar, n)
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(cross).all()):
@@ -74,23 +77,26 @@ def marginals(
     by_bars = chain.rest(half)
     pose = chain.inverse_blocks() + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
-    check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw"), first=1)
+    check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
     bars = np.arange(n)
     return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
 
 
 def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:
-    """Covariances ``(K, 6, 6)`` of the drone's poses, from those of the sensor's ``(K, 4, 4)``; metres and radians.
+    """Covariances ``(K, 6, 6)`` of the drone's poses, from those of the sensor's ``(K, D, D)``; metres and radians.
 
     In the order x, y, z, roll, pitch, yaw of the perturbation δ by which the true pose is that of the estimate:
     t + δ[:3] and exp(δ[3:]) R, both in the axes of the world. The first pose defines the world, so its block is zero.
     """
     arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
-    moved = np.tile(np.eye(POSE), (len(pose), 1, 1))
-    moved[:, 0, 3], moved[:, 1, 3] = -arm[:, 1], arm[:, 0]
-    result, held = np.zeros((len(pose), 6, 6)), np.array([0, 1, 2, 5])
-    result[:, held[:, None], held] = moved @ pose @ moved.transpose(0, 2, 1)
-    result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2
+    size = pose.shape[1]
+    moved = np.tile(np.eye(size), (len(pose), 1, 1))
+    for column, axis in zip(range(3, size), AXES, strict=False):
+        moved[:, :3, column] = np.cross(np.eye(3)[axis], arm)
+    result, order = np.zeros((len(pose), 6, 6)), np.array([0, 1, 2, *(3 + axis for axis in AXES)])[:size]
+    result[:, order[:, None], order] = moved @ pose @ moved.transpose(0, 2, 1)
+    if size == POSE:
+        result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2
     return result
 
 

@@ -22,7 +22,7 @@ from numba import njit
 from scipy.linalg import cholesky, lapack, solve_triangular
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.libraries import import_open3d
 from steelnb.settings import TofSettings
 from steelnb.simulation.scene import make_scene, rays
@@ -146,7 +146,7 @@ def batch(
 
     ``stamp_s (K,)``. ``surface_sigma_m`` is what is known of each patch beforehand: infinite for a surface that is not
     known at all, 0 for a known one. ``drift (4,)``: standard deviations of an increment of the prior in 0.2 s (metres,
-    radians), which grow with √time; by default those that smoothing takes (`fusion.bundle.DRIFT_SIGMA`).
+    radians), which grow with √time; by default those that smoothing takes (`fusion.poses.DRIFT_SIGMA`).
     """
     poses = len(stamp_s)
     bound = np.zeros((poses, POSE))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.errors import SettingsError
+from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
@@ -61,8 +62,10 @@ class CloudOdometry:
         self.clouds = self.settings.clouds
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
-        self.prediction = Prediction(self.settings.drift_gain)
-        self.free = free_directions(self.clouds.dof)
+        self.tilt_sigma_rad = self.settings.tilt_sigma_rad
+        self.prediction = Prediction(self.settings.drift_gain, self.tilt_sigma_rad)
+        self.free = free_directions("se3" if self.tilt_sigma_rad else self.clouds.dof)
+        self.stamp_s = np.nan  # of the last scan whose pose was estimated
         self.near_side = NearSide()
         s, self.information = self.settings, None  # of the prediction, rotation first, (6, 6)
         if s.prior_sigma is not None:
@@ -72,7 +75,8 @@ class CloudOdometry:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         s, c, clock = self.settings, self.clouds, [time.perf_counter()]
-        T_init = self.prediction.pose(T_world_drone_prior)
+        T_init = self.predicted(scan.stamp_s, T_world_drone_prior)
+        self.stamp_s = scan.stamp_s
         points = preprocess_scan(scan, T_init, self.T_drone_sensor, s.preprocess)
         if s.near_side:
             self.near_side.update(scan.points)
@@ -96,6 +100,15 @@ class CloudOdometry:
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
+
+    def predicted(self, stamp_s: float, prior: Array) -> Array:
+        """The pose ``(4, 4)`` of the drone at which the registration of a scan starts; the information about its roll
+        and pitch becomes that of the time passed."""
+        passed_s = stamp_s - self.stamp_s
+        passed_s = passed_s if passed_s > 0 else DRIFT_PERIOD_S  # the first scan, and scans without stamps
+        if self.tilt_sigma_rad and self.information is not None:
+            self.information[[0, 1], [0, 1]] = self.prediction.tilt_step_sigma_rad(passed_s) ** -2.0
+        return self.prediction.pose(prior, passed_s)
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.clouds

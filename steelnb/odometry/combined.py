@@ -11,6 +11,9 @@ from steelnb.registration import Term
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Segments
 
+TWIST = np.array([2, 3, 4, 5, 0, 1])
+"""Where yaw, x, y, z, roll and pitch are in a twist (ω, v)."""
+
 
 class CombinedOdometry(CloudOdometry):
     """`CloudOdometry` with a second map, of bars, whose pairs pull the pose across the bars as well.
@@ -45,9 +48,9 @@ class CombinedOdometry(CloudOdometry):
             return prior
 
         def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre)
-            H, b = np.zeros((6, 6)), np.zeros(6)
-            H[2:, 2:], b[2:] = found.H, found.b  # of yaw and position; bars say nothing here of roll and pitch
+            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.tilt_sigma_rad > 0)
+            H, b, at = np.zeros((6, 6)), np.zeros(6), TWIST[: len(found.b)]
+            H[at[:, None], at], b[at] = found.H, found.b
             return self.clouds.bars_weight * H, self.clouds.bars_weight * b, self.clouds.bars_weight * found.loss
 
         return [term, *prior]

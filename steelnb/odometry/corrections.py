@@ -114,7 +114,8 @@ TURN_ARM_M = 3.0
 
 @dataclass(frozen=True)
 class BarEquations:
-    """Normal equations ``H (4, 4)``, ``b (4,)`` of (yaw, x, y, z), their loss, and the number of pairs."""
+    """Normal equations ``H (D, D)``, ``b (D,)`` of (yaw, x, y, z), behind which come roll and pitch for D = 6, their
+    loss, and the number of pairs."""
 
     H: Array
     b: Array
@@ -122,8 +123,11 @@ class BarEquations:
     matches: int
 
 
-def bar_equations(seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array) -> BarEquations:
-    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
+def bar_equations(
+    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, tilt: bool = False
+) -> BarEquations:
+    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars; with
+    ``tilt`` of turns about the level axes, too.
 
     A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
     Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
@@ -141,9 +145,14 @@ def bar_equations(seen: Segments, known: SegmentMap, settings: SegmentSettings, 
     weight = information[:, None] * robust**2
     projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     arm = ends - position
-    J = np.zeros((*ends.shape, 4))  # how a step moves an end; the projector is applied to what it is multiplied with
+    J = np.zeros(
+        (*ends.shape, 6 if tilt else 4)
+    )  # how a step moves an end; the projector is applied to what it is multiplied with
     J[..., 0, 0], J[..., 1, 0] = -arm[..., 1], arm[..., 0]
-    J[..., 1:] = np.eye(3)
+    J[..., 1:4] = np.eye(3)
+    if tilt:
+        J[..., 1, 4], J[..., 2, 4] = -arm[..., 2], arm[..., 1]
+        J[..., 0, 5], J[..., 2, 5] = arm[..., 2], -arm[..., 0]
     H = np.einsum("pe,peik,pij,pejl->kl", weight, J, projector, J, optimize=True)
     b = np.einsum("pe,peik,pei->k", weight, J, across)
     loss = 0.5 * float((information[:, None] * square * robust).sum())

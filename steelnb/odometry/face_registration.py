@@ -1,19 +1,21 @@
 """Registration of scans to the front faces of bars: Gauss-Newton on position and yaw, from a predicted pose.
 
-The prediction and the points count by their information. Roll and pitch are the prediction's.
+The prediction and the points count by their information. Roll and pitch are the prediction's, or found as well where
+the prior's have errors.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, noise_ratio, pose_step
+from steelnb.fusion.bundle import noise_ratio
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, TILT_S, moved_poses, pose_size, pose_step
 from steelnb.types import Array, Scan
 
 COARSE, FINE = (6.0, 4.0, 2.5, 1.5), (1.0,) * 5
-STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4])
+STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
 """Range noise, as a multiple, in the steps of a registration: wide robust weights first, where nothing is known. A step
 below the last, metres and radians, ends it."""
 SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
@@ -24,8 +26,9 @@ RATIO = (1.0, 6.0)
 
 
 class Fit(NamedTuple):
-    """A registration: the pose of the sensor, its information ``(4, 4)`` about x, y, z and yaw, the number of bars
-    matched, the share of the points on them, the range noise as a multiple, and why it does not hold."""
+    """A registration: the pose of the sensor, its information ``(D, D)`` about x, y, z and yaw, and for D = 6 roll and
+    pitch, the number of bars matched, the share of the points on them, the range noise as a multiple, and why it does
+    not hold."""
 
     T_world_sensor: Array
     information: Array
@@ -36,32 +39,36 @@ class Fit(NamedTuple):
 
 
 class FaceRegistration:
-    """Registers scan after scan to ``known`` bars. ``variance (4,)`` is that of the pose predicted for the next scan,
-    ``ratio`` the range noise as a multiple of that in `points.ranges`."""
+    """Registers scan after scan to ``known`` bars. ``variance (D,)`` is that of the pose predicted for the next scan,
+    ``ratio`` the range noise as a multiple of that in `points.ranges`. D is 4, and 6 with a ``tilt_sigma_rad`` of the
+    prior's roll and pitch."""
 
-    def __init__(self, known: KnownBars, stamp_s: float = 0.0, ratio: float = 1.0) -> None:
-        self.known, self.ratio = known, ratio
-        self.variance, self._stamp_s = np.zeros(4), stamp_s
+    def __init__(self, known: KnownBars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
+        self.known, self.ratio, self.tilt_sigma_rad = known, ratio, tilt_sigma_rad
+        self.variance, self._stamp_s = np.zeros(pose_size(tilt_sigma_rad)), stamp_s
 
     def predict(self, stamp_s: float) -> None:
         """Let the variance grow as drift does from the scan before to that of ``stamp_s``."""
         passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
         self._stamp_s = stamp_s
-        self.variance = self.variance + DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
+        self.variance = self.variance.copy()
+        self.variance[:POSE] += DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
+        stays = np.exp(-2.0 * passed_s / TILT_S)
+        self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, start_sigma: Array | None = None) -> Fit:
         """Register ``points (N, 3)``, sensor frame, from a pose of the sensor, with all points assigned to bars anew in
-        each step. ``start_sigma (4,)`` is that of a start that is a guess, in place of the predicted variance."""
+        each step. ``start_sigma (D,)`` is that of a start that is a guess, in place of the predicted variance."""
         guessed = start_sigma is not None
         variance = self.variance if start_sigma is None else start_sigma**2
-        T, information, residuals = T_start, np.eye(4), np.zeros(0)
+        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(variance)
         for wide in (*COARSE, *FINE) if guessed else FINE:
-            matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio)
+            matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio, size)
             information = matrix + np.diag(1 / variance)
-            pulled = vector - pose_step(T_start, T) / variance
+            pulled = vector - pose_step(T_start, T, size) / variance
             step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
-            if wide == FINE[-1] and (np.abs(step) < STEP_MIN).all():
+            if wide == FINE[-1] and (np.abs(step) < STEP_MIN[:size]).all():
                 break
         near, on = self.known.matched(points, T, self.ratio)
         bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))

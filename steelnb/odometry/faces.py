@@ -14,9 +14,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA, Bundle, moved_poses, pose_step
+from steelnb.fusion.bundle import Bundle
 from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.known import KnownBars
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
@@ -32,11 +33,11 @@ ADOPT_S = 2.0
 on the machine's speed. It takes up to 2 s of one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
-REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001])
+REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
 """Standard deviation of the latest pose in the adjusted bars, metres and radians."""
-GATE = 18.5
-"""Largest squared distance of a registration from its prediction, in standard deviations: 99.9 % of chi-squared with
-four degrees of freedom. Beyond it, bars that were fitted wrongly lead the registration astray."""
+GATE = {4: 18.5, 6: 22.5}
+"""Degrees of freedom → the largest squared distance of a registration from its prediction, in standard deviations:
+99.9 % of chi-squared. Beyond it, bars that were fitted wrongly lead the registration astray."""
 STAGES = ("preprocess", "prepare", "register", "map", "refit")
 
 
@@ -62,10 +63,13 @@ class FaceOdometry:
         self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor)
         self.T_drone_sensor = self.clouds.T_drone_sensor
         seen = self.settings.preprocess
-        self.keyframes = Keyframes(StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m))
+        self.tilt_sigma_rad = self.settings.tilt_sigma_rad
+        bars = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+        self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
         self.faces: FaceRegistration | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
-        self._behind = np.zeros(4)  # what is put out lies behind the estimate by so much: x, y, z, yaw
+        # What is put out lies behind the estimate by so much: x, y, z, yaw, and roll and pitch where they are free.
+        self._behind = np.zeros(pose_size(self.tilt_sigma_rad))
         self._adjustment: Future[Bundle | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
         self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
@@ -84,6 +88,7 @@ class FaceOdometry:
         else:
             T_world_drone, held = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
             self.clouds.prediction.correct(T_world_drone, prior)
+            self.clouds.stamp_s = scan.stamp_s
             step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
             seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
         put_out = self._put_out(T_world_drone)
@@ -110,12 +115,14 @@ class FaceOdometry:
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
-        s, T_sensor = self.settings.preprocess, self.clouds.prediction.pose(prior) @ self.T_drone_sensor
+        s, T_sensor = self.settings.preprocess, self.clouds.predicted(scan.stamp_s, prior) @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < POINTS_MIN:
             return None
         fit = self.faces.fit(points, T_sensor)
-        if fit.reason or (pose_step(T_sensor, fit.T_world_sensor) ** 2 / self.faces.variance).sum() > GATE:
+        size = len(self._behind)
+        apart = pose_step(T_sensor, fit.T_world_sensor, size)
+        if fit.reason or (apart**2 / self.faces.variance).sum() > GATE[size]:
             return None
         self.faces.accept(fit)
         return fit
@@ -165,15 +172,16 @@ class FaceOdometry:
         self._insert_waiting(moved)
         bars = state.bars.sectioned()
         known = KnownBars(bars, np.ones(len(bars.turn), dtype=bool), np.zeros(len(bars.turn)))
-        self.faces = FaceRegistration(known, self._stamp_s, self.faces.ratio if self.faces else state.sigma_ratio)
-        self.faces.variance = REFITTED_SIGMA**2
+        ratio = self.faces.ratio if self.faces else state.sigma_ratio
+        self.faces = FaceRegistration(known, self._stamp_s, ratio, self.tilt_sigma_rad)
+        self.faces.variance = REFITTED_SIGMA[: len(self._behind)] ** 2
         self.clouds.prediction.lose()  # an adjustment is no motion
         self.clouds.prediction.correct(moved @ T_world_drone, prior)
-        self._behind = pose_step(moved @ T_world_drone, put_out)
+        self._behind = pose_step(moved @ T_world_drone, put_out, len(self._behind))
 
     def _put_out(self, T_world_drone: Array) -> Array:
         """The pose to put out for an estimate: behind it after an adjustment, and catching up."""
-        for part, most in ((slice(0, 3), DRIFT_SIGMA[0]), (slice(3, 4), DRIFT_SIGMA[3])):
+        for part, most in ((slice(0, 3), DRIFT_SIGMA[0]), (slice(3, 6), DRIFT_SIGMA[3])):
             size = float(np.linalg.norm(self._behind[part]))
             self._behind[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
         return moved_poses(T_world_drone[None], self._behind[None])[0] if self._behind.any() else T_world_drone

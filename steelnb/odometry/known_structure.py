@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.errors import MapMismatchError
-from steelnb.fusion.bundle import moved_poses
 from steelnb.fusion.known import KnownBars
+from steelnb.fusion.poses import moved_poses
 from steelnb.fusion.structure import Structure
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, points_in_range

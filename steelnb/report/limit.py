@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from steelnb.experiment import Result
-from steelnb.fusion.bundle import DRIFT_PERIOD_S, DRIFT_SIGMA
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.metrics import position_error_m
 from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, batch, causal, gather, one_scan, see
 from steelnb.report.batch import caption, case_of

@@ -9,6 +9,7 @@ from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_legend, dra
 from steelnb.settings import FlightSettings
 
 USUAL_WORLD = "as preset"
+TILTED, UPRIGHTED = "roll and pitch off by 1°", "roll and pitch off by 1°, estimated"
 WORLDS = {
     "tower.base_width_m=1.6": "tower 1.6 m wide at the base",
     "tower.base_width_m=6.0": "tower 6 m wide at the base",
@@ -21,7 +22,7 @@ WORLDS = {
 def world_of(variant: str, noise: str, sensor: str, trajectory: str) -> str:
     """The name of the world of a run: its variant, the tilt of its prior, or its sensor."""
     if "tilt" in noise:
-        return "roll and pitch off by 1°"
+        return UPRIGHTED if variant.startswith("tilt_sigma_rad=") else TILTED
     if sensor == "report" and not variant:
         return "the report's sensor"
     if variant.startswith("flight.standoff_m="):
@@ -39,7 +40,7 @@ def world_runs(runs: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     found = runs[chosen & runs["method"].isin(others) & ~((runs["sensor"] == "report") & (runs["variant"] != ""))]
     columns = ["variant", "noise", "sensor", "trajectory"]
     worlds = [world_of(*row) for row in found[columns].itertuples(index=False)]
-    order = [USUAL_WORLD, "roll and pitch off by 1°", "stand-off + 1 m", "stand-off + 2 m", *WORLDS.values()]
+    order = [USUAL_WORLD, TILTED, UPRIGHTED, "stand-off + 1 m", "stand-off + 2 m", *WORLDS.values()]
     known = [*order, *dict.fromkeys(world for world in worlds if world not in order)]
     return found.assign(world=pd.Categorical(worlds, known)).sort_values(["world", "method", "seed"], kind="stable")
 

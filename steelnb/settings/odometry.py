@@ -94,7 +94,8 @@ class OdometrySettings(Settings):
 
     ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
     prediction follows the rate of the drift, 0 for a drift that stands still; ``prior_sigma`` are the standard
-    deviations of a correction from its prediction, metres and radians, None for none. ``smooth``: after the last scan,
+    deviations of a correction from its prediction, metres and radians, None for none; ``tilt_sigma_rad`` is that of the
+    prior's roll and pitch, which are then corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan,
     all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
     keyframes and bars during the flight (`steelnb.odometry.faces`), None for none. Tables that a method does not use
     are None.
@@ -104,6 +105,7 @@ class OdometrySettings(Settings):
     near_side: bool = False
     drift_gain: Probability = 0.0
     prior_sigma: tuple[Positive, Positive] | None = None
+    tilt_sigma_rad: NotNegative = 0.0
     smooth: bool = False
     refit_s: Positive | None = None
     preprocess: PreprocessSettings
@@ -121,6 +123,9 @@ class OdometrySettings(Settings):
         by_bars = self.clouds is None or self.clouds.bars_weight > 0
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
+        if self.tilt_sigma_rad and (self.clouds is None or self.prior_sigma is None):
+            given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
+            raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
         return self

@@ -7,9 +7,10 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion import bundle, sections
-from steelnb.fusion.bundle import BAR, POSE
+from steelnb.fusion import bundle, poses, sections
+from steelnb.fusion.bundle import BAR
 from steelnb.fusion.chain import Chain
+from steelnb.fusion.poses import POSE
 from steelnb.types import Segments
 from tests.fusion.test_smooth import made_up
 
@@ -63,30 +64,31 @@ def residuals_of(T, bars, seen, p):
     return np.array(found).T
 
 
-def moved(T, bars, k, b, n, step):
-    """Pose k or bar b moved by a step in one of its degrees of freedom, 0 to 3 or 4 to 9."""
-    if n < POSE:
-        steps = np.zeros((len(T), POSE))
+def moved(T, bars, k, b, n, step, size):
+    """Pose k or bar b moved by a step in one of its degrees of freedom, the pose's ``size`` or the six behind them."""
+    if n < size:
+        steps = np.zeros((len(T), size))
         steps[k, n] = step
-        return bundle.moved_poses(T, steps), bars
+        return poses.moved_poses(T, steps), bars
     segments, turn, flange = bars.segments, bars.turn.copy(), bars.flange.copy()
     ends = [segments.start.copy(), segments.end.copy()]
     half = 0.5 * segments.length[b]
-    if n < POSE + 2:
+    if n < size + 2:
         for end in ends:
-            end[b] += step * bars.across[b, n - POSE]
-    elif n < POSE + 4:
+            end[b] += step * bars.across[b, n - size]
+    elif n < size + 4:
         for sign, end in zip((-1, 1), ends, strict=True):
-            end[b] += sign * half * step * bars.across[b, n - POSE - 2]
+            end[b] += sign * half * step * bars.across[b, n - size - 2]
     else:
-        (turn, flange)[n - POSE - 4][b] += step
+        (turn, flange)[n - size - 4][b] += step
     new = Segments(*ends, segments.count, segments.radius)
     first = bars.across[:, 0] - (bars.across[:, 0] * new.direction).sum(axis=1)[:, None] * new.direction
     first /= np.linalg.norm(first, axis=1)[:, None]
     return T, bundle.Bars(new, np.stack([first, np.cross(new.direction, first)], axis=1), turn, flange)
 
 
-def test_equations_are_those_of_derivatives_by_differences():
+@pytest.mark.parametrize("tilt_sigma_rad", [0.0, 0.02])
+def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad):
     T, bars, seen = made_up(4, 0.0)
     bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
     T = T.copy()
@@ -95,23 +97,46 @@ def test_equations_are_those_of_derivatives_by_differences():
     whole[:3, :3], whole[:3, 3] = tilted, [0.3, -0.2, 0.5]
     T, segments = whole @ T, bars.segments.transformed(whole)
     bars = bundle.Bars(segments, bars.across @ tilted.T, bars.turn, bars.flange)
-    state = bundle.start(T, T, bars)
+    state = bundle.start(T, T, bars, tilt_sigma_rad)
     eq = bundle.linearised(state, seen)
-    step = 1e-6
-    matrix, block = np.zeros((len(T), POSE, POSE)), np.zeros((6, BAR, BAR))
+    step, size = 1e-6, 6 if tilt_sigma_rad else POSE
+    matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR, BAR))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
         columns = [
-            (residuals_of(*moved(T, bars, k, b, n, step), seen, p)[0]
-             - residuals_of(*moved(T, bars, k, b, n, -step), seen, p)[0]) / (2 * step) for n in range(POSE + BAR)
+            (residuals_of(*moved(T, bars, k, b, n, step, size), seen, p)[0]
+             - residuals_of(*moved(T, bars, k, b, n, -step, size), seen, p)[0]) / (2 * step) for n in range(size + BAR)
         ]  # fmt: skip
         sigma = residuals_of(T, bars, seen, p)[1]
         g = np.column_stack(columns) / sigma[:, None]
         g = g[np.isfinite(g).all(axis=1)]
-        matrix[k] += g[:, :POSE].T @ g[:, :POSE]
-        block[b] += g[:, POSE:].T @ g[:, POSE:]
+        matrix[k] += g[:, :size].T @ g[:, :size]
+        block[b] += g[:, size:].T @ g[:, size:]
         if len(g) == seen.first[p + 1] - seen.first[p]:
             scale = np.abs(g.T @ g).max()
-            np.testing.assert_allclose(eq.cross[p], g[:, :POSE].T @ g[:, POSE:], atol=0.01 * scale)
-            np.testing.assert_allclose(eq.shares[p], g[:, POSE:].T @ g[:, POSE:], atol=0.01 * scale)
+            np.testing.assert_allclose(eq.cross[p], g[:, :size].T @ g[:, size:], atol=0.01 * scale)
+            np.testing.assert_allclose(eq.shares[p], g[:, size:].T @ g[:, size:], atol=0.01 * scale)
     np.testing.assert_allclose(eq.matrix, matrix, atol=0.02 * np.abs(matrix).max())
     np.testing.assert_allclose(eq.block, block, atol=0.02 * np.abs(block).max())
+
+
+def test_increments_are_the_derivatives_of_their_cost():
+    # The prior's attitude lies 1° to 3° off, so the cost has slopes in all degrees of freedom.
+    rng, n, sigma = np.random.default_rng(5), 4, 0.02
+    T, prior = np.tile(np.eye(4), (2, n, 1, 1))
+    T[:, :3, 3] = np.cumsum(rng.normal(scale=0.1, size=(n, 3)), axis=0)
+    T[:, :3, :3] = Rotation.from_rotvec(rng.normal(scale=0.1, size=(n, 3))).as_matrix()
+    off = Rotation.from_rotvec(rng.normal(scale=0.03, size=(n, 3))).as_matrix()
+    prior[:, :3, :3], prior[:, :3, 3] = off @ T[:, :3, :3], T[:, :3, 3] + rng.normal(scale=0.02, size=(n, 3))
+    stamp_s = 0.2 * np.arange(n)
+
+    def vector(step):
+        return poses.increments(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
+
+    matrix, beside, _ = poses.increments(T, prior, stamp_s, sigma)
+    dense = block_diag(*matrix)
+    for k in range(n - 1):
+        dense[6 * k : 6 * k + 6, 6 * k + 6 : 6 * k + 12] = beside[k]
+        dense[6 * k + 6 : 6 * k + 12, 6 * k : 6 * k + 6] = beside[k].T
+    dense[:6, :6] -= poses.FIXED * np.eye(6)  # the first pose is held, without a slope of its own
+    by_differences = np.array([(vector(1e-6 * e) - vector(-1e-6 * e)) / -2e-6 for e in np.eye(6 * n)]).T
+    np.testing.assert_allclose(by_differences, dense, atol=0.06 * np.abs(dense).max())

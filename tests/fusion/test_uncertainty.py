@@ -8,8 +8,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SingularError
-from steelnb.fusion import bundle, sections, uncertainty
-from steelnb.fusion.bundle import BAR, POSE
+from steelnb.fusion import bundle, poses, sections, uncertainty
+from steelnb.fusion.bundle import BAR
 from tests.fusion.made import bars_of
 from tests.fusion.test_smooth import made_up as made_up_anew
 
@@ -20,8 +20,8 @@ made_up = functools.cache(made_up_anew)
 """The same problem for many tests, none of which changes it."""
 
 
-def state_of(T, bars) -> bundle.Bundle:
-    return bundle.start(T, T, bars)
+def state_of(T, bars, tilt_sigma_rad=0.0) -> bundle.Bundle:
+    return bundle.start(T, T, bars, tilt_sigma_rad)
 
 
 def marginals(state, seen, prior, shared_sigma_m=None):
@@ -32,30 +32,32 @@ def dense(state, seen, prior, stamp_s, shared_sigma_m):
     """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
     eq = bundle.linearised(state, seen)
     K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
-    chained, beside, _ = bundle.increments(state.T_world_sensor, prior, stamp_s)
-    size = POSE * K + BAR * n
+    chained, beside, _ = poses.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+    D = state.step.shape[1]
+    size = D * K + BAR * n
     whole = np.zeros((size + 2 * P, size + 2 * P))
-    whole[: POSE * K, : POSE * K] = block_diag(*(eq.matrix + chained))
+    whole[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
     for k in range(K - 1):
-        pose, behind = slice(POSE * k, POSE * k + POSE), slice(POSE * k + POSE, POSE * k + 2 * POSE)
+        pose, behind = slice(D * k, D * k + D), slice(D * k + D, D * k + 2 * D)
         whole[pose, behind], whole[behind, pose] = beside[k], beside[k].T
-    whole[POSE * K : size, POSE * K : size] = block_diag(*(eq.block + np.diag(bundle.BAR_SIGMA**-2.0)))
+    whole[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(bundle.BAR_SIGMA**-2.0)))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
-        pose, bar = slice(POSE * k, POSE * k + POSE), slice(POSE * K + BAR * b, POSE * K + BAR * b + BAR)
+        pose, bar = slice(D * k, D * k + D), slice(D * K + BAR * b, D * K + BAR * b + BAR)
         own = slice(size + 2 * p, size + 2 * p + 2)
         whole[pose, bar], whole[bar, pose] = eq.cross[p], eq.cross[p].T
         whole[pose, own], whole[own, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
         whole[bar, own], whole[own, bar] = eq.shares[p][:, :2], eq.shares[p][:, :2].T
         whole[own, own] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
-    inverse = np.linalg.inv(whole[POSE:, POSE:])  # without the first pose, which is held
-    pose = [inverse[at : at + POSE, at : at + POSE] for at in range(0, POSE * (K - 1), POSE)]
-    bar = [inverse[at : at + BAR, at : at + BAR] for at in range(POSE * (K - 1), size - POSE, BAR)]
+    inverse = np.linalg.inv(whole[D:, D:])  # without the first pose, which is held
+    pose = [inverse[at : at + D, at : at + D] for at in range(0, D * (K - 1), D)]
+    bar = [inverse[at : at + BAR, at : at + BAR] for at in range(D * (K - 1), size - D, BAR)]
     return np.array(pose), np.array(bar)
 
 
-def test_they_are_the_blocks_of_the_dense_inverse():
+@pytest.mark.parametrize("tilt_sigma_rad", [0.0, 0.02])
+def test_they_are_the_blocks_of_the_dense_inverse(tilt_sigma_rad):
     T, bars, seen = made_up(1, 0.004)
-    state = state_of(T, bars)
+    state = state_of(T, bars, tilt_sigma_rad)
     pose, bar = dense(state, seen, T, STAMP_S, 0.003)
     found = marginals(state, seen, T, 0.003)
     np.testing.assert_allclose(found.pose[1:], pose, rtol=1e-4, atol=1e-12)
@@ -85,7 +87,7 @@ def test_many_runs_scatter_as_they_say():
     for _ in range(60):
         noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
         seen = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
-        drift = rng.normal(size=(39, 4)) * bundle.DRIFT_SIGMA
+        drift = rng.normal(size=(39, 4)) * poses.DRIFT_SIGMA
         prior = T.copy()
         prior[1:, :3, 3] += np.cumsum(drift[:, :3], axis=0)
         turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 3]), [0, 0, 1])).as_matrix()
@@ -96,7 +98,7 @@ def test_many_runs_scatter_as_they_say():
         pose, _ = marginals(state, seen, prior, 0.0)
         error = np.empty((39, 4))
         error[:, :3] = (T - state.T_world_sensor)[1:, :3, 3]
-        error[:, 3] = bundle.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
+        error[:, 3] = poses.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
         squared.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pose[1:]), error).mean() / 4)
         scaled.append(error[20] / np.sqrt(np.diag(pose[21])))
     assert 0.8 < np.mean(squared) < 1.25
@@ -118,7 +120,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 
 
 def test_a_free_direction_is_named(monkeypatch):
-    monkeypatch.setattr(bundle, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
+    monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
     T, bars, seen = wall_of_posts()
     with pytest.raises(SingularError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
         marginals(state_of(T, bars), seen, T)

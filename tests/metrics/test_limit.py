@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.bundle import DRIFT_SIGMA
+from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, Returns, batch, causal, gather, gradients, one_scan, see
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly

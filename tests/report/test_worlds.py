@@ -29,6 +29,8 @@ def test_worlds_are_named_for_readers():
     assert world_of("flight.standoff_m=2.4", "random-walk", "starling2", "orbit") == "stand-off + 1 m"
     assert world_of("flight.standoff_m=2.1", "random-walk", "starling2", "vertical") == "stand-off + 1 m"
     assert world_of("", "random-walk+tilt", "starling2", "orbit") == "roll and pitch off by 1°"
+    estimated = world_of("tilt_sigma_rad=0.0175", "random-walk+tilt", "starling2", "orbit")
+    assert estimated == "roll and pitch off by 1°, estimated"
     assert world_of("", "random-walk", "starling2", "orbit") == "as preset"
     assert world_of("", "random-walk", "report", "orbit") == "the report's sensor"
     assert world_of("hough.dx_m=3", "random-walk", "report", "orbit") == "hough.dx_m=3"

@@ -1,0 +1,98 @@
+"""Poses with four or six degrees of freedom, and what a drifting prior says of them.
+
+The prior drifts in position and yaw as a random walk does. Its roll and pitch are exact; or they have errors, a
+first-order Gauss-Markov process, as those of an attitude filter.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.types import Array
+
+POSE = 4
+"""Degrees of freedom: x, y, z, yaw, behind which come roll and pitch where they are free."""
+AXES = (2, 0, 1)
+"""The axes of the world about which yaw, roll and pitch turn a pose."""
+DRIFT_SIGMA = np.array([0.01, 0.01, 0.01, 0.002])
+"""Standard deviation of an increment of the drift in `DRIFT_PERIOD_S`, metres and radians; it grows with √time."""
+DRIFT_PERIOD_S = 0.2
+TILT_S = 10.0
+"""Correlation time of the errors of the prior's roll and pitch: that of attitude filters is seconds to a minute."""
+FIXED = 1e12
+
+
+def pose_size(tilt_sigma_rad: float) -> int:
+    """The degrees of freedom of a pose where the prior's roll and pitch have this standard deviation."""
+    return POSE + 2 * (tilt_sigma_rad > 0)
+
+
+def increments(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> tuple[Array, Array, Array]:
+    """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
+    ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
+    size = pose_size(tilt_sigma_rad)
+    matrix, vector = np.zeros((len(T), size, size)), np.zeros((len(T), size))
+    time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
+    weight = DRIFT_SIGMA**-2.0 / time[:, None]
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error = np.empty((len(time), POSE))
+    error[:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
+    error[:, 3] = yaw_of(apart)
+    before = np.tile(-np.eye(POSE), (len(time), 1, 1))  # derivative by the earlier pose; by the later one: identity
+    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
+    weighed = weight[:, :, None] * before
+    matrix[:-1, :POSE, :POSE] += before.transpose(0, 2, 1) @ weighed
+    matrix[1:, :POSE, :POSE] += weight[:, :, None] * np.eye(POSE)
+    vector[:-1, :POSE] -= (weighed.transpose(0, 2, 1) @ error[:, :, None])[:, :, 0]
+    vector[1:, :POSE] -= weight * error
+    matrix[0] += FIXED * np.eye(size)
+    beside = np.zeros((len(time), size, size))
+    beside[:, :POSE, :POSE] = weighed.transpose(0, 2, 1)
+    if tilt_sigma_rad:
+        _add_tilt(matrix[:, POSE:, POSE:], beside[:, POSE:, POSE:], vector[:, POSE:], T, prior, stamp_s, tilt_sigma_rad)
+    return matrix, beside, vector
+
+
+def _add_tilt(
+    matrix: Array, beside: Array, vector: Array, T: Array, prior: Array, stamp_s: Array, sigma_rad: float
+) -> None:
+    """Add the normal equations of roll and pitch, whose errors in the prior are a Gauss-Markov process."""
+    turn = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1))
+    stays = np.exp(-np.maximum(np.diff(stamp_s), 1e-6) / TILT_S)[:, None]
+    weight = sigma_rad**-2.0 / (1.0 - stays**2)
+    apart = turn[1:] - stays * turn[:-1]
+    matrix[:-1] += (weight * stays**2)[:, :, None] * np.eye(2)
+    matrix[1:] += weight[:, :, None] * np.eye(2)
+    beside -= (weight * stays)[:, :, None] * np.eye(2)
+    vector[:-1] -= weight * stays * apart
+    vector[1:] += weight * apart
+
+
+def moved_poses(T: Array, step: Array) -> Array:
+    """Poses ``(K, 4, 4)`` after steps ``(K, D)`` of x, y, z, metres, and yaw, and if D is 6 roll and pitch, about their
+    own places, radians."""
+    result, turn = T.copy(), np.zeros((len(T), 3))
+    turn[:, AXES[: step.shape[1] - 3]] = step[:, 3:]
+    result[:, :3, 3] += step[:, :3]
+    result[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T[:, :3, :3]
+    return result
+
+
+def pose_step(T_from: Array, T_to: Array, size: int = POSE) -> Array:
+    """The step ``(size,)`` of x, y, z, metres, yaw, and if size is 6 roll and pitch, radians, from one pose to another;
+    undone by `moved_poses`, but for products of its turns."""
+    turned = T_to[:3, :3] @ T_from[:3, :3].T
+    return np.concatenate([T_to[:3, 3] - T_from[:3, 3], yaw_of(turned)[None], tilt_of(turned)])[:size]
+
+
+def yaw_of(rotation: Array) -> Array:
+    """The angle about z, radians, that is nearest to each rotation ``(…, 3, 3)``."""
+    first, second = rotation[..., 0, :], rotation[..., 1, :]
+    return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
+
+
+def tilt_of(rotation: Array) -> Array:
+    """The turns about x and y, radians, of rotations ``(…, 3, 3)`` that tilt the vertical by a small angle; ``(…, 2)``,
+    whatever their yaw."""
+    return np.stack([rotation[..., 2, 1], -rotation[..., 2, 0]], axis=-1)

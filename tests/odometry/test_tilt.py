@@ -1,0 +1,77 @@
+"""Roll and pitch that the prior does not know exactly: corrected by clouds and bars, held by gravity where they end."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.fusion.poses import TILT_S, tilt_of
+from steelnb.metrics import nees, pose_errors, score_trajectory
+from steelnb.odometry import make_odometry, run
+from steelnb.odometry.prediction import Prediction
+from steelnb.settings import ExperimentSettings, OdometrySettings
+
+SIGMA_RAD = 0.0175
+TILTED = "constant-drift:0.0004+yaw-random-walk+tilt:0.1"
+"""Within seconds the tilt is worth that of minutes at a tenth of its size: it has a correlation time of 30 s."""
+
+
+def tilt_rms_deg(trajectory, truth) -> float:
+    true = truth.trajectory.at(trajectory.stamp_s).T_world_drone[:, :3, :3]
+    tilt = tilt_of(trajectory.T_world_drone[:, :3, :3] @ true.transpose(0, 2, 1))
+    return float(np.degrees(np.sqrt((tilt**2).sum(axis=1).mean())))
+
+
+@pytest.fixture(scope="module")
+def world():
+    settings = ExperimentSettings.preset("vertical", TILTED, seed=3, duration_s=16.0, method="combined")
+    flight, truth = experiment.simulate(settings)
+    assert tilt_rms_deg(flight.prior, truth) > 3.0
+    return flight, truth
+
+
+def fly(world, method, sigma_rad=SIGMA_RAD, **changes):
+    settings = OdometrySettings.preset(method, overrides={"tilt_sigma_rad": sigma_rad, **changes})
+    return run(world[0], make_odometry(settings, world[0].T_drone_sensor))
+
+
+@pytest.mark.parametrize(("method", "bound_m"), [("best", 0.05), ("combined", 0.04)])
+def test_an_odometry_corrects_the_tilt_of_its_prior(world, method, bound_m):
+    truth = world[1]
+    kept, found = fly(world, method, 0.0), fly(world, method)
+    error_m = score_trajectory(found.corrected, truth.trajectory)["ate_rmse_m"]
+    assert error_m < min(bound_m, 0.5 * score_trajectory(kept.corrected, truth.trajectory)["ate_rmse_m"])
+    assert tilt_rms_deg(kept.corrected, truth) == pytest.approx(tilt_rms_deg(world[0].prior, truth), rel=1e-6)
+    assert tilt_rms_deg(found.corrected, truth) < 0.5
+    assert not any(found.reason[1:])
+
+
+def test_so_does_one_by_faces_and_the_smoothing(world):
+    truth = world[1]
+    online, smooth = fly(world, "faces", refit_s=4.0), fly(world, "smoothed")
+    assert score_trajectory(online.corrected, truth.trajectory)["ate_rmse_m"] < 0.03
+    assert tilt_rms_deg(online.corrected, truth) < 0.5
+    assert score_trajectory(smooth.corrected, truth.trajectory)["ate_rmse_m"] < 0.02
+    assert tilt_rms_deg(smooth.corrected, truth) < 0.2
+    squares = nees(pose_errors(smooth.corrected, truth.trajectory)[1:], smooth.pose_covariance[1:]) / 6
+    assert 0.2 < squares.mean() < 5.0
+
+
+def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
+    prediction, prior = Prediction(0.0, SIGMA_RAD), np.eye(4)
+    prior[:3, :3] = Rotation.from_euler("zyx", [0.4, 0.02, -0.01]).as_matrix()
+    pose = prior.copy()
+    tilt = Rotation.from_rotvec([0.03, -0.02, 0.0]).as_matrix()
+    pose[:3, :3] = tilt @ Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix() @ prior[:3, :3]
+    prediction.correct(pose, prior)
+    later = prediction.pose(prior, TILT_S)[:3, :3] @ prior[:3, :3].T
+    np.testing.assert_allclose(tilt_of(later.T), -np.exp(-1) * np.array([0.03, -0.02]), atol=2e-5)
+    assert np.arctan2(later[1, 0], later[0, 0]) == pytest.approx(0.7, abs=1e-3)
+    assert prediction.tilt_step_sigma_rad(1e6) == pytest.approx(SIGMA_RAD)
+
+
+@pytest.mark.parametrize("method", ["gicp", "least_squares_yaw"])
+def test_methods_that_cannot_refuse(method):
+    with pytest.raises(SettingsError, match=r"tilt_sigma_rad = 0\.01: expected a method by clouds with prior_sigma"):
+        OdometrySettings.preset(method, overrides={"tilt_sigma_rad": 0.01})
