@@ -109,7 +109,7 @@ def figure_worlds(runs: pd.DataFrame) -> Figure:
     }
     keys |= {"mean": {"color": COLOURS["truth"], "lw": 2.0}}
     keys |= {LABELS["none"]: {"color": COLOURS["none"], "marker": "|", "ls": "", "ms": 14, "mew": 2}}
-    draw_legend(figure, keys)
+    draw_legend(figure, keys, ncols=4)
     usual = runs[runs["world"] == USUAL_WORLD]
     seeds = sorted({*runs.groupby(["world", "method"], observed=True)["seed"].nunique()})
     number = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else seeds_text(runs["seed"])
