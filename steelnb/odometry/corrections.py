@@ -145,9 +145,8 @@ def bar_equations(
     weight = information[:, None] * robust**2
     projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     arm = ends - position
-    J = np.zeros(
-        (*ends.shape, 6 if tilt else 4)
-    )  # how a step moves an end; the projector is applied to what it is multiplied with
+    # How a step moves an end; the projector is applied to what it is multiplied with.
+    J = np.zeros((*ends.shape, 6 if tilt else 4))
     J[..., 0, 0], J[..., 1, 0] = -arm[..., 1], arm[..., 0]
     J[..., 1:4] = np.eye(3)
     if tilt:

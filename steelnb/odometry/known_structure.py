@@ -3,7 +3,7 @@
 Where the flight begins is known to half a metre and five degrees. The first scan is tried at all places of a grid of
 that extent (correlative scan matching: Olson, ICRA 2009); the best ones are refined, and the one stays in which most
 points lie on front faces. From then on each scan starts at the last pose and the increment of the prior, and both count
-by their information. Roll and pitch are the prior's.
+by their information. Roll and pitch are the prior's, or corrected as well where these have a standard deviation.
 """
 
 import time
@@ -13,7 +13,7 @@ from numba import njit
 
 from steelnb.errors import MapMismatchError
 from steelnb.fusion.known import KnownBars
-from steelnb.fusion.poses import moved_poses
+from steelnb.fusion.poses import POSE, moved_poses, pose_size
 from steelnb.fusion.structure import Structure
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, points_in_range
@@ -44,12 +44,16 @@ class KnownStructureOdometry:
         without bars.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     preprocess : its ``crop_m``, the furthest range, and ``floor_m``, the height of the ground, are used.
+    tilt_sigma_rad : standard deviation of the prior's roll and pitch; 0 keeps them.
     """
 
     def __init__(
-        self, structure: Structure, T_drone_sensor: Array | None = None, preprocess: PreprocessSettings | None = None
-    ) -> None:
-        self.structure, self.faces = structure, FaceRegistration(KnownBars.of(structure))
+        self, structure: Structure, T_drone_sensor: Array | None = None, preprocess: PreprocessSettings | None = None,
+        tilt_sigma_rad: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.structure = structure
+        self.faces = FaceRegistration(KnownBars.of(structure), tilt_sigma_rad=tilt_sigma_rad)
+        self._start_sigma = np.append(START_SIGMA, [tilt_sigma_rad] * (pose_size(tilt_sigma_rad) - POSE))
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.preprocess = preprocess or PreprocessSettings()
         self.map = VoxelMap(self.preprocess.voxel_leaf_m)
@@ -76,7 +80,7 @@ class KnownStructureOdometry:
             return self._step(scan, T_init, reason, 0, (begin, searched))
         starts = _search(points, T_sensor, self.faces.known) if lost else [T_sensor]
         searched = time.perf_counter()
-        fits = [self.faces.fit(points, start, START_SIGMA if lost else None) for start in starts]
+        fits = [self.faces.fit(points, start, self._start_sigma if lost else None) for start in starts]
         fit = max(fits, key=lambda each: (not each.reason, each.share))
         if fit.reason:
             if not self.located:

@@ -273,7 +273,8 @@ def _figures(
 def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
     if known is None:
         return odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
-    return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, settings.odometry.preprocess)
+    chosen = settings.odometry
+    return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, chosen.preprocess, chosen.tilt_sigma_rad)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:

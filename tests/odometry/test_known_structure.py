@@ -58,6 +58,20 @@ def test_a_start_half_a_metre_and_five_degrees_off_is_found(tower, exact, by, ya
     assert angle.max() < 2e-3
 
 
+def test_roll_and_pitch_are_found_where_the_prior_may_err(tower, exact):
+    tilted = exact.prior.T_world_drone.copy()
+    tilted[:, :3, :3] = Rotation.from_rotvec([0.015, -0.012, 0.0]).as_matrix() @ tilted[:, :3, :3]
+    flight = replace(exact, prior=Trajectory(exact.prior.stamp_s, tilted))
+    kept, found = (
+        odometry.run(flight, KnownStructureOdometry(true_structure(tower), tilt_sigma_rad=sigma_rad))
+        for sigma_rad in (0.0, 0.02)
+    )
+    distance, angle = errors(found.corrected.T_world_drone, exact)
+    assert distance.max() < 2e-3
+    assert angle.max() < 1.5e-3
+    assert errors(kept.corrected.T_world_drone, exact)[0].max() > 0.01
+
+
 def test_range_noise_averages_out(tower):
     flight = around(tower, 6, noise_m=0.01)
     found = odometry.run(flight, KnownStructureOdometry(true_structure(tower)))
