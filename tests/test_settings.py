@@ -151,7 +151,7 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
 
 
 def test_there_are_at_most_107_settings():
-    """90, nine faults of a Time-of-Flight camera, six of an IMU, and the spectrum of the gusts."""
+    """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, and the prior's tilt."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name

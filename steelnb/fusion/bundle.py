@@ -141,7 +141,7 @@ def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
     bars = bundle.bars
     corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
-    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, bundle.step.shape[1])
+    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, pose_size(bundle.tilt_sigma_rad))
 
 
 def equations(

@@ -26,6 +26,12 @@ def pose_size(tilt_sigma_rad: float) -> int:
     return POSE + 2 * (tilt_sigma_rad > 0)
 
 
+def tilt_stays(passed_s: Array | float) -> Array:
+    """The share of an error of the prior's roll or pitch that is left after ``passed_s``; with twice the time, that of
+    its variance."""
+    return np.exp(-np.asarray(passed_s) / TILT_S)
+
+
 def increments(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> tuple[Array, Array, Array]:
     """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
     ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
@@ -59,7 +65,7 @@ def _add_tilt(
 ) -> None:
     """Add the normal equations of roll and pitch, whose errors in the prior are a Gauss-Markov process."""
     turn = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1))
-    stays = np.exp(-np.maximum(np.diff(stamp_s), 1e-6) / TILT_S)[:, None]
+    stays = tilt_stays(np.maximum(np.diff(stamp_s), 1e-6))[:, None]
     weight = sigma_rad**-2.0 / (1.0 - stays**2)
     apart = turn[1:] - stays * turn[:-1]
     matrix[:-1] += (weight * stays**2)[:, :, None] * np.eye(2)

@@ -11,7 +11,7 @@ import numpy as np
 from steelnb.fusion.bundle import noise_ratio
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
-from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, TILT_S, moved_poses, pose_size, pose_step
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays
 from steelnb.types import Array, Scan
 
 COARSE, FINE = (6.0, 4.0, 2.5, 1.5), (1.0,) * 5
@@ -53,7 +53,7 @@ class FaceRegistration:
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
         self.variance[:POSE] += DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
-        stays = np.exp(-2.0 * passed_s / TILT_S)
+        stays = tilt_stays(2.0 * passed_s)
         self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, start_sigma: Array | None = None) -> Fit:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion.poses import DRIFT_PERIOD_S, TILT_S
+from steelnb.fusion.poses import DRIFT_PERIOD_S, TILT_S, tilt_stays
 from steelnb.types import Array
 
 NONE = np.zeros((0, 3))
@@ -36,7 +36,7 @@ class Prediction:
             turn, offset = Rotation.from_rotvec(self.turn_rate).as_matrix() @ turn, offset + self.offset_rate
         if self.tilt_sigma_rad:
             upright = np.cross(turn[:, 2], (0.0, 0.0, 1.0))  # the turn that takes the correction of the tilt back
-            turn = Rotation.from_rotvec((1.0 - np.exp(-passed_s / TILT_S)) * upright).as_matrix() @ turn
+            turn = Rotation.from_rotvec((1.0 - tilt_stays(passed_s)) * upright).as_matrix() @ turn
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
         return T
