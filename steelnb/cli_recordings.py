@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,10 @@ from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
 from steelnb.report.words import counted
 
+if TYPE_CHECKING:
+    from steelnb.settings import ExperimentSettings, StructureSettings
+    from steelnb.types import Flight
+
 DURATION_MIN_S = 1.0
 
 app = typer.Typer()
@@ -31,7 +35,13 @@ Scans = Annotated[str | None, typer.Option(help="Topic or sub-folder of the scan
 Poses = Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")]
 TruthFile = Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")]
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file with the tables [extrinsics] and [intrinsics].")]
-Gap = Annotated[float, typer.Option(help="Seconds between two poses beyond which there is none between them.")]
+Gap = Annotated[
+    float | None,
+    typer.Option(
+        help="Seconds between two poses beyond which there is none between them.",
+        show_default="0.5, or two intervals of slower poses",
+    ),
+]
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
@@ -91,7 +101,7 @@ def record(
         "steelnb run flight.mcap",
         "steelnb run flight.mcap --odometry best --odometry gicp -o compared",
         "steelnb run flight.mcap --from 10 --to 60 --noise random-walk:0.004",
-        "steelnb run flight.mcap --range-max 20 --floor -1000 --force",
+        "steelnb run flight.mcap --range-max 20 --floor -2 --force",
         "steelnb run new.mcap --map flight_run/structure.json",
     )
 )
@@ -114,12 +124,18 @@ def run(
     poses: Poses = None,
     truth: TruthFile = None,
     settings: SettingsFile = None,
-    gap: Gap = 0.5,
+    gap: Gap = None,
     seed: Seed = 1,
     range_max: Annotated[
-        float | None, typer.Option(help="Metres that the sensor sees, in place of the preset's crop.")
+        float | None, typer.Option(help="Metres that the sensor sees.", show_default="from the first scans")
     ] = None,
-    floor: Annotated[float | None, typer.Option(help="Height in metres below which points are the ground.")] = None,
+    floor: Annotated[
+        float | None,
+        typer.Option(
+            help="Height in metres below which points are the ground.",
+            show_default="the preset's, unless points lie below the world's zero",
+        ),
+    ] = None,
     changed: Set = None,
     map_file: Annotated[
         Path | None,
@@ -139,8 +155,9 @@ def run(
     """
     with progress() as shown:
         from steelnb.io import read_flight, read_structure, read_truth
-        from steelnb.report.recording import recording_settings, run_recording
+        from steelnb.report.recording import run_recording
         from steelnb.report.recording_comparison import compare_recording
+        from steelnb.report.recording_settings import recording_settings
         from steelnb.settings import NoiseSettings
 
         stage = ""
@@ -154,17 +171,21 @@ def run(
             raise SettingsError("--map with --odometry or --smooth: expected one of them; the map is what corrects")
         known = None if map_file is None else read_structure(map_file)
         overrides = _overrides(changed) | ({"smooth": True} if smooth else {})
-        chosen = {}
-        for name in odometry or ["best"]:
-            for_odometry, for_structure = recording_settings(
-                name, sensor, seed=seed, range_max_m=range_max, floor_m=floor, overrides=overrides
-            )
-            chosen[name] = for_odometry, for_structure if structure else None
+
+        def settings_for(flight: "Flight | None" = None) -> dict[str, "tuple[ExperimentSettings, StructureSettings]"]:
+            given: dict[str, Any] = {"seed": seed, "range_max_m": range_max, "floor_m": floor, "overrides": overrides}
+            return {name: recording_settings(name, sensor, flight=flight, **given) for name in odometry or ["best"]}
+
+        settings_for()  # what is given wrongly is refused before a file is opened
         if noise is not None:
             NoiseSettings.parse(noise)
         on_stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
         true = read_truth(recording, truth=truth, settings=settings)
+        chosen = {
+            name: (for_odometry, for_structure if structure else None)
+            for name, (for_odometry, for_structure) in settings_for(flight).items()
+        }
         options: dict[str, Any] = {
             "truth": true, "added_noise": noise, "known": known, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
             "part_s": None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s),
@@ -185,7 +206,7 @@ def info(
     poses: Poses = None,
     truth: TruthFile = None,
     settings: SettingsFile = None,
-    gap: Gap = 0.5,
+    gap: Gap = None,
     quick: Annotated[bool, typer.Option("--quick", help="Read the first scan alone.")] = False,
 ) -> None:
     """Show the content of a recording.

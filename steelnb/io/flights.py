@@ -14,9 +14,6 @@ from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_trajectory
 from steelnb.types import Flight, Trajectory
 
-GAP_MAX_S = 0.5
-"""Poses further apart than this are not interpolated between: a drone turns and stops within it."""
-
 
 class _Format(NamedTuple):
     fits: Callable[[Path], bool]
@@ -40,7 +37,7 @@ def read_flight(
     poses: str | None = None,
     truth: str | None = None,
     settings: Path | str | None = None,
-    gap_max_s: float = GAP_MAX_S,
+    gap_max_s: float | None = None,
 ) -> Flight:
     """Open a recorded flight; its scans are read one at a time as they are iterated over.
 
@@ -53,13 +50,14 @@ def read_flight(
     truth : topic of the true poses, which is then not taken for the drifting ones. It is read by `read_truth`.
     settings : TOML file with tables ``[extrinsics]`` (``translation_m`` and ``rotation_xyzw`` or ``rotation_rpy_deg``
         of the sensor in the drone frame) and ``[intrinsics]`` (``fx fy cx cy width height depth_scale``).
-    gap_max_s : poses further apart are not interpolated between; scans in such a gap are left out.
+    gap_max_s : poses further apart are not interpolated between; scans in such a gap are left out. By default 0.5 s, or
+        two usual intervals of the poses, but never more than 2 s.
 
     Returns a `Flight` whose ``prior`` is interpolated at the scans, whose ``facts`` name the format, topics and
     calibration, and whose ``skipped`` counts what was left out. Raises `FileMissingError`, `UnsupportedFormatError`,
     `FileContentError`, `RecordingError`, `TopicError`, `ExtrinsicsError` and `SettingsError`.
     """
-    if not 0 < gap_max_s < float("inf"):
+    if gap_max_s is not None and not 0 < gap_max_s < float("inf"):
         raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")
     path = Path(path)
     parts = _format(path).open(path, scans, poses, truth, Path(settings) if settings else None)

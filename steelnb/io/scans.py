@@ -79,7 +79,7 @@ class Parts:
     imu: Imu | None = None
     skipped: Counter[str] = field(default_factory=Counter)
 
-    def flight(self, path: Path, gap_max_s: float) -> Flight:
+    def flight(self, path: Path, gap_max_s: float | None) -> Flight:
         """The flight of those scans that have a rising stamp and a pose. Raises `RecordingError` without any."""
         skipped = Counter(self.skipped)
         number = np.flatnonzero(rising(self.stamp_s, skipped))

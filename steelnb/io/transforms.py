@@ -21,10 +21,16 @@ MOVED = 1e-6
 WORLDS = ("odom", "world", "map")
 BODIES = ("base_link", "base_footprint", "body", "base", "drone")
 """Usual names, the likelier first (REP 105). In odom poses drift but do not jump, as a prior should."""
+GAP_MAX_S = 0.5, 2.0
+"""Poses further apart than this are not interpolated between: a drone turns and stops within it. The second number is
+for poses that come slowly."""
 
 
-def interpolate(trajectory: Trajectory, stamp_s: Array, gap_max_s: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to ``gap_max_s``.
+def interpolate(
+    trajectory: Trajectory, stamp_s: Array, gap_max_s: float | None = None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to ``gap_max_s``, by
+    default two usual intervals, within the limits of `GAP_MAX_S`.
 
     Positions linearly, rotations by slerp; exactly the recorded pose at its own stamp.
     """
@@ -32,6 +38,8 @@ def interpolate(trajectory: Trajectory, stamp_s: Array, gap_max_s: float) -> tup
     result = np.tile(np.eye(4), (len(stamp_s), 1, 1))
     if not len(own) or not len(stamp_s):
         return result, np.zeros(len(stamp_s), dtype=bool)
+    if gap_max_s is None:
+        gap_max_s = float(np.clip(2 * np.median(np.diff(own)), *GAP_MAX_S)) if len(own) > 1 else GAP_MAX_S[0]
     after = np.clip(np.searchsorted(own, stamp_s), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)
     for nearest in (before, after):  # stamps that went through text or integers may miss by rounding

@@ -1,8 +1,11 @@
 """The filters that the report applies to every scan, in its order: invalid returns, pass-through, voxel grid."""
 
+import math
+
 import numpy as np
 from numba import njit
 
+from steelnb.points.voxel_kernels import place_of
 from steelnb.settings import PreprocessSettings
 from steelnb.types import Array, Scan
 
@@ -39,19 +42,63 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
         raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
     if not len(points):
         return np.zeros((0, 3))
-    cube = np.floor(points / leaf_m).astype(np.int64)
-    cube -= cube.min(axis=0)
-    extent = cube.max(axis=0) + 1
+    cube, low, high = _cubes(np.ascontiguousarray(points, dtype=np.float64), leaf_m)
+    extent = high - low + 1
     if float(extent[0]) * float(extent[1]) * float(extent[2]) < 2.0**62:
-        key = (cube[:, 0] * extent[1] + cube[:, 1]) * extent[2] + cube[:, 2]
-        order = np.argsort(key, kind="stable")
-        new = np.concatenate([[True], np.diff(key[order]) != 0])
+        order, first = _grouped(cube, low, extent)
     else:  # more cubes than an integer can count: sort by the three coordinates instead
         order = np.lexsort(cube.T[::-1])
-        new = np.concatenate([[True], (np.diff(cube[order], axis=0) != 0).any(axis=1)])
-    first = np.flatnonzero(new)
+        first = np.flatnonzero(np.concatenate([[True], (np.diff(cube[order], axis=0) != 0).any(axis=1)]))
     count = np.diff(np.append(first, len(points)))
     return np.add.reduceat(points[order], first, axis=0) / count[:, None]
+
+
+@njit(cache=True)
+def _cubes(points, leaf_m):
+    """The cube ``(N, 3)`` that holds each point, and the lowest and highest index along each axis."""
+    cube = np.empty(points.shape, np.int64)
+    low, high = np.full(3, np.int64(2) ** 62), np.full(3, -(np.int64(2) ** 62))
+    for i in range(len(points)):
+        for k in range(3):
+            cube[i, k] = np.int64(math.floor(points[i, k] / leaf_m))
+            low[k], high[k] = min(low[k], cube[i, k]), max(high[k], cube[i, k])
+    return cube, low, high
+
+
+@njit(cache=True)
+def _grouped(cube, low, extent):
+    """Points in the order of their cubes, those of a cube in their own, and where each cube begins among them.
+
+    A hash table finds the cubes, of which there are far fewer than points, and only they are sorted.
+    """
+    n, size = len(cube), 1024
+    while size < 2 * n:
+        size *= 2
+    table, mask = np.full(size, -1, np.int64), size - 1
+    group, key, count = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
+    cubes, last, g = 0, np.int64(-1), np.int64(-1)
+    for i in range(n):
+        own = ((cube[i, 0] - low[0]) * extent[1] + cube[i, 1] - low[1]) * extent[2] + cube[i, 2] - low[2]
+        if own != last:  # neighbouring pixels mostly share a cube
+            at = place_of(own, mask)
+            while table[at] >= 0 and key[table[at]] != own:
+                at = (at + 1) & mask
+            if table[at] < 0:
+                table[at], key[cubes] = cubes, own
+                cubes += 1
+            g, last = table[at], own
+        group[i] = g
+        count[g] += 1
+    first, free = np.empty(cubes, np.int64), np.empty(cubes, np.int64)
+    begin = 0
+    for rank, g in enumerate(np.argsort(key[:cubes])):
+        first[rank] = free[g] = begin
+        begin += count[g]
+    order = np.empty(n, np.int64)
+    for i in range(n):
+        order[free[group[i]]] = i
+        free[group[i]] += 1
+    return order, first
 
 
 def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, settings: PreprocessSettings) -> Array:
@@ -60,7 +107,7 @@ def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, set
     ``T_world_drone (4, 4)`` is an estimate; it only serves to cut the floor, below ``floor_m`` in the world.
     """
     points = np.ascontiguousarray(scan.points, dtype=np.float64).reshape(-1, 3)
-    upper = np.full(3, settings.crop_m)
+    reach = np.full(3, settings.crop_m)
     up, height = np.ascontiguousarray(T_world_drone[2, :3]), T_world_drone[2, 3]
-    kept = crop(points, T_drone_sensor, upper * [0, -1, -1], upper, up, height, settings.floor_m)
+    kept = crop(points, T_drone_sensor, -reach, reach, up, height, settings.floor_m)
     return voxel_grid(kept, settings.voxel_leaf_m)

@@ -12,7 +12,8 @@ REACH = 1 << BITS
 
 
 @njit(cache=True)
-def _place(key, mask):
+def place_of(key, mask):
+    """Where in a hash table with ``mask`` + 1 entries the search for a key begins."""
     # A product's bits depend only on the lower bits of its factors, and the first index of a voxel is in the highest of
     # its key: without the second product, voxels in a row along x share a place, and a search goes through all of them.
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -37,7 +38,7 @@ def unpack(key):
 def find(key, table_key, table_slot):
     """The slot of a voxel, or −1."""
     mask = len(table_key) - 1
-    place = _place(key, mask)
+    place = place_of(key, mask)
     while table_key[place] != EMPTY:
         if table_key[place] == key:
             return table_slot[place]
@@ -49,7 +50,7 @@ def find(key, table_key, table_slot):
 def put(key, slot, table_key, table_slot):
     """Enter a voxel that the table does not hold."""
     mask = len(table_key) - 1
-    place = _place(key, mask)
+    place = place_of(key, mask)
     while table_key[place] != EMPTY:
         place = (place + 1) & mask
     table_key[place], table_slot[place] = key, slot

@@ -2,10 +2,9 @@
 
 import contextlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +17,6 @@ from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
 from steelnb.io.clouds import shift_of
-from steelnb.io.flights import GAP_MAX_S
 from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
@@ -26,11 +24,11 @@ from steelnb.odometry import KnownStructureOdometry, Odometry
 from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
+from steelnb.report.recording_settings import recording_settings, settings_line
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments
-from steelnb.report.words import guess
-from steelnb.settings import METHODS, ExperimentSettings, NoiseSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
@@ -75,33 +73,6 @@ class RecordingReport:
         return {name: self.numbers[name] for name in TIMES}
 
 
-def recording_settings(
-    method: str = "best",
-    sensor: str = "starling2",
-    *,
-    seed: int = 1,
-    range_max_m: float | None = None,
-    floor_m: float | None = None,
-    overrides: Mapping[str, Any] | None = None,
-) -> tuple[ExperimentSettings, StructureSettings]:
-    """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
-
-    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. ``range_max_m`` and
-    ``floor_m`` replace the preset's crop in all directions and its floor in the world. Raises `SettingsError`.
-    """
-    if method not in (*METHODS, "segments"):
-        near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
-        raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
-    chosen = "least_squares" if method == "segments" else method
-    preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
-    seen = {} if range_max_m is None else {"range_max_m": range_max_m}
-    floor = {} if floor_m is None else {"floor_m": floor_m}
-    crop = ({} if range_max_m is None else {"crop_m": range_max_m}) | floor
-    settings = preset.override({f"preprocess.{name}": value for name, value in crop.items()} | dict(overrides or {}))
-    # Poses that no odometry corrected are not adjusted.
-    return settings, StructureSettings().replace(adjust=method != "none", **seen, **floor)
-
-
 def default_folder(flight: Flight) -> Path:
     """The folder of a run for which none is named: ``NAME_run`` here."""
     return Path(f"{Path(flight.name).stem}_run")
@@ -123,7 +94,7 @@ def run_recording(
     structure: StructureSettings | None = None,
     known: Structure | None = None,
     rrd: bool = True,
-    gap_max_s: float = GAP_MAX_S,
+    gap_max_s: float | None = None,
     part_s: tuple[float, float] | None = None,
     overwrite: bool = True,
     on_progress: Callable[[float], None] | None = None,
@@ -135,14 +106,14 @@ def run_recording(
     ----------
     recording : a flight, or a path that `read_flight` and `read_truth` open.
     output : the folder, by default ``NAME_run`` here.
-    settings : of odometry and seed; by default `recording_settings`.
+    settings : of odometry and seed; by default `recording_settings` of this flight.
     truth : true poses, for judging alone.
     added_noise : drift to add to the truth, or without one to the poses, taken as true, such as "random-walk:0.002".
     structure : settings of the final reconstruction; None leaves it out.
     known : the map of an earlier flight, in which this one is localised and with which it is compared, in place of the
         odometry of the settings.
     rrd : write ``recording.rrd`` for rerun.
-    gap_max_s : true poses further apart are not interpolated between.
+    gap_max_s : true poses further apart are not interpolated between; None as in `read_flight`.
     part_s : the part to run, (from, to) in seconds since the first scan; see `part_of`.
     overwrite : replace the files of an earlier run in the folder; without it, a folder that holds any file is refused.
     on_progress : called with the share of the scans done, 0 to 1.
@@ -157,12 +128,12 @@ def run_recording(
     if not isinstance(recording, Flight):
         truth = truth or read_truth(recording)
         recording = read_flight(recording, gap_max_s=gap_max_s)
-    settings = settings or recording_settings()[0]
     target = Path(output) if output else default_folder(recording)
     check_folder(target, overwrite)
     flight, notes = recording, tuple[str, ...]()
     if part_s is not None:
         flight, truth, notes = part_of(flight, truth, part_s, gap_max_s)
+    settings = settings or recording_settings(flight=flight)[0]
     if added_noise is not None:
         if truth is None:
             notes = (*notes, "the recorded poses are taken as true: errors are those of the drift added to them")
@@ -237,7 +208,7 @@ def run_recording(
     summary = summary_lines(flight, numbers, (*notes, *remarks), built)
     if changes is not None:
         summary = (*summary, changes_line(changes))
-    summary = (*summary, f"written   {target}/: {', '.join(files)}")
+    summary = (summary[0], settings_line(settings), *summary[1:], f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, changes, segments, numbers, figures, summary)
 
 

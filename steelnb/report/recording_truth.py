@@ -23,7 +23,7 @@ APART_M, APART_RAD = 0.5, math.radians(5)
 
 
 def part_of(
-    flight: Flight, truth: Trajectory | None, part_s: tuple[float, float], gap_max_s: float
+    flight: Flight, truth: Trajectory | None, part_s: tuple[float, float], gap_max_s: float | None
 ) -> tuple[Flight, Trajectory | None, tuple[str, ...]]:
     """The scans from one time to another, both in seconds since the first scan, the truth there, and a note.
 
@@ -55,7 +55,7 @@ def part_of(
 
 
 def with_drift(
-    flight: Flight, truth: Trajectory | None, noise: NoiseSettings, seed: int, gap_max_s: float
+    flight: Flight, truth: Trajectory | None, noise: NoiseSettings, seed: int, gap_max_s: float | None
 ) -> tuple[Flight, Trajectory]:
     """The flight with a prior that drifts from the truth, or without one from its poses, taken as true; and that truth.
 
@@ -90,7 +90,7 @@ def drifted(true: Trajectory, noise: NoiseSettings, seed: int) -> Trajectory:
 
 
 def truth_at_scans(
-    flight: Flight, truth: Trajectory | None, gap_max_s: float
+    flight: Flight, truth: Trajectory | None, gap_max_s: float | None
 ) -> tuple[Trajectory | None, tuple[str, ...]]:
     """True poses at those scans that have one, in the frame of the prior; and remarks for the user.
 

@@ -12,7 +12,7 @@ SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
 
 
 class PreprocessSettings(Settings):
-    """Pass-through box of ±``crop_m`` in the drone frame (forward half), floor in the world frame, voxel grid."""
+    """Pass-through box of ±``crop_m`` in the drone frame, floor in the world frame, voxel grid."""
 
     crop_m: Positive = 6.0
     floor_m: Finite = 0.3

@@ -18,6 +18,7 @@ from steelnb.errors import (
 from steelnb.io import read_flight, read_truth, write_tum
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
 from steelnb.io.calibration import T_OPTICAL_SENSOR
+from steelnb.io.transforms import interpolate
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, ns, poses
 
 
@@ -121,6 +122,15 @@ def test_poses_are_interpolated_and_gaps_leave_scans_out(bag1):
     for gap in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(SettingsError, match="gap = "):
             read_flight(path, gap_max_s=gap)
+
+
+@pytest.mark.parametrize(("period_s", "scans"), [(0.1, 0), (0.5, 5), (0.9, 5), (1.9, 5), (2.1, 0)])
+def test_slow_poses_are_interpolated_between_unless_too_slow(period_s, scans):
+    own = period_s * np.arange(20)
+    own[10:] += 0.8 - period_s if period_s == 0.1 else 0.0  # a gap in quick ones
+    asked = own[9] + (0.8 if period_s == 0.1 else period_s) * np.linspace(0.1, 0.9, 5)
+    _, known = interpolate(replace(poses(20), stamp_s=own), asked)
+    assert known.sum() == scans
 
 
 def test_the_mount_is_tf_unless_settings_say_otherwise(bag, tmp_path):

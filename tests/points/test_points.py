@@ -63,6 +63,6 @@ def test_preprocess_scan_crops_in_the_drone_frame_and_cuts_the_floor_in_the_worl
     T_world_drone = np.array([[0, -1, 0, 5], [1, 0, 0, 5], [0, 0, 1, 1.0], [0, 0, 0, 1]])
     T_drone_sensor = np.eye(4)
     T_drone_sensor[0, 3] = 0.1
-    points = np.array([[1, 0, 0], [1, 0, -0.8], [1.45, 0, 0], [1, 1.6, 0], [np.nan, 0, 0], [-0.2, 0, 0]])
+    points = np.array([[1, 0, 0], [1, 0, -0.8], [1.45, 0, 0], [1, 1.6, 0], [np.nan, 0, 0], [-0.3, 0, 0], [-1.7, 0, 0]])
     result = preprocess_scan(Scan(0.0, points), T_world_drone, T_drone_sensor, PreprocessSettings(crop_m=1.5))
-    np.testing.assert_allclose(result, [[1.1, 0, 0]])
+    np.testing.assert_allclose(result, [[-0.2, 0, 0], [1.1, 0, 0]])  # what lies behind is kept

@@ -155,5 +155,5 @@ def test_an_empty_scan_changes_nothing():
 def test_voxels_in_a_row_spread_over_the_table(step):
     # A tower beside the next, and the next: their voxels differ in one index only.
     keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
-    places = {kernels._place(key, (1 << 12) - 1) for key in keys}
+    places = {kernels.place_of(key, (1 << 12) - 1) for key in keys}
     assert len(places) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # as many as at random, and a tenth less

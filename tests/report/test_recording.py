@@ -15,9 +15,10 @@ from steelnb.io import read_cloud, read_flight, read_structure, read_trajectory,
 from steelnb.io.trajectories import write_sigma
 from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
-from steelnb.report.recording import FILES, recording_settings, run_recording
+from steelnb.report.recording import FILES, run_recording
 from steelnb.report.recording_comparison import compare_recording
 from steelnb.report.recording_info import describe_flight
+from steelnb.report.recording_settings import recording_settings
 from steelnb.report.recording_truth import STEP_S, drifted, part_of, truth_at_scans, with_drift
 from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
@@ -203,8 +204,8 @@ def test_range_and_floor_reach_odometry_and_structure(tmp_path):
     assert (crop.crop_m, crop.floor_m, crop.voxel_leaf_m) == (20, -3, 0.2)
     assert (structure.range_max_m, structure.floor_m) == (20, -3)
     assert recording_settings("none")[1].adjust is False
-    for given, used in ((None, 0), (settings, 7)):
-        report = run_recording(made(lambda k: lattice(k, 12.0)), tmp_path / f"{used}", given, rrd=False)
+    for given, used in ((recording_settings()[0], 0), (settings, 7), (None, 7)):
+        report = run_recording(made(lambda k: lattice(k, 12.0)), tmp_path / "out", given, rrd=False)
         assert report.numbers["used"] == used
 
 

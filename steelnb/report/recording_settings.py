@@ -1,0 +1,112 @@
+"""Settings of odometry and reconstruction for a recording: a preset's, what its first scans say, and what is given."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from steelnb.errors import SettingsError
+from steelnb.report.words import guess
+from steelnb.settings import METHODS, ExperimentSettings, StructureSettings
+from steelnb.types import Flight
+
+FIRST_SCANS = 10
+SCALE_MIN = 1.25
+"""A scene up to this many times as large as the range of the preset's sensor is one for the preset."""
+UNDERGROUND_M = 0.3
+UNDERGROUND_SHARE = 0.01
+"""Where more points than this share lie so far below the world's zero, that is not the ground."""
+NO_FLOOR_M = -1e6
+LENGTHS = {
+    "preprocess.crop_m": 1, "preprocess.voxel_leaf_m": 1,
+    "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
+    "fusion.distance_max_m": 1, "segments.robust_scale_m": 1,
+    "clouds.max_correspondence_m": 1, "clouds.map_voxel_m": 1, "clouds.jump_max_m": 1,
+}  # fmt: skip
+"""The settings that go with the size of a scene, and the power of the length in each."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the first scans say: ``range_m``, within which 99 % of the returns lie, and the share ``underground`` of
+    those more than `UNDERGROUND_M` below the zero of the poses' world. Both are NaN without a return."""
+
+    range_m: float
+    underground: float
+
+    @classmethod
+    def of(cls, flight: Flight) -> "Scene":
+        """The scene before the first scans of a flight."""
+        first = flight.first(FIRST_SCANS)
+        ranges, heights = [np.zeros(0)], [np.zeros(0)]
+        for scan, T_world_drone in zip(first.scans, first.prior.T_world_drone, strict=False):
+            T = T_world_drone @ flight.T_drone_sensor
+            points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
+            range_m = np.linalg.norm(points, axis=1)
+            returned = np.isfinite(range_m) & (range_m > 0)  # zeros stand for no return in many files
+            ranges.append(range_m[returned])
+            heights.append(points[returned] @ T[2, :3] + T[2, 3])
+        range_m, height_m = np.concatenate(ranges), np.concatenate(heights)
+        if not len(range_m):
+            return cls(np.nan, np.nan)
+        return cls(float(np.percentile(range_m, 99)), float((height_m < -UNDERGROUND_M).mean()))
+
+    def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
+        """The settings of the odometry that differ from the preset's.
+
+        A scene larger than the range of the preset's sensor is registered with all lengths in proportion to it, and
+        there is no floor where the world's zero is not the ground.
+        """
+        scale = self.range_m / preset.tof.range_max_m
+        tables = preset.odometry.model_dump(exclude_none=True)
+        changed = {}
+        if scale > SCALE_MIN:
+            for name, power in LENGTHS.items():
+                table, _, setting = name.partition(".")
+                if table in tables:
+                    changed[name] = float(f"{tables[table][setting] * scale**power:.3g}")
+        if self.underground > UNDERGROUND_SHARE:
+            changed["preprocess.floor_m"] = NO_FLOOR_M
+        return changed
+
+
+def recording_settings(
+    method: str = "best",
+    sensor: str = "starling2",
+    *,
+    flight: Flight | None = None,
+    seed: int = 1,
+    range_max_m: float | None = None,
+    floor_m: float | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> tuple[ExperimentSettings, StructureSettings]:
+    """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
+
+    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. With ``flight``, lengths and
+    floor follow from its first scans (`Scene`). ``range_max_m`` and ``floor_m`` are the crop in all directions and the
+    floor in the world; they and ``overrides`` come before all else. Raises `SettingsError`, and what reading scans
+    raises.
+    """
+    if method not in (*METHODS, "segments"):
+        near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
+        raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
+    chosen = "least_squares" if method == "segments" else method
+    preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
+    found = Scene.of(flight).overrides(preset) if flight is not None else {}
+    given = {"preprocess.crop_m": range_max_m, "preprocess.floor_m": floor_m}
+    found |= {name: value for name, value in given.items() if value is not None}
+    settings = preset.override(found | dict(overrides or {}))
+    # Poses that no odometry corrected are not adjusted.
+    built = {"adjust": method != "none"}
+    both = {"range_max_m": "preprocess.crop_m", "floor_m": "preprocess.floor_m"}
+    return settings, StructureSettings().replace(
+        **built, **{to: found[name] for to, name in both.items() if name in found}
+    )
+
+
+def settings_line(settings: ExperimentSettings) -> str:
+    """The settings that a recording of another kind of sensor depends on, in words."""
+    seen = settings.odometry.preprocess
+    floor = f"floor at {seen.floor_m:g} m" if seen.floor_m > NO_FLOOR_M else "no floor"
+    return f"settings  range {seen.crop_m:g} m, {floor}, voxels of {seen.voxel_leaf_m:g} m"

@@ -1,0 +1,93 @@
+"""`recording_settings`: the preset's, what the first scans say, and what is given, in this order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steelnb import experiment
+from steelnb.report.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings, settings_line
+from steelnb.settings import METHODS, ExperimentSettings
+from steelnb.types import Flight, Scan, Trajectory
+
+
+def made(points, height_m: float = 2.0, scans: int = 3) -> Flight:
+    """Scans of the same points ``(N, 3)`` at a height above the world's zero."""
+    T = np.tile(np.eye(4), (scans, 1, 1))
+    T[:, 2, 3] = height_m
+    stamp_s = 0.2 * np.arange(scans)
+    return Flight([Scan(float(s), np.asarray(points)) for s in stamp_s], Trajectory(stamp_s, T), np.eye(4))
+
+
+def shell(radius_m: float, count: int = 2000) -> np.ndarray:
+    """Points all round the sensor, of distances up to a radius, evenly."""
+    random = np.random.default_rng(1)
+    direction = random.standard_normal((count, 3))
+    return direction / np.linalg.norm(direction, axis=1)[:, None] * np.linspace(0.01, radius_m, count)[:, None]
+
+
+@pytest.mark.parametrize("sensor", ["starling2", "report", "starling2-honest"])
+@pytest.mark.parametrize("trajectory", ["vertical", "orbit"])
+def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
+    settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
+    flight, _ = experiment.simulate(settings)
+    for method in ("best", "combined", "segments"):
+        assert recording_settings(method, sensor, flight=flight) == recording_settings(method, sensor)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_in_a_larger_scene_all_lengths_are_in_proportion(method):
+    flight = made(shell(40.0), height_m=100.0)
+    before, after = (recording_settings(method, **given)[0].odometry.model_dump() for given in ({}, {"flight": flight}))
+    scale = Scene.of(flight).range_m / 6.0
+    assert scale == pytest.approx(6.6, rel=0.01)
+    for table, values in before.items():
+        for name, value in values.items() if isinstance(values, dict) else [("", values)]:
+            found = after[table][name] if name else after[table]
+            power = LENGTHS.get(f"{table}.{name}", 0)
+            assert found == (pytest.approx(value * scale**power, rel=0.01) if power else value), (table, name)
+
+
+def test_a_scene_as_large_as_the_presets_or_smaller_changes_nothing():
+    for radius_m in (0.5, 6.0, 7.0):
+        assert Scene.of(made(shell(radius_m), height_m=100.0)).overrides(ExperimentSettings.preset()) == {}
+
+
+def test_there_is_no_floor_where_points_lie_below_the_worlds_zero():
+    ground = np.column_stack([np.linspace(0, 3, 500), np.zeros(500), np.full(500, -2.0)])
+    for height_m, expected in ((2.0, 0.3), (1.8, 0.3), (1.6, NO_FLOOR_M), (0.0, NO_FLOOR_M)):
+        settings, structure = recording_settings(flight=made(ground, height_m))
+        assert settings.odometry.preprocess.floor_m == expected
+        assert structure.floor_m == (expected if expected < 0 else 0.2)
+    ground[:4, 2] = -5.0  # false returns
+    assert recording_settings(flight=made(ground))[0].odometry.preprocess.floor_m == 0.3
+
+
+def test_what_is_given_comes_first():
+    flight = made(shell(40.0), height_m=0.0)
+    settings, structure = recording_settings(
+        flight=flight, range_max_m=20.0, floor_m=-3.0, overrides={"preprocess.voxel_leaf_m": 0.1}
+    )
+    seen = settings.odometry.preprocess
+    assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
+    assert (structure.range_max_m, structure.floor_m) == (20.0, -3.0)
+    assert settings.odometry.clouds.map_voxel_m == pytest.approx(0.66, rel=0.01)
+    assert settings_line(settings) == "settings  range 20 m, floor at -3 m, voxels of 0.1 m"
+    assert "no floor" in settings_line(recording_settings(flight=flight)[0])
+
+
+def test_missing_returns_and_other_mounts_are_understood():
+    points = shell(40.0)
+    points[::2] = np.nan
+    points[1::4] = 0.0
+    flight = made(points, height_m=100.0)
+    assert Scene.of(flight).range_m == pytest.approx(39.6, rel=0.01)
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])  # upside down
+    below = np.tile([1.0, 0.0, -3.0], (100, 1))
+    assert Scene.of(made(below)).underground == 1.0
+    assert Scene.of(replace(made(below), T_drone_sensor=turned)).underground == 0.0
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 5, 3), np.nan), np.zeros((7, 3))])
+def test_without_a_return_the_preset_stays(points):
+    assert recording_settings(flight=made(points)) == recording_settings()
