@@ -66,7 +66,7 @@ def test_the_first_notebook_lists_the_others_as_the_file_of_experiments_does():
     about = {each.notebook: each.about for each in experiments.values() if each.notebook != NOTEBOOKS[0].name}
     assert dict(re.findall(r"^\| \[\d\d\]\((\S+)\) \| (.*) \|$", text, re.MULTILINE)) == about
     apart = sorted(each.notebook[:2] for each in experiments.values() if each.apart)
-    assert f"all but {' and '.join(apart)}," in text
+    assert f"all but {', '.join(apart[:-1])} and {apart[-1]}," in text
 
 
 @pytest.fixture(scope="session")

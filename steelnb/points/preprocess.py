@@ -42,15 +42,17 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
         raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
     if not len(points):
         return np.zeros((0, 3))
-    cube, low, high = _cubes(np.ascontiguousarray(points, dtype=np.float64), leaf_m)
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    cube, low, high = _cubes(points, leaf_m)
     extent = high - low + 1
     if float(extent[0]) * float(extent[1]) * float(extent[2]) < 2.0**62:
-        order, first = _grouped(cube, low, extent)
+        grouped, first = _grouped(points, cube, low, extent)
     else:  # more cubes than an integer can count: sort by the three coordinates instead
         order = np.lexsort(cube.T[::-1])
-        first = np.flatnonzero(np.concatenate([[True], (np.diff(cube[order], axis=0) != 0).any(axis=1)]))
+        grouped, cube = points[order], cube[order]
+        first = np.flatnonzero(np.concatenate([[True], (np.diff(cube, axis=0) != 0).any(axis=1)]))
     count = np.diff(np.append(first, len(points)))
-    return np.add.reduceat(points[order], first, axis=0) / count[:, None]
+    return np.add.reduceat(grouped, first, axis=0) / count[:, None]
 
 
 @njit(cache=True)
@@ -66,7 +68,7 @@ def _cubes(points, leaf_m):
 
 
 @njit(cache=True)
-def _grouped(cube, low, extent):
+def _grouped(points, cube, low, extent):
     """Points in the order of their cubes, those of a cube in their own, and where each cube begins among them.
 
     A hash table finds the cubes, of which there are far fewer than points, and only they are sorted.
@@ -94,11 +96,12 @@ def _grouped(cube, low, extent):
     for rank, g in enumerate(np.argsort(key[:cubes])):
         first[rank] = free[g] = begin
         begin += count[g]
-    order = np.empty(n, np.int64)
+    grouped = np.empty_like(points)
     for i in range(n):
-        order[free[group[i]]] = i
+        for k in range(3):
+            grouped[free[group[i]], k] = points[i, k]
         free[group[i]] += 1
-    return order, first
+    return grouped, first
 
 
 def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, settings: PreprocessSettings) -> Array:
