@@ -27,7 +27,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import numpy as np
 import pandas as pd
-from rosbags.highlevel import AnyReader
 from scipy.spatial import cKDTree
 
 from steelnb import odometry, rng
@@ -86,22 +85,21 @@ without its structure. *Peak* is that of the process, with all libraries."""
 SETTINGS = """
 ## What a user has to set
 
-- **Floor.** `--floor -1000`: the preset leaves out what lies below 0.3 m, which is right where the world's zero is the
-  ground, and else cuts the scene anywhere.
-- **Range.** `--range-max 60` for a LiDAR outdoors. With the preset's 6 m flat ground is left of most sweeps; along it
-  the prior is followed, and the walk comes out 0.6 to 1.2 times as far off as its drift (six seeds). What lies behind
-  the sensor (x < 0) is always left out; of a spinning LiDAR that is half.
-- **Voxels.** `--set preprocess.voxel_leaf_m=0.2 --set clouds.map_voxel_m=0.4` with ranges of tens of metres: as
-  accurate, six times as fast, less than half the memory.
-- **Gaps.** `--gap 1` where poses come at 2 Hz; the default of 0.5 s leaves out scans between poses further apart.
+Floor, range, voxels and gaps follow from the first scans and from the poses; no row sets them but one. Before, the walk came
+out worse than its drift without them (0.335 → 0.408 m), and the truck's scans were not registered after the second.
+
+- **Floor.** Where points lie below the world's zero, nothing is cut off. Else what lies below 0.3 m is.
+- **Range.** `--range-max 6` on the walk is what the drone's preset would see of it: mostly flat ground, along which the prior is
+  followed. What lies behind the sensor is kept: of a spinning LiDAR that is half.
 - **Axes.** `[extrinsics]` where the sensor's x is not forward: the truck's LiDAR has its y forward.
-- **Speed.** `--set clouds.max_correspondence_m=2 --set clouds.jump_max_m=20` for a truck that does 2.3 m from scan
-  to scan; without them no scan after the second is registered.
 - **Method.** `best` and `combined` take roll and pitch from the poses, as an IMU gives them. Where poses say nothing,
   `--odometry gicp` solves for all six degrees of freedom. In the kitchen `gicp`, as the report set it, is worse than
   the drift.
 - **Structure.** `--no-structure` where there are no bars: on the walk it takes minutes and 2 GB to say that most lines
   run in surfaces.
+- **Peers.** On the walk small_gicp's VGICP, scan to model, begun at the prior's motion, with voxels of 18 cm, comes out at 0.107 m where
+  `best` has 0.112; on the first hundred images of the kitchen both at 0.013 m, KISS-ICP 1.3 at 0.023 without a prior. KISS-ICP loses
+  the walk (8.3 m), whose sweeps come at 2 Hz; done by hand, not by this script.
 - **Units and dx.** Files are taken to be in metres; in millimetres all lengths, `--dx` too, are millimetres. On a cloud
   full of surfaces the default dx is the spacing of the points, and surfaces come out as sheaves of short bars: the
   share explained then says little. For the cage a tube that holds a rod (12 mm) is better.
@@ -322,11 +320,9 @@ def car_three(data: Path, work: Path) -> dict:
 
 def bag_in_all_forms(bag: Path, work: Path) -> dict:
     """A bag, its poses replaced by ones that stand still, written in all forms of bags and compared to the bit."""
-    with AnyReader([bag]) as reader:
-        received_s = [ns / 1e9 for _, ns, _ in reader.messages()]
-    write_tum(work / "still.tum", standing(np.array([min(received_s) - 10, max(received_s) + 10])))
+    write_tum(work / "still.tum", standing(np.array([0.0, 2e9])))  # stamps of scans and of the file differ by years
     (work / "settings.toml").write_text("[extrinsics]\nrotation_rpy_deg = [0.0, 0.0, -90.0]\n")  # its y is forward
-    still = read_flight(bag, poses=str(work / "still.tum"), settings=work / "settings.toml", gap_max_s=1e6)
+    still = read_flight(bag, poses=str(work / "still.tum"), settings=work / "settings.toml", gap_max_s=2e9)
     same = []
     for name in ("copy.mcap", "copy.db3", "copy.bag"):
         write_flight(work / name, still)
@@ -426,9 +422,6 @@ CASES = {
                  lambda at, work: corrected(walk_outdoors(at / WALK, work), NO_FLAGS)),
     "walk-gicp": Case("walk", f"run scans --noise {DRIFT} --odometry gicp",
                       lambda at, work: corrected(walk_outdoors(at / WALK, work), NO_FLAGS._replace(method="gicp"))),
-    "walk-smoothed": Case("walk", f"run scans --noise {DRIFT} --smooth",
-                        lambda at, work: corrected(walk_outdoors(at / WALK, work),
-                                                   NO_FLAGS._replace(method="smoothed"))),
     "walk-no-drift": Case("walk", "run scans --noise none: its own error, without drift",
                           lambda at, work: corrected(walk_outdoors(at / WALK, work), NO_FLAGS._replace(noise="none"))),
     "walk-as-drone": Case("walk", f"run scans --noise {DRIFT} --range-max 6",

@@ -56,7 +56,7 @@ def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numb
     assert code[-1].splitlines()[-1] == ")"
     assert "results.write_results(" in code[-1]
     if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit)\.\w+\("
+        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit|honest)\.\w+\("
         assert re.search(sentence, code[-2], re.MULTILINE)
 
 
@@ -358,4 +358,16 @@ def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smok
     assert table["recording"].tolist() == ["flight.bag"]
     assert pd.read_csv(folder / "timing.csv")["stage"].tolist() == ["run"]
     for name in ("scan", "trajectories", "errors", "map"):
+        assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN
+
+
+def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
+    folder = smoke / "honest-sensors"
+    table = pd.read_csv(folder / "table.csv")
+    assert set(table["sensor"]) == {"starling2", "starling2-honest"}
+    wide = table.pivot(index=["trajectory", "method"], columns="sensor", values="ate_mean_m").dropna()
+    assert (wide["starling2-honest"] > wide["starling2"]).all()
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["all together.median_mm"] > metrics["range noise of the data sheet.median_mm"]
+    for name in ("frame", "imu", "honest"):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN

@@ -13,26 +13,28 @@ from steelnb.types import Flight
 
 FIRST_SCANS = 10
 SCALE_MIN = 1.25
-"""A scene up to this many times as large as the range of the preset's sensor is one for the preset."""
+"""A scene up to this many times as large as that of the preset's sensor is one for the preset."""
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """Where more points than this share lie so far below the world's zero, that is not the ground."""
 NO_FLOOR_M = -1e6
 LENGTHS = {
-    "preprocess.crop_m": 1, "preprocess.voxel_leaf_m": 1,
+    "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
     "fusion.distance_max_m": 1, "segments.robust_scale_m": 1,
     "clouds.max_correspondence_m": 1, "clouds.map_voxel_m": 1, "clouds.jump_max_m": 1,
 }  # fmt: skip
-"""The settings that go with the size of a scene, and the power of the length in each."""
+"""The settings that go with the distance of most points, and the power of the length in each."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the first scans say: ``range_m``, within which 99 % of the returns lie, and the share ``underground`` of
-    those more than `UNDERGROUND_M` below the zero of the poses' world. Both are NaN without a return."""
+    """What the first scans say: ``range_m``, within which 99 % of the returns lie, ``median_m``, within which half of
+    them do, and the share ``underground`` of those more than `UNDERGROUND_M` below the zero of the poses' world. All
+    are NaN without a return."""
 
     range_m: float
+    median_m: float
     underground: float
 
     @classmethod
@@ -49,18 +51,22 @@ class Scene:
             heights.append(points[returned] @ T[2, :3] + T[2, 3])
         range_m, height_m = np.concatenate(ranges), np.concatenate(heights)
         if not len(range_m):
-            return cls(np.nan, np.nan)
-        return cls(float(np.percentile(range_m, 99)), float((height_m < -UNDERGROUND_M).mean()))
+            return cls(np.nan, np.nan, np.nan)
+        median_m, far_m = np.percentile(range_m, [50, 99])
+        return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()))
 
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
         """The settings of the odometry that differ from the preset's.
 
-        A scene larger than the range of the preset's sensor is registered with all lengths in proportion to it, and
-        there is no floor where the world's zero is not the ground.
+        Where returns reach further than the preset's sensor, the crop does. Where half of them lie beyond half of its
+        range, all other lengths are in proportion to that. There is no floor where the world's zero is not the ground.
         """
-        scale = self.range_m / preset.tof.range_max_m
+        range_max_m = preset.tof.range_max_m
+        scale = self.median_m / (0.5 * range_max_m)
         tables = preset.odometry.model_dump(exclude_none=True)
         changed = {}
+        if self.range_m > SCALE_MIN * range_max_m:
+            changed["preprocess.crop_m"] = float(f"{self.range_m:.3g}")
         if scale > SCALE_MIN:
             for name, power in LENGTHS.items():
                 table, _, setting = name.partition(".")

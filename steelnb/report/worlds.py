@@ -9,6 +9,7 @@ from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_legend, dra
 from steelnb.settings import FlightSettings
 
 USUAL_WORLD = "as preset"
+HONEST = "a sensor with all faults of real ones"
 TILTED, UPRIGHTED = "roll and pitch off by 1°", "roll and pitch off by 1°, estimated"
 WORLDS = {
     "tower.base_width_m=1.6": "tower 1.6 m wide at the base",
@@ -17,14 +18,15 @@ WORLDS = {
     "flight.gust_sigma_m_s=1.0": "gusts of 1 m/s, 1.5 × the speed",
 }
 """Variant of a study's run, or its beginning, and what to call it; stand-offs are named by what they add."""
+SENSORS = {"report": "the report's sensor", "starling2-honest": HONEST}
 
 
 def world_of(variant: str, noise: str, sensor: str, trajectory: str) -> str:
     """The name of the world of a run: its variant, the tilt of its prior, or its sensor."""
     if "tilt" in noise:
         return UPRIGHTED if variant.startswith("tilt_sigma_rad=") else TILTED
-    if sensor == "report" and not variant:
-        return "the report's sensor"
+    if not variant and sensor in SENSORS:
+        return SENSORS[sensor]
     if variant.startswith("flight.standoff_m="):
         more = float(variant.partition("=")[2]) - FlightSettings.preset(trajectory).standoff_m  # type: ignore[arg-type]
         return f"stand-off + {more:g} m"
@@ -40,7 +42,7 @@ def world_runs(runs: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     found = runs[chosen & runs["method"].isin(others) & ~((runs["sensor"] == "report") & (runs["variant"] != ""))]
     columns = ["variant", "noise", "sensor", "trajectory"]
     worlds = [world_of(*row) for row in found[columns].itertuples(index=False)]
-    order = [USUAL_WORLD, TILTED, UPRIGHTED, "stand-off + 1 m", "stand-off + 2 m", *WORLDS.values()]
+    order = [USUAL_WORLD, HONEST, TILTED, UPRIGHTED, "stand-off + 1 m", "stand-off + 2 m", *WORLDS.values()]
     known = [*order, *dict.fromkeys(world for world in worlds if world not in order)]
     return found.assign(world=pd.Categorical(worlds, known)).sort_values(["world", "method", "seed"], kind="stable")
 

@@ -39,13 +39,23 @@ def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
 def test_in_a_larger_scene_all_lengths_are_in_proportion(method):
     flight = made(shell(40.0), height_m=100.0)
     before, after = (recording_settings(method, **given)[0].odometry.model_dump() for given in ({}, {"flight": flight}))
-    scale = Scene.of(flight).range_m / 6.0
-    assert scale == pytest.approx(6.6, rel=0.01)
+    scale = Scene.of(flight).median_m / 3.0
+    assert scale == pytest.approx(6.67, rel=0.01)
+    assert after["preprocess"].pop("crop_m") == pytest.approx(39.6, rel=0.01)
     for table, values in before.items():
         for name, value in values.items() if isinstance(values, dict) else [("", values)]:
+            if name == "crop_m":
+                continue
             found = after[table][name] if name else after[table]
             power = LENGTHS.get(f"{table}.{name}", 0)
             assert found == (pytest.approx(value * scale**power, rel=0.01) if power else value), (table, name)
+
+
+def test_far_points_alone_widen_the_crop_alone():
+    near, far = shell(4.0), 10 * shell(4.0, 40)
+    changed = Scene.of(made(np.concatenate([near, far]), height_m=100.0)).overrides(ExperimentSettings.preset())
+    assert list(changed) == ["preprocess.crop_m"]
+    assert 10 < changed["preprocess.crop_m"] < 40
 
 
 def test_a_scene_as_large_as_the_presets_or_smaller_changes_nothing():
@@ -71,7 +81,7 @@ def test_what_is_given_comes_first():
     seen = settings.odometry.preprocess
     assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
     assert (structure.range_max_m, structure.floor_m) == (20.0, -3.0)
-    assert settings.odometry.clouds.map_voxel_m == pytest.approx(0.66, rel=0.01)
+    assert settings.odometry.clouds.map_voxel_m == pytest.approx(0.667, rel=0.01)
     assert settings_line(settings) == "settings  range 20 m, floor at -3 m, voxels of 0.1 m"
     assert "no floor" in settings_line(recording_settings(flight=flight)[0])
 

@@ -33,6 +33,7 @@ def test_worlds_are_named_for_readers():
     assert estimated == "roll and pitch off by 1°, estimated"
     assert world_of("", "random-walk", "starling2", "orbit") == "as preset"
     assert world_of("", "random-walk", "report", "orbit") == "the report's sensor"
+    assert world_of("", "random-walk", "starling2-honest", "orbit") == "a sensor with all faults of real ones"
     assert world_of("hough.dx_m=3", "random-walk", "report", "orbit") == "hough.dx_m=3"
 
 

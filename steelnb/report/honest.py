@@ -1,0 +1,230 @@
+"""Notebook 15: the faults of a real Time-of-Flight camera and of an IMU, each alone, and what they cost an odometry."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import experiment
+from steelnb.report.conclusions import bullets
+from steelnb.report.style import (
+    BLACK,
+    COLOURS,
+    GREY,
+    LABELS,
+    ORANGE,
+    VERMILION,
+    Figure,
+    draw_sample,
+    gather_legend,
+    style,
+)
+from steelnb.settings import ExperimentSettings, ImuSettings, TofFaultSettings, TrajectoryName
+from steelnb.simulation import measured_imu
+from steelnb.types import Array, Imu, RangeScans
+
+WHITE = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
+"""Overrides that take the range noise away."""
+IDEAL, HONEST = "starling2", "starling2-honest"
+FAULTS: dict[str, tuple[str, ...]] = {
+    "footprint: mixed pixels": ("footprint_px", "lateral_px"),
+    "exposure during motion": ("exposure_s",),
+    "multipath": ("multipath", "reflectivity"),
+    "wiggling": ("wiggle_m",),
+    "offset and scale of a camera": ("offset_sigma_m", "scale_sigma"),
+}
+"""Faults that bias a range, and their settings; range noise is left out beside one of them."""
+NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
+FAR_M = 0.05
+GROUND_M = 0.1
+ERROR_MAX_MM = 60.0
+IMU_S, IMU_HZ = 3600.0, 125.0
+
+
+def range_errors(trajectory: TrajectoryName, seed: int, duration_s: float) -> dict[str, Array]:
+    """Name of a fault → range errors ``(K, H, W)`` of a flight's scans on steel, metres: NaN where there is none,
+    infinite where a return was lost. `NOISE` alone is what the ideal sensor has, `ALL` what the honest one has."""
+    noisy, usual = ("reflectivity", "sigma_max_m"), TofFaultSettings()
+    exact, height_m = _ranges(trajectory, IDEAL, seed, duration_s, WHITE)
+    exact = np.where(height_m > GROUND_M, exact, np.nan)
+    flown: dict[str, tuple[str, dict[str, Any]]] = {NOISE: (IDEAL, {})}
+    for name, kept, noise in [(AMPLITUDE, noisy, {}), *((name, kept, WHITE) for name, kept in FAULTS.items())]:
+        off = {f"tof.faults.{fault}": value for fault, value in usual.model_dump().items() if fault not in kept}
+        flown[name] = HONEST, off | noise
+    flown[ALL] = HONEST, {}
+    found = {}
+    for name, (sensor, overrides) in flown.items():
+        error_m = _ranges(trajectory, sensor, seed, duration_s, overrides)[0] - exact
+        found[name] = np.where(np.isfinite(exact) & ~np.isfinite(error_m), np.inf, error_m)
+    return found
+
+
+def _ranges(
+    trajectory: TrajectoryName, sensor: str, seed: int, duration_s: float, overrides: dict[str, Any]
+) -> tuple[Array, Array]:
+    """The range images of a flight and the heights of their points above the ground, ``(K, H, W)`` both, metres."""
+    settings = ExperimentSettings.preset(
+        trajectory, "none", sensor=sensor, seed=seed, duration_s=duration_s, overrides=overrides
+    )
+    flight, truth = experiment.simulate(settings)
+    scans = flight.scans
+    assert isinstance(scans, RangeScans)
+    up = (truth.trajectory.at(scans.stamp_s).T_world_drone @ flight.T_drone_sensor)[:, 2]
+    range_m = scans.range_m.astype(float)
+    return range_m, range_m * np.einsum("kc,hwc->khw", up[:, :3], scans.ray) + up[:, 3, None, None]
+
+
+def error_table(errors: dict[str, Array]) -> pd.DataFrame:
+    """A row a fault of `range_errors`: median and 95th percentile of the size of the error, its mean, and the shares of
+    returns that err by more than `FAR_M` and that are lost."""
+    rows = []
+    for name, error_m in errors.items():
+        seen, lost = error_m[np.isfinite(error_m)], int(np.isinf(error_m).sum())
+        median, p95 = np.percentile(np.abs(seen), [50, 95])
+        rows.append(
+            {
+                "fault": name, "median_mm": 1e3 * median, "p95_mm": 1e3 * p95, "mean_mm": 1e3 * seen.mean(),
+                "far_share": float((np.abs(seen) > FAR_M).mean()), "lost_share": lost / (lost + seen.size),
+            }
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def allan_deviation(reading: Array, step_s: float, tau_s: Array) -> Array:
+    """Overlapping Allan deviation ``(T,)`` of readings ``(N, C)``, of all columns together, for means over ``tau_s``.
+
+    Source: IEEE Std 952-1997, annex C.
+    """
+    total = np.vstack([np.zeros((1, reading.shape[1])), np.cumsum(reading, axis=0)]) * step_s
+    found = []
+    for count in np.maximum(1, np.round(np.asarray(tau_s) / step_s).astype(int)):
+        step = total[2 * count :] - 2 * total[count:-count] + total[: -2 * count]
+        found.append(np.sqrt(0.5 * (step**2).mean()) / (count * step_s))
+    return np.array(found)
+
+
+def imu_table(settings: ImuSettings, seed: int, duration_s: float = IMU_S) -> pd.DataFrame:
+    """Allan deviations of simulated readings at rest, ``gyro`` in rad/s and ``accelerometer`` in m/s², beside those of
+    the settings: N/√τ of white noise and K·√(τ/3) of the walk of the bias."""
+    stamp_s = np.arange(round(duration_s * IMU_HZ)) / IMU_HZ
+    at_rest = Imu(stamp_s, np.zeros((len(stamp_s), 3)), np.zeros((len(stamp_s), 3)))
+    read = measured_imu(at_rest, settings, seed)
+    tau_s = np.unique(np.round(np.geomspace(1, duration_s * IMU_HZ / 10, 30))) / IMU_HZ
+    table = {"tau_s": tau_s}
+    for name, reading, noise, walk in (
+        ("gyro", read.angular_rate, settings.gyro_noise, settings.gyro_walk),
+        ("accelerometer", read.specific_force, settings.accelerometer_noise, settings.accelerometer_walk),
+    ):
+        table[name] = allan_deviation(reading, 1 / IMU_HZ, tau_s)
+        table[f"{name}_settings"] = np.sqrt(noise**2 / tau_s + walk**2 * tau_s / 3)
+    return pd.DataFrame(table)
+
+
+def honest_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs of a study under the random walk with the ideal and with the honest sensor, of the methods that flew
+    with both; nothing else differs from a preset."""
+    chosen = runs["sensor"].isin([IDEAL, HONEST]) & (runs["noise"] == "random-walk") & (runs["variant"] == "")
+    chosen &= (runs["blind"] == "") & (runs["status"] == "ok") & (runs["duration_s"] == 200.0)
+    both = set(runs.loc[chosen & (runs["sensor"] == HONEST), "method"])
+    return runs[chosen & runs["method"].isin(both)]
+
+
+def honest_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row a flight, method and sensor of `honest_runs`: seeds, mean and worst ATE, metres, and that of the drift."""
+    return (
+        runs.groupby(["trajectory", "method", "sensor"])
+        .agg(
+            seeds=("seed", "nunique"), ate_mean_m=("ate_rmse_m", "mean"), ate_worst_m=("ate_rmse_m", "max"),
+            drift_mean_m=("raw_ate_rmse_m", "mean"),
+        )
+        .reset_index()
+    )  # fmt: skip
+
+
+def honest_sentences(errors: pd.DataFrame, runs: pd.DataFrame) -> str:
+    """What the faults do to ranges, and to the error of each method."""
+    row: dict[Any, dict[Any, Any]] = errors.set_index("fault").to_dict("index")
+    alone = errors[errors["fault"].isin(FAULTS)].sort_values("p95_mm", ascending=False)
+    worst = alone.iloc[0]
+    lines = [
+        f"The honest sensor errs by {row[ALL]['median_mm']:.0f} mm (median; 95 %: {row[ALL]['p95_mm']:.0f} mm), the "
+        f"ideal one by {row[NOISE]['median_mm']:.0f} ({row[NOISE]['p95_mm']:.0f}), and it loses "
+        f"{100 * row[ALL]['lost_share']:.0f} % of the returns. Of the faults that bias a range the largest is "
+        f"{worst['fault']}: {worst['mean_mm']:+.0f} mm on average, for one return in 20 more than "
+        f"{worst['p95_mm']:.0f} mm either way."
+    ]
+    cm = honest_table(runs)
+    cm[["ate_mean_m", "ate_worst_m"]] *= 100
+    for method in dict.fromkeys(runs["method"]):
+        said = []
+        for trajectory in ("vertical", "orbit"):
+            one = cm[(cm["method"] == method) & (cm["trajectory"] == trajectory)].set_index("sensor")["ate_mean_m"]
+            if set(one.index) == {IDEAL, HONEST}:
+                said.append(f"{one[IDEAL]:.1f} → {one[HONEST]:.1f} cm ({trajectory})")
+        if said:
+            lines.append(f"{LABELS[method]}: {', '.join(said)}.")
+    return bullets(lines)
+
+
+@style()
+def figure_frame(errors: dict[str, Array], frame: int = -1) -> Figure:
+    """Errors of one scan's ranges with the ideal sensor and with the honest one, and their distribution over all scans,
+    each fault alone."""
+    figure = Figure(figsize=(11.0, 4.6))
+    left, middle, right = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.6])
+    for panel, name in ((left, NOISE), (middle, ALL)):
+        error_mm = 1e3 * np.where(np.isinf(errors[name][frame]), np.nan, errors[name][frame])
+        panel.imshow(np.isinf(errors[name][frame]), cmap="Greys", vmin=0, vmax=1.6)
+        image = panel.imshow(error_mm, cmap="RdBu_r", vmin=-ERROR_MAX_MM, vmax=ERROR_MAX_MM)
+        panel.set(title={NOISE: "ideal", ALL: "honest"}[name], xticks=[], yticks=[])
+        panel.grid(visible=False)
+    figure.colorbar(image, ax=[left, middle], location="left", label="range error (mm); grey: lost", shrink=0.8)
+    share = np.linspace(0, 100, 401)
+    lines = [(NOISE, GREY, "--"), (AMPLITUDE, GREY, "-"), (ALL, BLACK, "-")]
+    lines += [(name, f"C{k}", "-") for k, name in enumerate(FAULTS)]
+    for name, colour, kind in lines:
+        size_mm = 1e3 * np.abs(errors[name][np.isfinite(errors[name])])
+        right.plot(np.maximum(np.percentile(size_mm, share), 0.1), share, color=colour, ls=kind, label=name)
+    right.set(xscale="log", xlabel="size of the range error (mm)", ylabel="share of the returns below (%)")
+    right.set(xlim=(0.1, 1000), ylim=(0, 100.5))
+    right.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    gather_legend(figure, ncols=4, fontsize=10)
+    return figure
+
+
+@style()
+def figure_imu(table: pd.DataFrame) -> Figure:
+    """Allan deviations of `imu_table`, simulated as dots, of the settings as lines."""
+    figure = Figure(figsize=(9.0, 4.0))
+    for panel, (name, unit) in zip(figure.subplots(1, 2), (("gyro", "rad/s"), ("accelerometer", "m/s²")), strict=True):
+        panel.loglog(table["tau_s"], table[f"{name}_settings"], color=GREY, label="settings: white noise and walk")
+        panel.loglog(table["tau_s"], table[name], "o", color=ORANGE, ms=5, label="simulated, at rest")
+        panel.set(title=name, xlabel="averaging time τ (s)", ylabel=f"Allan deviation ({unit})")
+    gather_legend(figure, ncols=2)
+    return figure
+
+
+@style()
+def figure_honest(runs: pd.DataFrame) -> Figure:
+    """ATE of each run of `honest_runs`: a column a method, hollow with the ideal sensor, filled with the honest one."""
+    methods = list(dict.fromkeys(runs["method"]))
+    figure = Figure(figsize=(9.0, 4.4))
+    for panel, trajectory in zip(figure.subplots(1, 2, sharey=True), ("vertical", "orbit"), strict=True):
+        here = runs[runs["trajectory"] == trajectory]
+        for k, method in enumerate(methods):
+            for sensor, side in ((IDEAL, -0.2), (HONEST, 0.2)):
+                ate = 100 * here.loc[(here["method"] == method) & (here["sensor"] == sensor), "ate_rmse_m"].to_numpy()
+                face = "white" if sensor == IDEAL else COLOURS[method]
+                if len(ate):
+                    draw_sample(panel, k + side, ate, COLOURS[method], markersize=6, mfc=face)
+        drift_cm = 100 * here.drop_duplicates("seed")["raw_ate_rmse_m"].mean()
+        panel.axhline(drift_cm, color=VERMILION, lw=1.2, label=f"{LABELS['none']}, mean")
+        panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods])
+        panel.set(title=f"{trajectory} flight", yscale="log", xlim=(-0.6, len(methods) - 0.4))
+        panel.grid(axis="x", visible=False)
+    figure.axes[0].set_ylabel("ATE, root mean square (cm)")
+    figure.axes[0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    for label, face in (("ideal sensor", "white"), ("honest sensor", GREY)):
+        figure.axes[0].plot([], [], "o", color=GREY, mfc=face, ms=7, label=label)
+    gather_legend(figure, ncols=3)
+    return figure

@@ -1,0 +1,94 @@
+"""`report.honest`: range errors on steel alone, Allan deviations of known processes, and runs that are comparable."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb.report import honest
+from steelnb.settings import ImuSettings
+
+
+@pytest.fixture(scope="module")
+def errors():
+    return honest.range_errors("vertical", 1, 0.4)
+
+
+def test_each_fault_alone_does_what_it_is_named_after(errors):
+    table = honest.error_table(errors).set_index("fault")
+    assert list(table.index) == [honest.NOISE, honest.AMPLITUDE, *honest.FAULTS, honest.ALL]
+    assert table.loc[honest.NOISE, "lost_share"] == 0
+    assert table.loc[honest.AMPLITUDE, "lost_share"] > 0.1
+    assert table.loc["wiggling", "p95_mm"] == pytest.approx(5.0, abs=0.1)  # its amplitude
+    assert table.loc["multipath", "mean_mm"] > 1  # ranges come out too long
+    assert table.loc["footprint: mixed pixels", "mean_mm"] < -1  # what is near returns more light
+    assert table.loc[honest.ALL, "median_mm"] > table.loc[honest.NOISE, "median_mm"]
+
+
+def test_only_steel_counts(errors):
+    shape = {error_m.shape for error_m in errors.values()}
+    assert shape == {(2, 240, 180)}
+    on_steel = ~np.isnan(errors[honest.NOISE])
+    assert 0.02 < on_steel.mean() < 0.3  # the ground fills the lower half of these images
+    assert not on_steel[:, -40:].any()
+
+
+def test_the_allan_deviation_of_white_noise_and_of_a_walk():
+    random, step_s, tau_s = np.random.default_rng(3), 0.01, np.array([0.01, 0.1, 1.0, 10.0])
+    white = 0.2 / np.sqrt(step_s) * random.standard_normal((400_000, 3))
+    walk = np.cumsum(0.05 * np.sqrt(step_s) * random.standard_normal((400_000, 3)), axis=0)
+    np.testing.assert_allclose(honest.allan_deviation(white, step_s, tau_s), 0.2 / np.sqrt(tau_s), rtol=0.05)
+    np.testing.assert_allclose(
+        honest.allan_deviation(walk, step_s, tau_s[1:]), 0.05 * np.sqrt(tau_s[1:] / 3), rtol=0.05
+    )
+
+
+def test_the_simulated_imu_is_that_of_its_settings():
+    settings = ImuSettings.preset(honest.HONEST)
+    assert settings is not None
+    table = honest.imu_table(settings, 1, 900.0)
+    short = table[table["tau_s"] < 5]
+    for name in ("gyro", "accelerometer"):
+        np.testing.assert_allclose(short[name], short[f"{name}_settings"], rtol=0.05)
+
+
+def row(sensor, method="best", seed=1, ate_m=0.02, **changed):
+    usual = {"trajectory": "vertical", "noise": "random-walk", "variant": "", "blind": "", "status": "ok"}
+    numbers = {"duration_s": 200.0, "ate_rmse_m": ate_m, "raw_ate_rmse_m": 0.4}
+    return {**usual, "sensor": sensor, "method": method, "seed": seed, **numbers, **changed}
+
+
+def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
+    runs = pd.DataFrame(
+        [
+            row(honest.IDEAL), row(honest.HONEST, ate_m=0.06), row(honest.HONEST, seed=2, ate_m=0.1),
+            row(honest.IDEAL, method="faces"), row(honest.HONEST, noise="random-walk+tilt"),
+            row(honest.IDEAL, variant="flight.standoff_m=2"), row(honest.HONEST, status="failed"),
+            row(honest.HONEST, duration_s=20.0), row("report"), row(honest.IDEAL, blind="60-65"),
+        ]
+    )  # fmt: skip
+    found = honest.honest_runs(runs)
+    assert found.index.tolist() == [0, 1, 2]
+    table = honest.honest_table(found).set_index("sensor")
+    assert table.loc[honest.HONEST, "ate_mean_m"] == pytest.approx(0.08)
+    assert table.loc[honest.HONEST, ["seeds", "ate_worst_m"]].tolist() == [2, 0.1]
+    errors = pd.DataFrame(
+        [
+            {"fault": name, "median_mm": k, "p95_mm": 10.0 * k, "mean_mm": -k, "far_share": 0.1, "lost_share": 0.25}
+            for k, name in enumerate([honest.NOISE, *honest.FAULTS, honest.ALL])
+        ]
+    )
+    said = honest.honest_sentences(errors, found)
+    assert "loses 25 % of the returns" in said
+    assert "the largest is offset and scale of a camera: -5 mm" in said
+    assert "best: 2.0 → 8.0 cm (vertical)." in said
+
+
+def test_the_figures_show_both_sensors(errors):
+    frame = honest.figure_frame(errors)
+    assert [panel.get_title() for panel in frame.axes[:2]] == ["ideal", "honest"]
+    assert len(frame.axes[2].lines) == len(errors)
+    runs = pd.DataFrame([row(sensor, seed=seed) for sensor in (honest.IDEAL, honest.HONEST) for seed in (1, 2)])
+    figure = honest.figure_honest(runs)
+    faces = {line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == "o"}
+    assert "white" in faces
+    assert len(faces) == 3  # of the method, and of the legend
