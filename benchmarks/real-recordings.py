@@ -85,21 +85,21 @@ without its structure. *Peak* is that of the process, with all libraries."""
 SETTINGS = """
 ## What a user has to set
 
-Floor, range, voxels and gaps follow from the first scans and from the poses; no row sets them but one. Before, the walk came
-out worse than its drift without them (0.335 → 0.408 m), and the truck's scans were not registered after the second.
+Floor, range, voxels and gaps follow from the first scans and from the poses; no row sets them but one. Before, the walk
+came out worse than its drift without them (0.335 → 0.408 m), and no scan of the truck was registered after the second.
 
 - **Floor.** Where points lie below the world's zero, nothing is cut off. Else what lies below 0.3 m is.
-- **Range.** `--range-max 6` on the walk is what the drone's preset would see of it: mostly flat ground, along which the prior is
-  followed. What lies behind the sensor is kept: of a spinning LiDAR that is half.
+- **Range.** `--range-max 6` on the walk is what the drone's preset would see of it: mostly flat ground, along which the
+  prior is followed. What lies behind the sensor is kept: of a spinning LiDAR that is half.
 - **Axes.** `[extrinsics]` where the sensor's x is not forward: the truck's LiDAR has its y forward.
 - **Method.** `best` and `combined` take roll and pitch from the poses, as an IMU gives them. Where poses say nothing,
   `--odometry gicp` solves for all six degrees of freedom. In the kitchen `gicp`, as the report set it, is worse than
   the drift.
 - **Structure.** `--no-structure` where there are no bars: on the walk it takes minutes and 2 GB to say that most lines
   run in surfaces.
-- **Peers.** On the walk small_gicp's VGICP, scan to model, begun at the prior's motion, with voxels of 18 cm, comes out at 0.107 m where
-  `best` has 0.112; on the first hundred images of the kitchen both at 0.013 m, KISS-ICP 1.3 at 0.023 without a prior. KISS-ICP loses
-  the walk (8.3 m), whose sweeps come at 2 Hz; done by hand, not by this script.
+- **Peers.** On the walk small_gicp's VGICP, scan to model, begun at the prior's motion, with voxels of 18 cm, comes out
+  at 0.107 m where `best` has 0.112; on the first hundred images of the kitchen both at 0.013 m, KISS-ICP 1.3 at 0.023
+  without a prior. KISS-ICP loses the walk (8.3 m), whose sweeps come at 2 Hz; done by hand, not by this script.
 - **Units and dx.** Files are taken to be in metres; in millimetres all lengths, `--dx` too, are millimetres. On a cloud
   full of surfaces the default dx is the spacing of the points, and surfaces come out as sheaves of short bars: the
   share explained then says little. For the cage a tube that holds a rod (12 mm) is better.

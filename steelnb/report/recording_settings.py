@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 
 from steelnb.errors import SettingsError
+from steelnb.points import voxel_grid
 from steelnb.report.words import guess
 from steelnb.settings import METHODS, ExperimentSettings, StructureSettings
-from steelnb.types import Flight
+from steelnb.types import Array, Flight
 
 FIRST_SCANS = 10
 SCALE_MIN = 1.25
 """A scene up to this many times as large as that of the preset's sensor is one for the preset."""
+POINTS_MIN = 1000
+"""Voxels are not made coarser than leaves so many points of the first scan."""
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """Where more points than this share lie so far below the world's zero, that is not the ground."""
@@ -31,17 +34,18 @@ LENGTHS = {
 class Scene:
     """What the first scans say: ``range_m``, within which 99 % of the returns lie, ``median_m``, within which half of
     them do, and the share ``underground`` of those more than `UNDERGROUND_M` below the zero of the poses' world. All
-    are NaN without a return."""
+    are NaN without a return. ``points (N, 3)`` are the returns of the first scan that has any."""
 
     range_m: float
     median_m: float
     underground: float
+    points: Array
 
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
         """The scene before the first scans of a flight."""
         first = flight.first(FIRST_SCANS)
-        ranges, heights = [np.zeros(0)], [np.zeros(0)]
+        ranges, heights, seen = [np.zeros(0)], [np.zeros(0)], np.zeros((0, 3))
         for scan, T_world_drone in zip(first.scans, first.prior.T_world_drone, strict=False):
             T = T_world_drone @ flight.T_drone_sensor
             points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
@@ -49,20 +53,24 @@ class Scene:
             returned = np.isfinite(range_m) & (range_m > 0)  # zeros stand for no return in many files
             ranges.append(range_m[returned])
             heights.append(points[returned] @ T[2, :3] + T[2, 3])
+            seen = seen if len(seen) else points[returned]
         range_m, height_m = np.concatenate(ranges), np.concatenate(heights)
         if not len(range_m):
-            return cls(np.nan, np.nan, np.nan)
+            return cls(np.nan, np.nan, np.nan, seen)
         median_m, far_m = np.percentile(range_m, [50, 99])
-        return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()))
+        return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()), seen)
 
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
         """The settings of the odometry that differ from the preset's.
 
         Where returns reach further than the preset's sensor, the crop does. Where half of them lie beyond half of its
-        range, all other lengths are in proportion to that. There is no floor where the world's zero is not the ground.
+        range, all other lengths are in proportion to that, as far as voxels leave `POINTS_MIN` points. There is no
+        floor where the world's zero is not the ground.
         """
         range_max_m = preset.tof.range_max_m
-        scale = self.median_m / (0.5 * range_max_m)
+        scale, leaf_m = self.median_m / (0.5 * range_max_m), preset.odometry.preprocess.voxel_leaf_m
+        while scale > SCALE_MIN and len(voxel_grid(self.points, scale * leaf_m)) < POINTS_MIN:
+            scale *= 0.9
         tables = preset.odometry.model_dump(exclude_none=True)
         changed = {}
         if self.range_m > SCALE_MIN * range_max_m:

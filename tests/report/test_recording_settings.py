@@ -58,6 +58,14 @@ def test_far_points_alone_widen_the_crop_alone():
     assert 10 < changed["preprocess.crop_m"] < 40
 
 
+def test_voxels_leave_enough_points():
+    bar = np.column_stack([np.full(4000, 12.0), np.zeros(4000), np.linspace(0, 60, 4000)])  # 1200 voxels of 5 cm
+    assert list(Scene.of(made(bar, height_m=100.0)).overrides(ExperimentSettings.preset())) == ["preprocess.crop_m"]
+    wall = bar[:, None] + np.array([[0.0, 0.1 * k, 0.0] for k in range(20)])
+    changed = Scene.of(made(wall, height_m=100.0)).overrides(ExperimentSettings.preset())
+    assert changed["preprocess.voxel_leaf_m"] > 0.2
+
+
 def test_a_scene_as_large_as_the_presets_or_smaller_changes_nothing():
     for radius_m in (0.5, 6.0, 7.0):
         assert Scene.of(made(shell(radius_m), height_m=100.0)).overrides(ExperimentSettings.preset()) == {}
