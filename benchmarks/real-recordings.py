@@ -36,7 +36,7 @@ from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_
 from steelnb.io.transforms import matrices
 from steelnb.metrics import score_trajectory
 from steelnb.report.cloud import segment_file
-from steelnb.report.recording_settings import recording_settings
+from steelnb.report.recording_settings import Scene, recording_settings
 from steelnb.report.recording_truth import truth_at_scans, with_drift
 from steelnb.report.results import machine
 from steelnb.settings import NoiseSettings
@@ -59,14 +59,11 @@ DRIFT = "random-walk:0.002"
 
 
 class Options(NamedTuple):
-    """The arguments of `recording_settings`, the noise to add, and the longest gap between poses."""
+    """The arguments of `recording_settings`, and the noise to add."""
 
     method: str = "best"
     noise: str | None = None
-    floor_m: float | None = None
     range_max_m: float | None = None
-    gap_max_s: float | None = None
-    overrides: dict = {}  # noqa: RUF012 (never changed)
 
 
 NO_FLAGS = Options(noise=DRIFT)
@@ -153,14 +150,11 @@ def corrected(path: Path, options: Options, **named: str | Path) -> dict:
 
     That is the median distance of a scan's points to the nearest of the scan before.
     """
-    flight, truth = read_flight(path, gap_max_s=options.gap_max_s, **named), read_truth(path, **named)
-    settings, _ = recording_settings(
-        options.method, flight=flight, floor_m=options.floor_m, range_max_m=options.range_max_m,
-        overrides=options.overrides,
-    )  # fmt: skip
+    flight, truth = read_flight(path, **named), read_truth(path, **named)
+    settings, _ = recording_settings(options.method, scene=Scene.of(flight), range_max_m=options.range_max_m)
     if options.noise is not None:
-        flight, truth = with_drift(flight, truth, NoiseSettings.parse(options.noise), 1, options.gap_max_s)
-    truth, _ = truth_at_scans(flight, truth, options.gap_max_s)
+        flight, truth = with_drift(flight, truth, NoiseSettings.parse(options.noise), 1, None)
+    truth, _ = truth_at_scans(flight, truth, None)
     prior, mount = flight.prior, flight.T_drone_sensor
     reading, clouds, began = [], [], time.process_time()
     for scan in flight.scans:

@@ -21,7 +21,6 @@ from steelnb.report.words import counted
 
 if TYPE_CHECKING:
     from steelnb.settings import ExperimentSettings, StructureSettings
-    from steelnb.types import Flight
 
 DURATION_MIN_S = 1.0
 
@@ -157,7 +156,8 @@ def run(
         from steelnb.io import read_flight, read_structure, read_truth
         from steelnb.report.recording import run_recording
         from steelnb.report.recording_comparison import compare_recording
-        from steelnb.report.recording_settings import recording_settings
+        from steelnb.report.recording_settings import Scene, recording_settings
+        from steelnb.report.recording_truth import part_of
         from steelnb.settings import NoiseSettings
 
         stage = ""
@@ -172,9 +172,9 @@ def run(
         known = None if map_file is None else read_structure(map_file)
         overrides = _overrides(changed) | ({"smooth": True} if smooth else {})
 
-        def settings_for(flight: "Flight | None" = None) -> dict[str, "tuple[ExperimentSettings, StructureSettings]"]:
+        def settings_for(scene: Scene | None = None) -> dict[str, "tuple[ExperimentSettings, StructureSettings]"]:
             given: dict[str, Any] = {"seed": seed, "range_max_m": range_max, "floor_m": floor, "overrides": overrides}
-            return {name: recording_settings(name, sensor, flight=flight, **given) for name in odometry or ["best"]}
+            return {name: recording_settings(name, sensor, scene=scene, **given) for name in odometry or ["best"]}
 
         settings_for()  # what is given wrongly is refused before a file is opened
         if noise is not None:
@@ -182,14 +182,15 @@ def run(
         on_stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
         true = read_truth(recording, truth=truth, settings=settings)
+        part_s = None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s)
+        used = flight if part_s is None else part_of(flight, true, part_s, gap)[0]
         chosen = {
             name: (for_odometry, for_structure if structure else None)
-            for name, (for_odometry, for_structure) in settings_for(flight).items()
+            for name, (for_odometry, for_structure) in settings_for(Scene.of(used)).items()
         }
         options: dict[str, Any] = {
             "truth": true, "added_noise": noise, "known": known, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
-            "part_s": None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s),
-            "on_stage": on_stage, "on_progress": lambda share: shown.show(stage, share),
+            "part_s": part_s, "on_stage": on_stage, "on_progress": lambda share: shown.show(stage, share),
         }  # fmt: skip
         if len(chosen) > 1:
             lines = compare_recording(flight, output, chosen, **options).summary

@@ -24,7 +24,7 @@ from steelnb.odometry import KnownStructureOdometry, Odometry
 from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
-from steelnb.report.recording_settings import recording_settings, settings_line
+from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments
@@ -133,7 +133,7 @@ def run_recording(
     flight, notes = recording, tuple[str, ...]()
     if part_s is not None:
         flight, truth, notes = part_of(flight, truth, part_s, gap_max_s)
-    settings = settings or recording_settings(flight=flight)[0]
+    settings = settings or recording_settings(scene=Scene.of(flight))[0]
     if added_noise is not None:
         if truth is None:
             notes = (*notes, "the recorded poses are taken as true: errors are those of the drift added to them")

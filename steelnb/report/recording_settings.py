@@ -43,7 +43,7 @@ class Scene:
 
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
-        """The scene before the first scans of a flight."""
+        """The scene before the first scans of a flight. Raises what reading them raises."""
         first = flight.first(FIRST_SCANS)
         ranges, heights, seen = [np.zeros(0)], [np.zeros(0)], np.zeros((0, 3))
         for scan, T_world_drone in zip(first.scans, first.prior.T_world_drone, strict=False):
@@ -89,7 +89,7 @@ def recording_settings(
     method: str = "best",
     sensor: str = "starling2",
     *,
-    flight: Flight | None = None,
+    scene: Scene | None = None,
     seed: int = 1,
     range_max_m: float | None = None,
     floor_m: float | None = None,
@@ -97,26 +97,23 @@ def recording_settings(
 ) -> tuple[ExperimentSettings, StructureSettings]:
     """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
 
-    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. With ``flight``, lengths and
-    floor follow from its first scans (`Scene`). ``range_max_m`` and ``floor_m`` are the crop in all directions and the
-    floor in the world; they and ``overrides`` come before all else. Raises `SettingsError`, and what reading scans
-    raises.
+    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. With ``scene``, lengths and
+    floor follow from the first scans of a flight. ``range_max_m`` and ``floor_m`` are the crop in all directions and
+    the floor in the world; they and ``overrides`` come before all else. Raises `SettingsError`.
     """
     if method not in (*METHODS, "segments"):
         near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
         raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
     chosen = "least_squares" if method == "segments" else method
     preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
-    found = Scene.of(flight).overrides(preset) if flight is not None else {}
+    found = scene.overrides(preset) if scene is not None else {}
     given = {"preprocess.crop_m": range_max_m, "preprocess.floor_m": floor_m}
     found |= {name: value for name, value in given.items() if value is not None}
     settings = preset.override(found | dict(overrides or {}))
-    # Poses that no odometry corrected are not adjusted.
-    built = {"adjust": method != "none"}
     both = {"range_max_m": "preprocess.crop_m", "floor_m": "preprocess.floor_m"}
-    return settings, StructureSettings().replace(
-        **built, **{to: found[name] for to, name in both.items() if name in found}
-    )
+    also = {name: found[own] for name, own in both.items() if own in found}
+    # Poses that no odometry corrected are not adjusted.
+    return settings, StructureSettings().replace(adjust=method != "none", **also)
 
 
 def settings_line(settings: ExperimentSettings) -> str:

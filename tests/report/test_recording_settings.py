@@ -32,13 +32,15 @@ def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
     settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
     flight, _ = experiment.simulate(settings)
     for method in ("best", "combined", "segments"):
-        assert recording_settings(method, sensor, flight=flight) == recording_settings(method, sensor)
+        assert recording_settings(method, sensor, scene=Scene.of(flight)) == recording_settings(method, sensor)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_in_a_larger_scene_all_lengths_are_in_proportion(method):
     flight = made(shell(40.0), height_m=100.0)
-    before, after = (recording_settings(method, **given)[0].odometry.model_dump() for given in ({}, {"flight": flight}))
+    before, after = (
+        recording_settings(method, **given)[0].odometry.model_dump() for given in ({}, {"scene": Scene.of(flight)})
+    )
     scale = Scene.of(flight).median_m / 3.0
     assert scale == pytest.approx(6.67, rel=0.01)
     assert after["preprocess"].pop("crop_m") == pytest.approx(39.6, rel=0.01)
@@ -74,24 +76,24 @@ def test_a_scene_as_large_as_the_presets_or_smaller_changes_nothing():
 def test_there_is_no_floor_where_points_lie_below_the_worlds_zero():
     ground = np.column_stack([np.linspace(0, 3, 500), np.zeros(500), np.full(500, -2.0)])
     for height_m, expected in ((2.0, 0.3), (1.8, 0.3), (1.6, NO_FLOOR_M), (0.0, NO_FLOOR_M)):
-        settings, structure = recording_settings(flight=made(ground, height_m))
+        settings, structure = recording_settings(scene=Scene.of(made(ground, height_m)))
         assert settings.odometry.preprocess.floor_m == expected
         assert structure.floor_m == (expected if expected < 0 else 0.2)
     ground[:4, 2] = -5.0  # false returns
-    assert recording_settings(flight=made(ground))[0].odometry.preprocess.floor_m == 0.3
+    assert recording_settings(scene=Scene.of(made(ground)))[0].odometry.preprocess.floor_m == 0.3
 
 
 def test_what_is_given_comes_first():
     flight = made(shell(40.0), height_m=0.0)
     settings, structure = recording_settings(
-        flight=flight, range_max_m=20.0, floor_m=-3.0, overrides={"preprocess.voxel_leaf_m": 0.1}
+        scene=Scene.of(flight), range_max_m=20.0, floor_m=-3.0, overrides={"preprocess.voxel_leaf_m": 0.1}
     )
     seen = settings.odometry.preprocess
     assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
     assert (structure.range_max_m, structure.floor_m) == (20.0, -3.0)
     assert settings.odometry.clouds.map_voxel_m == pytest.approx(0.667, rel=0.01)
     assert settings_line(settings) == "settings  range 20 m, floor at -3 m, voxels of 0.1 m"
-    assert "no floor" in settings_line(recording_settings(flight=flight)[0])
+    assert "no floor" in settings_line(recording_settings(scene=Scene.of(flight))[0])
 
 
 def test_missing_returns_and_other_mounts_are_understood():
@@ -108,4 +110,4 @@ def test_missing_returns_and_other_mounts_are_understood():
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 5, 3), np.nan), np.zeros((7, 3))])
 def test_without_a_return_the_preset_stays(points):
-    assert recording_settings(flight=made(points)) == recording_settings()
+    assert recording_settings(scene=Scene.of(made(points))) == recording_settings()
