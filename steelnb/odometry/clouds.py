@@ -10,7 +10,7 @@ from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
-from steelnb.points import VoxelMap, preprocess_scan
+from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
@@ -77,10 +77,9 @@ class CloudOdometry:
         s, c, clock = self.settings, self.clouds, [time.perf_counter()]
         T_init = self.predicted(scan.stamp_s, T_world_drone_prior)
         self.stamp_s = scan.stamp_s
-        points = preprocess_scan(scan, T_init, self.T_drone_sensor, s.preprocess)
         if s.near_side:
             self.near_side.update(scan.points)
-            points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
+        points = self.preprocessed(scan, T_init)
         clock.append(time.perf_counter())
         target, covariance = self._prepare(points, T_init)
         clock.append(time.perf_counter())
@@ -109,6 +108,15 @@ class CloudOdometry:
         if self.tilt_sigma_rad and self.information is not None:
             self.information[[0, 1], [0, 1]] = self.prediction.tilt_step_sigma_rad(passed_s) ** -2.0
         return self.prediction.pose(prior, passed_s)
+
+    def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
+        """Points ``(N, 3)`` of a scan in the drone frame as the map takes them: denoised, filtered, moved by the
+        near-side shift so far. ``T_world_drone (4, 4)``, an estimate, serves to cut the floor."""
+        half = self.clouds.sigma_filter_px
+        if half and scan.points.ndim == 3:
+            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, half), scan.fault)
+        points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
+        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.settings.near_side else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
         s = self.clouds

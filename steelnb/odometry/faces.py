@@ -22,7 +22,6 @@ from steelnb.odometry.base import scan_of
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, Fit, points_in_range
-from steelnb.points import preprocess_scan
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
@@ -136,10 +135,8 @@ class FaceOdometry:
         if self._adjustment is None:
             self._insert_waiting(np.eye(4))
             self._start_adjustment()
-        cloud = np.zeros((0, 3)) if mapped else preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s)
+        cloud = np.zeros((0, 3)) if mapped else self.clouds.preprocessed(scan, T_world_drone)
         if len(cloud):
-            if self.settings.near_side:
-                cloud = self.clouds.near_side.shifted(cloud, self.T_drone_sensor[:3, 3])
             self.clouds.insert(cloud, T_world_drone)
 
     def _insert_waiting(self, moved: Array) -> None:

@@ -26,6 +26,10 @@ from steelnb.types import Array, Imu, RangeScans
 WHITE = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 """Overrides that take the range noise away."""
 IDEAL, HONEST = "starling2", "starling2-honest"
+BEFORE = "clouds.sigma_filter_px=0"
+"""Variant of a study's run with the honest sensor and the settings that methods have for the ideal one."""
+CASES = {(IDEAL, ""): "ideal", (HONEST, BEFORE): "honest, ideal's settings", (HONEST, ""): "honest"}
+"""Sensor and variant of the runs compared, and what to call them."""
 FAULTS: dict[str, tuple[str, ...]] = {
     "footprint: mixed pixels": ("footprint_px", "lateral_px"),
     "exposure during motion": ("exposure_s",),
@@ -35,6 +39,8 @@ FAULTS: dict[str, tuple[str, ...]] = {
 }
 """Faults that bias a range, and their settings; range noise is left out beside one of them."""
 NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
+MARKERS = dict(zip(CASES.values(), (("o", False), ("^", False), ("o", True)), strict=True))
+"""Marker of the runs of a case, and whether it is filled."""
 FAR_M = 0.05
 GROUND_M = 0.1
 ERROR_MAX_MM = 60.0
@@ -121,18 +127,19 @@ def imu_table(settings: ImuSettings, seed: int, duration_s: float = IMU_S) -> pd
 
 
 def honest_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs of a study under the random walk with the ideal and with the honest sensor, of the methods that flew
-    with both; nothing else differs from a preset."""
-    chosen = runs["sensor"].isin([IDEAL, HONEST]) & (runs["noise"] == "random-walk") & (runs["variant"] == "")
-    chosen &= (runs["blind"] == "") & (runs["status"] == "ok") & (runs["duration_s"] == 200.0)
-    both = set(runs.loc[chosen & (runs["sensor"] == HONEST), "method"])
-    return runs[chosen & runs["method"].isin(both)]
+    """The runs of a study under the random walk that are one of `CASES`, as their column ``case`` says, of the methods
+    that flew with the honest sensor; nothing else differs from a preset."""
+    which = pd.MultiIndex.from_frame(runs[["sensor", "variant"]])
+    chosen = which.isin(CASES) & (runs["noise"] == "random-walk") & (runs["duration_s"] == 200.0)
+    chosen &= (runs["blind"] == "") & (runs["status"] == "ok")
+    chosen &= runs["method"].isin(runs.loc[chosen & (runs["sensor"] == HONEST), "method"])
+    return runs[chosen].assign(case=[CASES[pair] for pair in which[chosen]])
 
 
 def honest_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row a flight, method and sensor of `honest_runs`: seeds, mean and worst ATE, metres, and that of the drift."""
+    """A row a flight, method and case of `honest_runs`: seeds, mean and worst ATE, metres, and that of the drift."""
     return (
-        runs.groupby(["trajectory", "method", "sensor"])
+        runs.groupby(["trajectory", "method", "case"])
         .agg(
             seeds=("seed", "nunique"), ate_mean_m=("ate_rmse_m", "mean"), ate_worst_m=("ate_rmse_m", "max"),
             drift_mean_m=("raw_ate_rmse_m", "mean"),
@@ -158,9 +165,9 @@ def honest_sentences(errors: pd.DataFrame, runs: pd.DataFrame) -> str:
     for method in dict.fromkeys(runs["method"]):
         said = []
         for trajectory in ("vertical", "orbit"):
-            one = cm[(cm["method"] == method) & (cm["trajectory"] == trajectory)].set_index("sensor")["ate_mean_m"]
-            if set(one.index) == {IDEAL, HONEST}:
-                said.append(f"{one[IDEAL]:.1f} → {one[HONEST]:.1f} cm ({trajectory})")
+            one = cm[(cm["method"] == method) & (cm["trajectory"] == trajectory)].set_index("case")["ate_mean_m"]
+            if "honest" in one.index and len(one) > 1:
+                said.append(" → ".join(f"{one[c]:.1f}" for c in CASES.values() if c in one) + f" cm ({trajectory})")
         if said:
             lines.append(f"{LABELS[method]}: {', '.join(said)}.")
     return bullets(lines)
@@ -206,17 +213,17 @@ def figure_imu(table: pd.DataFrame) -> Figure:
 
 @style()
 def figure_honest(runs: pd.DataFrame) -> Figure:
-    """ATE of each run of `honest_runs`: a column a method, hollow with the ideal sensor, filled with the honest one."""
+    """ATE of each run of `honest_runs`: a column a method, a marker a case."""
     methods = list(dict.fromkeys(runs["method"]))
     figure = Figure(figsize=(9.0, 4.4))
     for panel, trajectory in zip(figure.subplots(1, 2, sharey=True), ("vertical", "orbit"), strict=True):
         here = runs[runs["trajectory"] == trajectory]
         for k, method in enumerate(methods):
-            for sensor, side in ((IDEAL, -0.2), (HONEST, 0.2)):
-                ate = 100 * here.loc[(here["method"] == method) & (here["sensor"] == sensor), "ate_rmse_m"].to_numpy()
-                face = "white" if sensor == IDEAL else COLOURS[method]
+            for (case, (marker, filled)), side in zip(MARKERS.items(), (-0.25, 0.0, 0.25), strict=True):
+                ate = 100 * here.loc[(here["method"] == method) & (here["case"] == case), "ate_rmse_m"].to_numpy()
+                face = COLOURS[method] if filled else "white"
                 if len(ate):
-                    draw_sample(panel, k + side, ate, COLOURS[method], markersize=6, mfc=face)
+                    draw_sample(panel, k + side, ate, COLOURS[method], marker=marker, markersize=6, mfc=face)
         drift_cm = 100 * here.drop_duplicates("seed")["raw_ate_rmse_m"].mean()
         panel.axhline(drift_cm, color=VERMILION, lw=1.2, label=f"{LABELS['none']}, mean")
         panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods])
@@ -224,7 +231,7 @@ def figure_honest(runs: pd.DataFrame) -> Figure:
         panel.grid(axis="x", visible=False)
     figure.axes[0].set_ylabel("ATE, root mean square (cm)")
     figure.axes[0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    for label, face in (("ideal sensor", "white"), ("honest sensor", GREY)):
-        figure.axes[0].plot([], [], "o", color=GREY, mfc=face, ms=7, label=label)
-    gather_legend(figure, ncols=3)
+    for label, (marker, filled) in MARKERS.items():
+        figure.axes[0].plot([], [], marker, color=GREY, mfc=GREY if filled else "white", ms=7, label=f"sensor: {label}")
+    gather_legend(figure, ncols=4)
     return figure

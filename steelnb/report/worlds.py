@@ -35,11 +35,12 @@ def world_of(variant: str, noise: str, sensor: str, trajectory: str) -> str:
 
 def world_runs(runs: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     """The runs of a study on one flight under the random walk, seeing all the time, with the ``world`` of each, in the
-    order of a figure; those of the report's sensor only with methods that also fly with another one."""
+    order of a figure; those of the report's sensor only with methods that also fly with another one. Other sensors
+    than the usual one count with the settings of their presets."""
     chosen = (runs["trajectory"] == trajectory) & (runs["status"] == "ok") & (runs["blind"] == "")
     chosen &= runs["noise"].isin(["random-walk", "random-walk+tilt"]) & (runs["duration_s"] == 200.0)
     others = set(runs.loc[runs["sensor"] != "report", "method"])
-    found = runs[chosen & runs["method"].isin(others) & ~((runs["sensor"] == "report") & (runs["variant"] != ""))]
+    found = runs[chosen & runs["method"].isin(others) & (~runs["sensor"].isin(SENSORS) | (runs["variant"] == ""))]
     columns = ["variant", "noise", "sensor", "trajectory"]
     worlds = [world_of(*row) for row in found[columns].itertuples(index=False)]
     order = [USUAL_WORLD, HONEST, TILTED, UPRIGHTED, "stand-off + 1 m", "stand-off + 2 m", *WORLDS.values()]

@@ -72,7 +72,9 @@ class CloudSettings(Settings):
     the map is voxelised anew with every scan, as the original does. ``fast`` extrapolates the solver's steps (Besl and
     McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm. ``drop_rotation`` is the original's
     fault: it solves for six degrees of freedom, keeps the translation, and inserts the rotated cloud. ``bars_weight``
-    is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused.
+    is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused. With
+    ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of its surface that many
+    pixels around (`steelnb.points.smooth_ranges`).
     """
 
     error: Literal["point", "plane", "gicp"] = "gicp"
@@ -87,6 +89,7 @@ class CloudSettings(Settings):
     drop_rotation: bool = False
     bars_weight: NotNegative = 0.0
     jump_max_m: Positive = 1.0
+    sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
 
 
 class OdometrySettings(Settings):

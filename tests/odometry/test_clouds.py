@@ -1,4 +1,5 @@
 import functools
+import itertools
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from steelnb.metrics import position_error_m, score_gaps
 from steelnb.odometry import CloudOdometry
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, SEGMENT_METHODS, ExperimentSettings, OdometrySettings
-from steelnb.types import Trajectory
+from steelnb.types import Scan, Trajectory
 
 NOISE = "constant-drift:0.0004+random-walk"
 
@@ -130,6 +131,31 @@ def test_it_recovers_after_a_gap():
     assert error[stamp > 11].max() < 0.04
     assert result.metrics["ate_outside_gaps_rmse_m"] < 0.03
     assert result.metrics["error_after_gaps_max_m"] == pytest.approx(error[(stamp >= 11) & (stamp < 12)].max())
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_the_sigma_filter_halves_the_error_with_twice_the_range_noise(seed):
+    noisy = {"sensor": "starling2", "seed": seed, "duration_s": 12.0, "method": "best"}
+    more = {"tof.sigma_relative": 0.02}
+    flight, truth = experiment.simulate(ExperimentSettings.preset("orbit", "random-walk", **noisy, overrides=more))
+    error = []
+    for half in (0, 1):
+        chosen = ExperimentSettings.preset(
+            "orbit", "random-walk", **noisy, overrides={**more, "clouds.sigma_filter_px": half}
+        )
+        error.append(experiment.estimate(chosen, flight, truth).metrics["ate_rmse_m"])
+    assert error[1] < 0.5 * error[0]
+    assert error[1] < 0.02
+
+
+def test_the_sigma_filter_leaves_points_without_order_as_they_are(world):
+    _, flight, _ = world
+    settings = OdometrySettings.preset("best", overrides={"clouds.sigma_filter_px": 1})
+    filtered, plain = CloudOdometry(settings, flight.T_drone_sensor), CloudOdometry(None, flight.T_drone_sensor)
+    for scan, T in itertools.islice(zip(flight.scans, flight.prior.T_world_drone, strict=True), 5):
+        flat = Scan(scan.stamp_s, scan.points.reshape(-1, 3))
+        np.testing.assert_array_equal(filtered.update(flat, T).T_world_drone, plain.update(flat, T).T_world_drone)
+    assert not np.array_equal(filtered.preprocessed(scan, T), plain.preprocessed(scan, T))
 
 
 def test_gaps_are_left_out_of_the_error():

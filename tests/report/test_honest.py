@@ -4,8 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from steelnb.keys import find_root
 from steelnb.report import honest
 from steelnb.settings import ImuSettings
+from steelnb.study.plan import read_plan
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +53,8 @@ def test_the_simulated_imu_is_that_of_its_settings():
         np.testing.assert_allclose(short[name], short[f"{name}_settings"], rtol=0.05)
 
 
-def row(sensor, method="best", seed=1, ate_m=0.02, **changed):
-    usual = {"trajectory": "vertical", "noise": "random-walk", "variant": "", "blind": "", "status": "ok"}
+def row(sensor, variant="", method="best", seed=1, ate_m=0.02, **changed):
+    usual = {"trajectory": "vertical", "noise": "random-walk", "variant": variant, "blind": "", "status": "ok"}
     numbers = {"duration_s": 200.0, "ate_rmse_m": ate_m, "raw_ate_rmse_m": 0.4}
     return {**usual, "sensor": sensor, "method": method, "seed": seed, **numbers, **changed}
 
@@ -64,13 +66,14 @@ def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
             row(honest.IDEAL, method="faces"), row(honest.HONEST, noise="random-walk+tilt"),
             row(honest.IDEAL, variant="flight.standoff_m=2"), row(honest.HONEST, status="failed"),
             row(honest.HONEST, duration_s=20.0), row("report"), row(honest.IDEAL, blind="60-65"),
+            row(honest.HONEST, variant=honest.BEFORE, ate_m=0.3), row(honest.IDEAL, variant=honest.BEFORE),
         ]
     )  # fmt: skip
     found = honest.honest_runs(runs)
-    assert found.index.tolist() == [0, 1, 2]
-    table = honest.honest_table(found).set_index("sensor")
-    assert table.loc[honest.HONEST, "ate_mean_m"] == pytest.approx(0.08)
-    assert table.loc[honest.HONEST, ["seeds", "ate_worst_m"]].tolist() == [2, 0.1]
+    assert found["case"].to_dict() == {0: "ideal", 1: "honest", 2: "honest", 10: "honest, ideal's settings"}
+    table = honest.honest_table(found).set_index("case")
+    assert table.loc["honest", "ate_mean_m"] == pytest.approx(0.08)
+    assert table.loc["honest", ["seeds", "ate_worst_m"]].tolist() == [2, 0.1]
     errors = pd.DataFrame(
         [
             {"fault": name, "median_mm": k, "p95_mm": 10.0 * k, "mean_mm": -k, "far_share": 0.1, "lost_share": 0.25}
@@ -80,15 +83,22 @@ def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
     said = honest.honest_sentences(errors, found)
     assert "loses 25 % of the returns" in said
     assert "the largest is offset and scale of a camera: -5 mm" in said
-    assert "best: 2.0 → 8.0 cm (vertical)." in said
+    assert "best: 2.0 → 30.0 → 8.0 cm (vertical)." in said
+
+
+def test_the_study_runs_the_cases_that_are_compared():
+    plan = read_plan(find_root() / "notebooks" / "study.toml")
+    flown = {(run.settings.sensor, run.variant) for run in plan}
+    assert set(honest.CASES) <= flown
 
 
 def test_the_figures_show_both_sensors(errors):
     frame = honest.figure_frame(errors)
     assert [panel.get_title() for panel in frame.axes[:2]] == ["ideal", "honest"]
     assert len(frame.axes[2].lines) == len(errors)
-    runs = pd.DataFrame([row(sensor, seed=seed) for sensor in (honest.IDEAL, honest.HONEST) for seed in (1, 2)])
-    figure = honest.figure_honest(runs)
-    faces = {line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == "o"}
-    assert "white" in faces
-    assert len(faces) == 3  # of the method, and of the legend
+    runs = pd.DataFrame([row(*case, seed=seed) for case in honest.CASES for seed in (1, 2)])
+    figure = honest.figure_honest(honest.honest_runs(runs))
+    for marker, filled in honest.MARKERS.values():
+        faces = [line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == marker]
+        assert any((face != "white") == filled for face in faces)
+    assert len(figure.legends[0].get_texts()) == 4  # a case each, and the drift
