@@ -162,12 +162,14 @@ def honest_sentences(errors: pd.DataFrame, runs: pd.DataFrame) -> str:
     ]
     cm = honest_table(runs)
     cm[["ate_mean_m", "ate_worst_m"]] *= 100
+    lines.append(f"Mean ATE of each method, by sensor: {' → '.join(CASES.values())}.")
     for method in dict.fromkeys(runs["method"]):
         said = []
         for trajectory in ("vertical", "orbit"):
             one = cm[(cm["method"] == method) & (cm["trajectory"] == trajectory)].set_index("case")["ate_mean_m"]
             if "honest" in one.index and len(one) > 1:
-                said.append(" → ".join(f"{one[c]:.1f}" for c in CASES.values() if c in one) + f" cm ({trajectory})")
+                each = [f"{one[case]:.1f}" if case in one else "–" for case in CASES.values()]
+                said.append(f"{' → '.join(each)} cm ({trajectory})")
         if said:
             lines.append(f"{LABELS[method]}: {', '.join(said)}.")
     return bullets(lines)
@@ -223,7 +225,7 @@ def figure_honest(runs: pd.DataFrame) -> Figure:
                 ate = 100 * here.loc[(here["method"] == method) & (here["case"] == case), "ate_rmse_m"].to_numpy()
                 face = COLOURS[method] if filled else "white"
                 if len(ate):
-                    draw_sample(panel, k + side, ate, COLOURS[method], marker=marker, markersize=6, mfc=face)
+                    draw_sample(panel, k + side, ate, COLOURS[method], marker=marker, width=0.2, markersize=6, mfc=face)
         drift_cm = 100 * here.drop_duplicates("seed")["raw_ate_rmse_m"].mean()
         panel.axhline(drift_cm, color=VERMILION, lw=1.2, label=f"{LABELS['none']}, mean")
         panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods])
