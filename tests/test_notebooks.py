@@ -14,6 +14,7 @@ import pytest
 
 from steelnb.io.structures import read_structure
 from steelnb.report.claims import read_claims
+from steelnb.report.honest import CASES
 from workflow.__main__ import make_plans
 from workflow.experiments import read_experiments
 from workflow.task_notebooks import run
@@ -364,9 +365,13 @@ def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smok
 def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
     folder = smoke / "honest-sensors"
     table = pd.read_csv(folder / "table.csv")
-    assert set(table["sensor"]) == {"starling2", "starling2-honest"}
-    wide = table.pivot(index=["trajectory", "method"], columns="sensor", values="ate_mean_m").dropna()
-    assert (wide["starling2-honest"] > wide["starling2"]).all()
+    assert set(table["case"]) == set(CASES.values())
+    wide = table.pivot(index=["trajectory", "method"], columns="case", values="ate_mean_m")
+    both = wide.dropna(subset=["ideal", "honest"])
+    assert len(both) >= 4
+    assert (both["honest"] > both["ideal"]).all()
+    honest = table[table["case"] == "honest"]
+    assert (honest["ate_mean_m"] < honest["drift_mean_m"]).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["all together.median_mm"] > metrics["range noise of the data sheet.median_mm"]
     for name in ("frame", "imu", "honest"):
