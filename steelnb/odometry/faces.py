@@ -135,7 +135,9 @@ class FaceOdometry:
         if self._adjustment is None:
             self._insert_waiting(np.eye(4))
             self._start_adjustment()
-        cloud = np.zeros((0, 3)) if mapped else self.clouds.preprocessed(scan, T_world_drone)
+        if mapped:
+            return
+        cloud = self.clouds.preprocessed(scan, T_world_drone)
         if len(cloud):
             self.clouds.insert(cloud, T_world_drone)
 
