@@ -33,7 +33,13 @@ Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
 Scans = Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")]
 Poses = Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")]
 TruthFile = Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")]
-SettingsFile = Annotated[Path | None, typer.Option(help="TOML file with the tables [extrinsics] and [intrinsics].")]
+SettingsFile = Annotated[
+    Path | None, typer.Option(help="TOML file with the tables [extrinsics], [intrinsics] and [errors].")
+]
+From = Annotated[float, typer.Option("--from", metavar="SECONDS", help="Begin so long after the first scan.")]
+To = Annotated[
+    float, typer.Option("--to", metavar="SECONDS", help="End so long after it.", show_default="the last scan")
+]
 Gap = Annotated[
     float | None,
     typer.Option(
@@ -111,13 +117,8 @@ def run(
         one_of(METHODS, "{names}. Given several times, all are compared.", show_default="best"),
     ] = None,
     noise: Annotated[str | None, noise_option("Drift to add to the truth, or to poses taken as true")] = None,
-    from_s: Annotated[
-        float, typer.Option("--from", metavar="SECONDS", help="Begin so long after the first scan.")
-    ] = 0.0,
-    to_s: Annotated[
-        float,
-        typer.Option("--to", metavar="SECONDS", help="End so long after it.", show_default="the last scan"),
-    ] = math.inf,
+    from_s: From = 0.0,
+    to_s: To = math.inf,
     sensor: Sensor = "starling2",
     scans: Scans = None,
     poses: Poses = None,
@@ -197,6 +198,61 @@ def run(
         else:
             [(for_odometry, built)] = chosen.values()
             lines = run_recording(flight, output, for_odometry, structure=built, **options).summary
+    print("\n".join(lines))
+
+
+@app.command(
+    epilog=examples(
+        "steelnb calibrate flight.mcap",
+        "steelnb calibrate flight.mcap -o sensor.toml --set calibration.mount_sigma_rad=0.05",
+        "steelnb run next.mcap --settings flight.calibration.toml",
+    )
+)
+def calibrate(
+    recording: Source,
+    output: Annotated[
+        Path | None, output_option("TOML file to write, for --settings.", "NAME.calibration.toml here")
+    ] = None,
+    from_s: From = 0.0,
+    to_s: To = math.inf,
+    sensor: Sensor = "starling2",
+    scans: Scans = None,
+    poses: Poses = None,
+    settings: SettingsFile = None,
+    gap: Gap = None,
+    changed: Set = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the TOML file.")] = False,
+) -> None:
+    """Find the errors of a sensor from a flight.
+
+    Offset and scale of its ranges, its mount and its clock, each with a standard deviation, as far as the flight tells
+    them: best one that turns. How well they are known before is --set calibration.NAME=VALUE, 0 for exactly.
+    """
+    with progress() as shown:
+        from steelnb.io import read_flight
+        from steelnb.report.calibration import calibrate as find
+        from steelnb.report.recording_settings import Scene, recording_settings
+        from steelnb.report.recording_truth import part_of
+
+        stage = ""
+
+        def on_stage(name: str) -> None:
+            nonlocal stage
+            stage = name
+            shown.show(stage)
+
+        overrides = _overrides(changed)
+        recording_settings("calibrated", sensor, overrides=overrides)  # refused before a file is opened
+        on_stage(f"opening {recording.name}")
+        flight = read_flight(recording, scans=scans, poses=poses, settings=settings, gap_max_s=gap)
+        if (from_s, to_s) != (0.0, math.inf):
+            flight = part_of(flight, None, (from_s, to_s), gap)[0]
+        chosen = recording_settings("calibrated", sensor, scene=Scene.of(flight), overrides=overrides)[0]
+        target = output or Path(f"{Path(flight.name).stem}.calibration.toml")
+        lines = find(
+            flight, target, chosen, already=settings, overwrite=force,
+            on_progress=lambda share: shown.show(stage, share), on_stage=on_stage,
+        )  # fmt: skip
     print("\n".join(lines))
 
 

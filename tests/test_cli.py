@@ -33,7 +33,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(command in shown for command in ("study", "structure", "segment"))
 
 
-@pytest.mark.parametrize("command", ["study", "record", "run", "info", "segment", "structure"])
+@pytest.mark.parametrize("command", ["study", "record", "run", "calibrate", "info", "segment", "structure"])
 def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from steelnb import cli, experiment
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_structure, write_tum
+from steelnb.io.calibration import read_correction
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Trajectory
 from tests.fusion.made import true_structure
@@ -74,6 +75,37 @@ def test_record_info_and_run(place, capfd):
     assert drift_m == pytest.approx(0.0005 * 125 * prior.stamp_s[-1], rel=1e-3)
 
 
+def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
+    said(capfd, ["record", "a.mcap", "--trajectory", "orbit", "--duration", "8", "--seed", "4"])
+    (place / "wrong.toml").write_text("[extrinsics]\ntranslation_m = [0.06, 0.0, 0.0]\nrotation_rpy_deg = [0, 1.5, 0]\n"
+                                      "[errors]\nrange_scale = 0.01\nrange_offset_m = 0.02\n")  # fmt: skip
+    shown = said(capfd, ["calibrate", "a.mcap", "--settings", "wrong.toml", "--set", "calibration.range_scale_sigma=0"])
+    assert re.search(r"^mount pitch +-1\.[345]\d ± 0\.\d\d ° \(before: ± 1\.00\)$", shown, re.MULTILINE)
+    assert re.search(r"^mount z .* not told by this flight$", shown, re.MULTILINE)
+    assert re.search(r"^range scale +[+-]0\.00 ± 0\.00 % \(before: ± 0\.00\) known$", shown, re.MULTILINE)
+    assert "written   a.calibration.toml: steelnb run RECORDING --settings a.calibration.toml" in shown
+    errors = read_correction("a.calibration.toml")
+    assert errors.range_scale == pytest.approx(0.01)  # as it was told
+    assert abs(errors.range_offset_m) < 0.01  # 2 cm, of which nothing was true
+    mount = read_flight("a.mcap", settings="a.calibration.toml").T_drone_sensor
+    assert np.degrees(np.arccos(mount[0, 0])) < 0.3
+    assert "exists already" in said(capfd, ["calibrate", "a.mcap"], code=2)
+
+
+def test_scans_come_without_the_errors_that_a_settings_file_names(bag, place, capfd):
+    (place / "sensor.toml").write_text("[errors]\nrange_scale = 0.02\nrange_offset_m = 0.01\ntime_offset_s = 0.02\n")
+    flight, corrected = read_flight(bag), read_flight(bag, settings="sensor.toml")
+    assert "ranges +10.0 mm and +2.00 % too long, taken +20.0 ms after the stamps" in said(
+        capfd, ["info", str(bag), "--settings", "sensor.toml", "--quick"]
+    )
+    np.testing.assert_allclose(corrected.prior.stamp_s, flight.prior.stamp_s[: len(corrected)] + 0.02, atol=1e-9)
+    range_m, true_m = (np.linalg.norm(each.scans[5].points, axis=-1) for each in (flight, corrected))
+    np.testing.assert_allclose(1.02 * true_m + 0.01, range_m, rtol=1e-6)
+    for bad, named in (("range_scal = 0.1", "errors.range_scal"), ("range_scale = 2.0", "errors.range_scale = 2.0")):
+        (place / "sensor.toml").write_text(f"[errors]\n{bad}\n")
+        assert named in said(capfd, ["info", str(bag), "--settings", "sensor.toml"], code=2)
+
+
 BAD = [
     (["info", "nothing.bag"], ["nothing.bag", "does not exist"]),
     (["info", "file"], ["file", "expected .bag, .mcap, .db3"]),
@@ -88,6 +120,13 @@ BAD = [
         ["--odometry: unknown 'beest', did you mean 'best'?; expected one of 'none', 'average'"],
     ),
     (["run", "{bag}", "--odometry", "best", "--odometry", "gcip"], ["unknown 'gcip', did you mean 'gicp'?"]),
+    (["calibrate", "{bag}", "--set", "calibration.mount_sigma=1"], ["calibration.mount_sigma"]),
+    (["calibrate", "{bag}", "--set", "calibration.mount_sigma_m=-1"], ["mount_sigma_m = -1"]),
+    (["calibrate", "{bag}", "--from", "9"], ["from 9 to inf s: no scan"]),
+    (
+        ["calibrate", "{bag}", "--set", "preprocess.floor_m=50", "-o", "new.toml"],
+        ["a.bag: not calibrated: 20 scans without a return above the floor", "expected a flight along bars"],
+    ),
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (
         ["run", "{bag}", "--sensor", "lidar"],

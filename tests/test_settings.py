@@ -7,6 +7,7 @@ from steelnb.errors import SettingsError
 from steelnb.settings import (
     METHODS,
     SEGMENT_METHODS,
+    CalibrationSettings,
     ExperimentSettings,
     FlightSettings,
     NoiseSettings,
@@ -16,6 +17,9 @@ from steelnb.settings import (
     TowerSettings,
 )
 from steelnb.settings.presets import PRESETS
+
+BOTH = ("combined", "faces", "smoothed", "calibrated")
+"""Methods by clouds and segments."""
 
 
 @pytest.mark.parametrize(
@@ -135,7 +139,7 @@ def test_the_mount_of_the_sensor_is_a_setting():
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
     assert (settings.clouds is None) == (method in SEGMENT_METHODS)
-    assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, "combined", "faces", "smoothed"))
+    assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.gain" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):
         settings.override({missing: 1})
@@ -151,9 +155,9 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_108_settings():
-    """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, and the
-    sigma filter."""
+def test_there_are_at_most_113_settings():
+    """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
+    sigma filter, and how well five errors of a sensor are known."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -161,7 +165,7 @@ def test_there_are_at_most_108_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 108
+    assert len(leaves) <= 113
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:
@@ -174,3 +178,18 @@ def test_a_method_has_what_the_sensor_adds_to_the_one_it_is_based_on():
     combined, smoothed = (OdometrySettings.preset(method, "starling2") for method in ("combined", "smoothed"))
     assert smoothed == combined.model_copy(update={"method": "smoothed", "smooth": True})
     assert smoothed.segments.robust_scale_m != OdometrySettings.preset("average", "starling2").segments.robust_scale_m
+
+
+def test_a_calibration_is_part_of_smoothing():
+    assert OdometrySettings.preset("calibrated").calibration == CalibrationSettings()
+    assert OdometrySettings.preset("calibrated", "starling2-honest").calibration.mount_sigma_m == 0.0
+    looser = OdometrySettings.preset("smoothed", overrides={"calibration": {"mount_sigma_m": 0.1}})
+    assert looser.calibration == CalibrationSettings(mount_sigma_m=0.1)
+    for overrides, says in (
+        ({"calibration": {}}, "'combined': a table calibration without smooth"),
+        ({"smooth": True, "calibration": {"mount_sigma": 1}}, "mount_sigma"),
+        ({"smooth": True, "calibration": {"range_scale_sigma": 0.5}}, "range_scale_sigma = 0.5"),
+        ({"smooth": True, "calibration": {"time_sigma_s": -1.0}}, "time_sigma_s = -1.0"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            OdometrySettings.preset("combined", overrides=overrides)

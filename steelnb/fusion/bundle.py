@@ -10,82 +10,29 @@ Odometry places each scan against a map that holds the errors of the scans befor
 
 Free are position and yaw of each pose, and place, direction, turn and flange of each bar. Roll and pitch are the
 prior's; or free, too, where the prior's have a standard deviation: their error is then a first-order Gauss-Markov
-process. Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur
-complement).
+process. Errors of the sensor may be free with them (`fusion.sensor_errors`). Poses form a chain and see few bars each,
+so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
-import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
+from steelnb.fusion.bar_equations import BAR, Bars, Equations, as_bars_move, equations, noise_ratio
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.observations import Observations
-from steelnb.fusion.poses import AXES, POSE, increments, moved_poses, pose_size, yaw_of
-from steelnb.types import Array, IntArray, Segments
+from steelnb.fusion.poses import increments, moved_poses, pose_size, pose_step, yaw_of
+from steelnb.fusion.sensor_errors import RANGE, SCALE, SensorEquations, derivative, true_poses, with_prior
+from steelnb.types import Array, Segments, SensorErrors
 
-BAR = 6
-"""Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Standard deviations of a bar: of place and direction for one step, for what its points do not tell, such as the place
 of a face seen from one side alone along that face; of turn and flange about those fitted to the outlines, which take no
 part here. Chosen on the development seed 11."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
-ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
-"""A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.scales.Scales`."""
-MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
-
-
-class Equations(NamedTuple):
-    """Normal equations of all points: of the poses ``matrix (K, D, D)``, ``vector (K, D)``, of the bars ``block
-    (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
-    both ``cross (P, D, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
-    standard deviations. D is 4, or 6 where roll and pitch are free."""
-
-    matrix: Array
-    vector: Array
-    cross: Array
-    block: Array
-    right: Array
-    shares: Array
-    pair_scan: IntArray
-    pair_bar: IntArray
-    residuals: Array
-
-    def between(self) -> Array:
-        """The part between poses and bars ``(K, D, 6 B)``."""
-        poses, size = self.vector.shape
-        result = np.zeros((poses, size, len(self.block), BAR))
-        result[self.pair_scan, :, self.pair_bar] = self.cross
-        return result.reshape(poses, size, -1)
-
-
-@dataclass(frozen=True)
-class Bars:
-    """B bars with angle sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
-    radians and ``flange (B,)`` in metres as in `fusion.sections`; a bar with a flange of NaN takes no part."""
-
-    segments: Segments
-    across: Array
-    turn: Array
-    flange: Array
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Which of them take part ``(B,)``."""
-        return np.isfinite(self.flange)
-
-    def sectioned(self) -> "Bars":
-        """Those that take part."""
-        known = self.known
-        return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
 
 
 @dataclass(frozen=True)
@@ -93,6 +40,7 @@ class Bundle:
     """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
     these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, the ``step (K, D)``
     that led here, metres and radians, and the standard deviation of the prior's roll and pitch, 0 where they are kept.
+    ``errors`` of the sensor are None where they are not sought.
     """
 
     T_world_sensor: Array
@@ -101,9 +49,16 @@ class Bundle:
     fitted: Array
     step: Array
     tilt_sigma_rad: float = 0.0
+    errors: SensorErrors | None = None
+
+    def prior(self, prior: Array, stamp_s: Array) -> Array:
+        """The drifting poses of the sensor ``(K, 4, 4)``, from those without its errors."""
+        return prior if self.errors is None else true_poses(self.errors, prior, stamp_s)
 
 
-def start(T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0) -> Bundle:
+def start(
+    T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, errors: SensorErrors | None = None
+) -> Bundle:
     """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
     them, by a turn about z and a shift."""
     between = prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T
@@ -114,7 +69,7 @@ def start(T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float
     moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
     step = np.zeros((len(prior), pose_size(tilt_sigma_rad)))
-    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, step, tilt_sigma_rad)
+    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, step, tilt_sigma_rad, errors)
 
 
 def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> Bundle:
@@ -123,75 +78,83 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
 
     The range noise is taken from the residuals before the step (their median).
     """
-    T, bars, right = bundle.T_world_sensor, bundle.bars, equations.right.copy()
-    n, known = len(bars.turn), bars.known
-    right[known, 4:] -= (np.column_stack([bars.turn, bars.flange]) - bundle.fitted)[known] * BAR_SIGMA[4:] ** -2.0
-    matrix, beside, vector = increments(T, prior, stamp_s, bundle.tilt_sigma_rad)
+    T, bars = bundle.T_world_sensor, bundle.bars
+    right = equations.right[:, :BAR].copy()
+    right[:, 4:] -= from_fitted(bundle) * BAR_SIGMA[4:] ** -2.0
+    matrix, beside, vector = increments(T, bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad)
     poses = Chain.factored(equations.matrix + matrix, beside)
-    half = poses.half(np.concatenate([equations.between(), (equations.vector + vector)[:, :, None]], axis=2))
-    flat = half.reshape(-1, BAR * n + 1)
+    sensor = sensor_equations(bundle, equations, prior, stamp_s)
+    columns = [equations.between(), sensor.poses, (equations.vector + vector)[:, :, None]]
+    half = poses.half(np.concatenate(columns, axis=2))
+    flat = half.reshape(-1, half.shape[2])
     told = flat.T @ flat
-    moved = cho_solve(cho_factor(reduced(equations.block, told[:-1, :-1])), right.ravel() - told[:-1, -1])
+    whole = np.concatenate([right.ravel(), sensor.right]) - told[:-1, -1]
+    moved = cho_solve(cho_factor(reduced(equations.block, sensor, told[:-1, :-1])), whole)
     step = poses.rest((half[:, :, -1] - half[:, :, :-1] @ moved)[:, :, None])[:, :, 0]
-    bars, ratio = _moved_bars(bars, moved.reshape(n, BAR)), noise_ratio(equations.residuals, bundle.sigma_ratio)
-    return Bundle(moved_poses(T, step), bars, ratio, bundle.fitted, step, bundle.tilt_sigma_rad)
+    of_bars, of_sensor = np.split(moved, [right.size])
+    improved = replace(
+        bundle, T_world_sensor=moved_poses(T, step), bars=_moved_bars(bars, of_bars.reshape(right.shape)), step=step,
+        sigma_ratio=noise_ratio(equations.residuals, bundle.sigma_ratio),
+    )  # fmt: skip
+    if bundle.errors is None:
+        return improved
+    fitted = bundle.fitted + bars_along(bundle, prior, stamp_s)[:, 4:] @ of_sensor
+    return replace(improved, fitted=fitted, errors=replace(bundle.errors, value=bundle.errors.value + of_sensor))
+
+
+def sensor_equations(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> SensorEquations:
+    """The normal equations of the sensor's errors, by points, prior and bars; empty where they are not sought.
+
+    What is known of bars beforehand is no more than how they move beside all others: were they held where they are,
+    they would tell the scale of the range and the turn of the mount.
+    """
+    found = equations.of_sensor()
+    if bundle.errors is None:
+        return found
+    found = with_prior(found, bundle.errors, bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad)
+    along = bars_along(bundle, prior, stamp_s)
+    weighed = along * BAR_SIGMA[:, None] ** -2.0
+    found.bars[:] -= weighed.reshape(found.bars.shape)
+    found.block[:] += np.einsum("bnc,bne->ce", along, weighed)
+    found.right[:] += np.einsum("bnc,bn->c", weighed[:, 4:], from_fitted(bundle))
+    return found
+
+
+def bars_along(bundle: Bundle, prior: Array, stamp_s: Array) -> Array:
+    """How bars ``(B, 6, C)`` move by errors of the sensor as parts of one body, which scales with its ranges and turns
+    with its first pose."""
+    assert bundle.errors is not None
+    T, bars = bundle.T_world_sensor[0], bundle.bars
+    n, from_bars = len(bars.turn), T[:3, 3] - bars.segments.start
+    size = bundle.step.shape[1]
+    first = derivative(bundle.errors, lambda at: pose_step(T, at[0], size), prior[:2], stamp_s[:2])
+    along = -as_bars_move(from_bars, bars, np.arange(n), size).transpose(0, 2, 1) @ first
+    away = 0.5 * bars.segments.length[:, None] * bars.segments.direction - from_bars
+    along[:, :2, SCALE] -= (bars.across @ away[:, :, None])[:, :, 0]
+    along[:, 5, SCALE] -= np.nan_to_num(bars.flange)
+    return along
+
+
+def from_fitted(bundle: Bundle) -> Array:
+    """How far turns and flanges ``(B, 2)`` are from those fitted to outlines; 0 for bars that take no part."""
+    return np.nan_to_num(np.column_stack([bundle.bars.turn, bundle.bars.flange]) - bundle.fitted)
 
 
 def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
     bars = bundle.bars
     corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
-    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, pose_size(bundle.tilt_sigma_rad))
+    size, of_range = pose_size(bundle.tilt_sigma_rad), 0 if bundle.errors is None else RANGE
+    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, size, of_range)
 
 
-def equations(
-    seen: Observations, T_world_sensor: Array, bars: Bars, corner: Array, sigma_ratio: float, size: int = POSE
-) -> Equations:
-    """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``, of poses with ``size`` degrees
-    of freedom.
-
-    A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
-    """
-    segments, scan, bar = bars.segments, seen.pair_scan, seen.pair_bar
-    shares, told, residuals = gather(
-        *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
-        sigma_ratio,
-    )  # fmt: skip
-    moved = _as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
-    cross, vector = moved @ shares, (moved @ told[:, :, None])[:, :, 0]
-    poses, n = len(T_world_sensor), len(bars.turn)
-    matrix, vector = summed(cross @ moved.transpose(0, 2, 1), scan, poses), summed(vector, scan, poses)
-    block, right = summed(shares, bar, n), summed(told, bar, n)
-    return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
-
-
-def _as_bars_move(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
-    """How each bar seems to move as a pose does: the derivatives of a residual by the degrees of freedom of a pose are
-    these ``(P, size, 6)`` times those by the bar; ``sensor (P, 3)`` from the start of the ``bar (P,)``, world frame."""
-    across, direction = bars.across[bar], bars.segments.direction[bar]
-    beside = (across @ sensor[:, :, None])[:, :, 0]
-    ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
-    result = np.zeros((len(bar), size, BAR))
-    result[:, :3, :2] = -across.transpose(0, 2, 1)
-    for row, axis in zip(range(3, size), AXES, strict=False):
-        up, along = across[:, :, axis], direction[:, axis]
-        result[:, row, 0] = -ahead * up[:, 1] - along * beside[:, 1]
-        result[:, row, 1] = ahead * up[:, 0] + along * beside[:, 0]
-        result[:, row, 2], result[:, row, 3], result[:, row, 4] = -up[:, 1], up[:, 0], -along
-    return result
-
-
-def summed(values: Array, of: IntArray, count: int) -> Array:
-    """Sums ``(count, …)`` of the values ``(P, …)`` of each number ``of (P,)``."""
-    flat = values.reshape(len(of), math.prod(values.shape[1:]))
-    which = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
-    return np.asarray(which @ flat).reshape(count, *values.shape[1:])
-
-
-def reduced(block: Array, told: Array) -> Array:
-    """The normal equations of the bars ``(6 B, 6 B)`` once the poses, which ``told`` that much, are eliminated (Schur
-    complement)."""
-    return block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - told
+def reduced(block: Array, sensor: SensorEquations, told: Array) -> Array:
+    """The normal equations of the bars and of the sensor's errors ``(6 B + C, 6 B + C)`` once the poses, which ``told``
+    that much, are eliminated (Schur complement)."""
+    whole = block_diag(*(block[:, :BAR, :BAR] + np.diag(BAR_SIGMA**-2.0)), sensor.block)
+    bars = len(sensor.bars)
+    whole[:bars, bars:], whole[bars:, :bars] = sensor.bars, sensor.bars.T
+    return whole - told
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:
@@ -204,60 +167,3 @@ def _moved_bars(bars: Bars, step: Array) -> Bars:
     first /= np.linalg.norm(first, axis=1)[:, None]
     across = np.stack([first, np.cross(new.direction, first)], axis=1)
     return Bars(new, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))
-
-
-def noise_ratio(residuals: Array, before: float) -> float:
-    """The range noise as a multiple of that in `points.ranges`, from the median of the residuals that `gather` took in
-    standard deviations of ``before`` times that; ``before`` itself where there is none."""
-    total = residuals.sum()
-    if not total:
-        return before
-    median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
-    return float(before * median / 0.6745)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def gather(  # type: ignore[no-untyped-def]
-    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio
-):  # fmt: skip
-    """The normal equations of the bar of each pair, ``(P, 6, 6)`` and ``(P, 6)``, and the histogram of residuals."""
-    shares, right = np.zeros((len(pair_bar), BAR, BAR)), np.zeros((len(pair_bar), BAR))
-    residuals, total, place = np.zeros(MEDIAN_BINS), np.empty((BAR, BAR + 1)), np.empty(BAR + 1)
-    for pair in range(len(pair_bar)):
-        b, pose = pair_bar[pair], T[pair_scan[pair]]
-        if flange[b] != flange[b]:
-            continue
-        # From the sensor's frame to that of the bar, in which the point is o + r s.
-        x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
-        ou, ov, ot = sections.in_frame(direction[b], across[b], x, y, z)
-        r00, r10, r20 = sections.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
-        r01, r11, r21 = sections.in_frame(direction[b], across[b], pose[0, 1], pose[1, 1], pose[2, 1])
-        r02, r12, r22 = sections.in_frame(direction[b], across[b], pose[0, 2], pose[1, 2], pose[2, 2])
-        total[:] = 0.0
-        for i in range(first[pair], first[pair + 1]):
-            sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
-            u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
-            residual, sigma, distance, cosine, sine, beside, front, rise = sections.face_distance(
-                ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
-            )
-            if residual != residual:
-                continue
-            sigma *= ratio
-            residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
-            bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
-            weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
-            # Derivatives are those at the point of the face on the same ray: at the measured point they would hold its
-            # noise, and the product of noise with itself does not average out.
-            gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
-            place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
-            place[4], place[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            place[6] = -residual
-            for n in range(BAR):
-                weighed = weight * place[n]
-                for m in range(n, BAR + 1):
-                    total[n, m] += weighed * place[m]
-        for n in range(BAR):
-            right[pair, n] = total[n, BAR]
-            for m in range(BAR):
-                shares[pair, n, m] = total[min(n, m), max(n, m)]
-    return shares, right, residuals

@@ -3,6 +3,7 @@
 import numpy as np
 
 from steelnb.fusion import bundle
+from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.reconstruct import MappedScans
@@ -56,7 +57,7 @@ class Keyframes:
         fitted, _ = mapped.find_and_fit(REFINED, every=1)
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return None
-        found = bundle.Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
+        found = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
         state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad)
         stamp_s = np.array([scan.stamp_s for scan in self.scans])
         seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
+from steelnb.fusion.bar_equations import BAR, Bars, equations
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.bundle import BAR, Bars, equations
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.poses import POSE
 from steelnb.fusion.structure import Structure
@@ -33,9 +33,9 @@ Mask = NDArray[np.bool_]
 class KnownBars:
     """Bars with outlines, and the voxels around them.
 
-    ``bars``: B bars as `fusion.bundle` has them; ``sectioned (B,)``: which of them are angle sections, the others being
-    tubes as wide as their flange; ``sigma_m (B,)``: standard deviations of their place, at least `SIGMA_MIN_M` of which
-    are added. ``corner (B, 6, 2)``: their outlines.
+    ``bars``: B bars as `fusion.bar_equations` has them; ``sectioned (B,)``: which of them are angle sections, the
+    others being tubes as wide as their flange; ``sigma_m (B,)``: standard deviations of their place, at least
+    `SIGMA_MIN_M` of which are added. ``corner (B, 6, 2)``: their outlines.
     """
 
     def __init__(self, bars: Bars, sectioned: Mask, sigma_m: Array) -> None:
@@ -72,7 +72,7 @@ class KnownBars:
     ) -> tuple[Array, Array, Array]:
         """Normal equations ``(size, size)``, ``(size,)`` of the pose of a scan (x, y, z, yaw, and if size is 6 roll and
         pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
-        (`fusion.bundle.equations`).
+        (`fusion.bar_equations.equations`).
 
         Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
         alike: the points of one bar tell no more than its place is known. ``ratio``: the range noise as a multiple of

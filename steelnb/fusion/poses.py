@@ -4,6 +4,8 @@ The prior drifts in position and yaw as a random walk does. Its roll and pitch a
 first-order Gauss-Markov process, as those of an attitude filter.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -32,47 +34,48 @@ def tilt_stays(passed_s: Array | float) -> Array:
     return np.exp(-np.asarray(passed_s) / TILT_S)
 
 
-def increments(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> tuple[Array, Array, Array]:
-    """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
-    ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
+class PriorErrors(NamedTuple):
+    """Errors of K poses by a drifting prior: ``error (K, D)`` of the first pose and of each increment, with weights
+    ``weight (K, D)``; the derivatives of an increment are one by its later pose, and ``before (K − 1, D, D)`` by its
+    earlier one."""
+
+    error: Array
+    weight: Array
+    before: Array
+
+
+def prior_errors(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> PriorErrors:
+    """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
+    if they have a standard deviation, from a Gauss-Markov process about those of the prior."""
     size = pose_size(tilt_sigma_rad)
-    matrix, vector = np.zeros((len(T), size, size)), np.zeros((len(T), size))
-    time = np.maximum(np.diff(stamp_s), 1e-6) / DRIFT_PERIOD_S
-    weight = DRIFT_SIGMA**-2.0 / time[:, None]
+    error, weight = np.zeros((2, len(T), size))
+    error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED
+    gap_s = np.maximum(np.diff(stamp_s), 1e-6)
     turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
     expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
     apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error = np.empty((len(time), POSE))
-    error[:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
-    error[:, 3] = yaw_of(apart)
-    before = np.tile(-np.eye(POSE), (len(time), 1, 1))  # derivative by the earlier pose; by the later one: identity
+    error[1:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
+    error[1:, 3] = yaw_of(apart)
+    weight[1:, :POSE] = DRIFT_SIGMA**-2.0 / (gap_s / DRIFT_PERIOD_S)[:, None]
+    before = np.tile(-np.eye(size), (len(gap_s), 1, 1))
     before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
-    weighed = weight[:, :, None] * before
-    matrix[:-1, :POSE, :POSE] += before.transpose(0, 2, 1) @ weighed
-    matrix[1:, :POSE, :POSE] += weight[:, :, None] * np.eye(POSE)
-    vector[:-1, :POSE] -= (weighed.transpose(0, 2, 1) @ error[:, :, None])[:, :, 0]
-    vector[1:, :POSE] -= weight * error
-    matrix[0] += FIXED * np.eye(size)
-    beside = np.zeros((len(time), size, size))
-    beside[:, :POSE, :POSE] = weighed.transpose(0, 2, 1)
     if tilt_sigma_rad:
-        _add_tilt(matrix[:, POSE:, POSE:], beside[:, POSE:, POSE:], vector[:, POSE:], T, prior, stamp_s, tilt_sigma_rad)
+        turn, stays = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_stays(gap_s)[:, None]
+        error[1:, POSE:] = stays * turn[:-1] - turn[1:]
+        weight[1:, POSE:] = tilt_sigma_rad**-2.0 / (1.0 - stays**2)
+        before[:, POSE:, POSE:] = -stays[:, :, None] * np.eye(2)
+    return PriorErrors(error, weight, before)
+
+
+def increments(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> tuple[Array, Array, Array]:
+    """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
+    ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
+    error, weight, before = prior_errors(T, prior, stamp_s, tilt_sigma_rad)
+    beside = before.transpose(0, 2, 1) * weight[1:, None, :]
+    matrix, vector = weight[:, :, None] * np.eye(error.shape[1]), -weight * error
+    matrix[:-1] += beside @ before
+    vector[:-1] -= (beside @ error[1:, :, None])[:, :, 0]
     return matrix, beside, vector
-
-
-def _add_tilt(
-    matrix: Array, beside: Array, vector: Array, T: Array, prior: Array, stamp_s: Array, sigma_rad: float
-) -> None:
-    """Add the normal equations of roll and pitch, whose errors in the prior are a Gauss-Markov process."""
-    turn = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1))
-    stays = tilt_stays(np.maximum(np.diff(stamp_s), 1e-6))[:, None]
-    weight = sigma_rad**-2.0 / (1.0 - stays**2)
-    apart = turn[1:] - stays * turn[:-1]
-    matrix[:-1] += (weight * stays**2)[:, :, None] * np.eye(2)
-    matrix[1:] += weight[:, :, None] * np.eye(2)
-    beside -= (weight * stays)[:, :, None] * np.eye(2)
-    vector[:-1] -= weight * stays * apart
-    vector[1:] += weight * apart
 
 
 def moved_poses(T: Array, step: Array) -> Array:

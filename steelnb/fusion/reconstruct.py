@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import bundle, sections
+from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.bundle import Bars
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.observations import Observations

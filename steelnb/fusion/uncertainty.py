@@ -15,7 +15,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
-from steelnb.fusion.bundle import BAR, Bundle, Equations, reduced, summed
+from steelnb.fusion.bar_equations import BAR, Equations, summed
+from steelnb.fusion.bundle import Bundle, reduced, sensor_equations
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.poses import AXES, POSE, increments
 from steelnb.fusion.sections import frames
@@ -43,11 +44,12 @@ POSE_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 class Marginals(NamedTuple):
     """Marginal covariances: ``pose (K, D, D)`` of x, y, z, yaw of the sensor, and for D = 6 of roll and pitch, the
     first one zero since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
-    bar's frame ``across``, turn and flange. What a bar's points do not tell has the standard deviation of
-    `bundle.BAR_SIGMA`, half a metre a metre."""
+    bar's frame ``across``, turn and flange; ``sensor (C, C)`` of the sensor's errors, C = 0 where they are not free.
+    What a bar's points do not tell has the standard deviation of `bundle.BAR_SIGMA`, half a metre a metre."""
 
     pose: Array
     bar: Array
+    sensor: Array
 
 
 def marginals(
@@ -58,28 +60,38 @@ def marginals(
     ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
     `SingularError` where the equations are not finite or nothing holds a pose, with the direction that is free.
     """
-    n, cross, shares = len(equations.block), equations.cross, equations.shares
     sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
-    unknown = np.zeros_like(shares)
-    if sigma_m:
-        unknown[:, :2, :2] = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
-    lost = cross @ unknown
-    known, beside, _ = increments(bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad)
-    known += equations.matrix + HOLD * np.eye(known.shape[1])
-    matrix = known - summed(lost @ cross.transpose(0, 2, 1), equations.pair_scan, len(known))
-    block = equations.block - summed(shares @ unknown @ shares, equations.pair_bar, n)
-    if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(cross).all()):
+    equations = _displaced(equations, sigma_m) if sigma_m else equations
+    n = len(equations.block)
+    known, beside, _ = increments(bundle.T_world_sensor, bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad)
+    matrix = known + equations.matrix + HOLD * np.eye(known.shape[1])
+    if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
-    chain = Chain.factored(matrix, beside)
-    half = chain.half(equations._replace(cross=cross - lost @ shares).between())
-    flat = half.reshape(-1, BAR * n)
-    inverse = cho_solve(cho_factor(reduced(block, flat.T @ flat)), np.eye(BAR * n))
+    chain, sensor = Chain.factored(matrix, beside), sensor_equations(bundle, equations, prior, stamp_s)
+    half = chain.half(np.concatenate([equations.between(), sensor.poses], axis=2))
+    flat = half.reshape(-1, half.shape[2])
+    inverse = cho_solve(cho_factor(reduced(equations.block, sensor, flat.T @ flat)), np.eye(flat.shape[1]))
     by_bars = chain.rest(half)
     pose = chain.inverse_blocks() + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
     check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
     bars = np.arange(n)
-    return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
+    of_bars, of_sensor = inverse[: BAR * n, : BAR * n], inverse[BAR * n :, BAR * n :]
+    return Marginals(pose, of_bars.reshape(n, BAR, n, BAR)[bars, :, bars], of_sensor)
+
+
+def _displaced(equations: Equations, sigma_m: float) -> Equations:
+    """The equations where all points of a bar in one scan are displaced across by an unknown vector."""
+    cross, shares, scan = equations.cross, equations.shares, equations.pair_scan
+    unknown = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
+    lost = cross[:, :, :2] @ unknown
+    of_poses, of_bars = lost @ cross[:, :, :2].transpose(0, 2, 1), shares[:, :, :2] @ unknown @ shares[:, :2]
+    return equations._replace(
+        matrix=equations.matrix - summed(of_poses, scan, len(equations.matrix)),
+        block=equations.block - summed(of_bars, equations.pair_bar, len(equations.block)),
+        cross=cross - lost @ shares[:, :2],
+        shares=shares - of_bars,
+    )
 
 
 def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:

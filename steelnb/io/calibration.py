@@ -1,4 +1,4 @@
-"""Mount and intrinsics of a sensor from settings files, and the pinhole model of depth cameras.
+"""Mount, errors and intrinsics of a sensor in settings files, and the pinhole model of depth cameras.
 
 Cameras look along z, x right, y down (optical frame, REP 103); the sensor frame here is the drone's: x forward, y left,
 z up.
@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import ExtrinsicsError, SettingsError
+from steelnb.files import new_file
 from steelnb.settings import read_toml
 from steelnb.settings.base import describe_fault
 from steelnb.types import Array
@@ -69,9 +70,24 @@ class Intrinsics(_Table):
         return f"{columns} × {rows} pixels; expected {self.width} × {self.height}"
 
 
+class SensorCorrection(_Table):
+    """Known errors of a sensor: a range is measured as 1 + ``range_scale`` times the true one, plus ``range_offset_m``;
+    scans were taken ``time_offset_s`` after their stamps."""
+
+    range_offset_m: Annotated[float, Field(gt=-10, lt=10)] = 0.0
+    range_scale: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    time_offset_s: Annotated[float, Field(gt=-10, lt=10)] = 0.0
+
+    def described(self) -> str:
+        """The errors in words."""
+        offset_mm, scale, late_ms = 1e3 * self.range_offset_m, 100 * self.range_scale, 1e3 * self.time_offset_s
+        return f"ranges {offset_mm:+.1f} mm and {scale:+.2f} % too long, taken {late_ms:+.1f} ms after the stamps"
+
+
 class _Settings(_Table):
     extrinsics: Extrinsics | None = None
     intrinsics: Intrinsics | None = None
+    errors: SensorCorrection = SensorCorrection()
 
 
 def read_settings(path: Path | str | None) -> tuple[Array | None, Intrinsics | None]:
@@ -79,14 +95,46 @@ def read_settings(path: Path | str | None) -> tuple[Array | None, Intrinsics | N
 
     Each is None where it, or the file, is not there. Raises `FileMissingError`, `SettingsError`, `ExtrinsicsError`.
     """
-    if path is None:
-        return None, None
-    try:
-        settings = _Settings(**read_toml(Path(path), "a settings file"))
-    except ValidationError as fault:
-        raise SettingsError(describe_fault(str(path), fault)) from None
+    settings = _read(path)
     extrinsics = settings.extrinsics
     return extrinsics.T_drone_sensor(f"{path}, [extrinsics]") if extrinsics else None, settings.intrinsics
+
+
+def read_correction(path: Path | str | None) -> SensorCorrection:
+    """The table ``[errors]`` of a TOML file; no errors where it, or the file, is not there. Raises as
+    `read_settings`."""
+    return _read(path).errors
+
+
+def _read(path: Path | str | None) -> _Settings:
+    if path is None:
+        return _Settings()
+    try:
+        return _Settings(**read_toml(Path(path), "a settings file"))
+    except ValidationError as fault:
+        raise SettingsError(describe_fault(str(path), fault)) from None
+
+
+def write_settings(
+    path: Path, T_drone_sensor: Array, correction: SensorCorrection, intrinsics: Intrinsics | None, note: str
+) -> None:
+    """Write a settings file that `read_settings` and `read_correction` read, with a ``note`` above it. Raises
+    `OutputError`."""
+    quaternion = Rotation.from_matrix(T_drone_sensor[:3, :3]).as_quat()
+    tables: dict[str, dict[str, object]] = {
+        "extrinsics": {
+            "translation_m": [round(float(x), 6) for x in T_drone_sensor[:3, 3]],
+            "rotation_xyzw": [round(float(x), 9) for x in quaternion],
+        },
+        "errors": {name: round(value, 7) for name, value in correction.model_dump().items()},
+    }
+    if intrinsics is not None:
+        tables["intrinsics"] = intrinsics.model_dump(exclude_none=True)
+    lines = [f"# {line}" for line in note.splitlines()]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]", *(f"{key} = {value!r}" for key, value in table.items())]
+    with new_file(path) as file:
+        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def depth_points(depth_m: NDArray, camera: Intrinsics) -> Array:

@@ -8,6 +8,7 @@ from steelnb.errors import FileMissingError, SettingsError, UnsupportedFormatErr
 from steelnb.files import reading
 from steelnb.io.bag_files import is_bag, truth_path
 from steelnb.io.bags import open_bag, read_bag_truth
+from steelnb.io.calibration import read_correction
 from steelnb.io.depth_folders import is_scenes, is_tum, open_scenes, open_tum, read_depth_truth
 from steelnb.io.folders import is_cloud_folder, open_clouds, read_clouds_truth
 from steelnb.io.scans import Parts
@@ -49,7 +50,8 @@ def read_flight(
     poses : topic or trajectory file (TUM, KITTI, EuRoC) of the drone's drifting poses; by default the only one.
     truth : topic of the true poses, which is then not taken for the drifting ones. It is read by `read_truth`.
     settings : TOML file with tables ``[extrinsics]`` (``translation_m`` and ``rotation_xyzw`` or ``rotation_rpy_deg``
-        of the sensor in the drone frame) and ``[intrinsics]`` (``fx fy cx cy width height depth_scale``).
+        of the sensor in the drone frame), ``[intrinsics]`` (``fx fy cx cy width height depth_scale``) and ``[errors]``
+        (``range_offset_m range_scale time_offset_s``), without which scans and their stamps then come.
     gap_max_s : poses further apart are not interpolated between; scans in such a gap are left out. By default 0.5 s, or
         two usual intervals of the poses, but never more than 2 s.
 
@@ -61,7 +63,7 @@ def read_flight(
         raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")
     path = Path(path)
     parts = _format(path).open(path, scans, poses, truth, Path(settings) if settings else None)
-    return parts.flight(path, gap_max_s)
+    return parts.flight(path, gap_max_s, read_correction(settings))
 
 
 def read_truth(path: Path | str, *, truth: str | None = None, settings: Path | str | None = None) -> Trajectory | None:

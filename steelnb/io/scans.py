@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyCloudError, FileMissingError, RecordingError, SteelnbError
 from steelnb.files import plain_name
+from steelnb.io.calibration import SensorCorrection
 from steelnb.io.trajectories import rising
 from steelnb.io.transforms import interpolate
+from steelnb.points.ranges import true_points
 from steelnb.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 
 Decode = Callable[[], Array]
@@ -79,13 +81,14 @@ class Parts:
     imu: Imu | None = None
     skipped: Counter[str] = field(default_factory=Counter)
 
-    def flight(self, path: Path, gap_max_s: float | None) -> Flight:
-        """The flight of those scans that have a rising stamp and a pose. Raises `RecordingError` without any."""
-        skipped = Counter(self.skipped)
+    def flight(self, path: Path, gap_max_s: float | None, errors: SensorCorrection | None = None) -> Flight:
+        """The flight of those scans that have a rising stamp and a pose, without known ``errors`` of ranges and stamps.
+        Raises `RecordingError` without any."""
+        skipped, errors = Counter(self.skipped), errors or SensorCorrection()
         number = np.flatnonzero(rising(self.stamp_s, skipped))
         if not len(number):
             raise RecordingError(f"{path}: {len(self.stamp_s)} scans, none with a stamp; expected seconds that rise")
-        stamp_s = self.stamp_s[number]
+        stamp_s = self.stamp_s[number] + errors.time_offset_s
         T_world_drone, covered = interpolate(self.poses, stamp_s, gap_max_s)
         if not covered.any():
             raise RecordingError(
@@ -95,8 +98,20 @@ class Parts:
             skipped["no pose within the gap"] += int((~covered).sum())
         prior = Trajectory(stamp_s[covered], T_world_drone[covered])
         facts = {**self.facts, "poses": f"{self.facts['poses']}: {described(self.poses)}"}
-        scans = Scans(self.walk, number[covered], prior.stamp_s)
+        facts |= {"errors": errors.described()} if errors != SensorCorrection() else {}
+        scans = Scans(_corrected(self.walk, errors), number[covered], prior.stamp_s)
         return Flight(scans, prior, self.T_drone_sensor, self.imu, plain_name(path.resolve()), facts, dict(skipped))
+
+
+def _corrected(walk: Walk, errors: SensorCorrection) -> Walk:
+    """The same scans without known errors of their ranges."""
+    if not (errors.range_offset_m or errors.range_scale):
+        return walk
+
+    def one(decode: Decode) -> Decode:
+        return lambda: true_points(decode(), errors.range_offset_m, errors.range_scale)
+
+    return lambda number: map(one, walk(number))
 
 
 def described(trajectory: Trajectory) -> str:

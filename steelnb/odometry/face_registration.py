@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion.bundle import noise_ratio
+from steelnb.fusion.bar_equations import noise_ratio
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays

@@ -66,8 +66,7 @@ def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate
     if not isinstance(settings, OdometrySettings) or not settings.smooth:
         return estimate
     begin, seen = time.perf_counter(), settings.preprocess
-    estimate = smooth(
-        flight, estimate, StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m), settings.tilt_sigma_rad
-    )
+    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+    estimate = smooth(flight, estimate, structure, settings.tilt_sigma_rad, settings.calibration)
     share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})

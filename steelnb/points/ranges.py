@@ -1,4 +1,4 @@
-"""Denoising of range images by the sigma filter."""
+"""Ranges of scans: their noise, their denoising by the sigma filter, and their known errors taken away."""
 
 import numpy as np
 from numba import njit
@@ -17,6 +17,13 @@ ALIKE = 4.0
 def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
     """Standard deviation of a range, metres."""
     return max(SIGMA_M, SIGMA_SHARE * range_m)
+
+
+def true_points(points: Array, offset_m: float, scale: float) -> Array:
+    """Points ``(…, 3)`` of the sensor's frame whose ranges have an offset, metres, and a relative scale, without."""
+    range_m = np.linalg.norm(points, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(points * ((1.0 - offset_m / range_m) / (1.0 + scale)))
 
 
 def smooth_ranges(points: Array, half: int = 1) -> Array:

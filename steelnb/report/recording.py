@@ -14,6 +14,7 @@ from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, S
 from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.changes import KINDS, Changes, find_changes
 from steelnb.fusion.reconstruct import reconstruct
+from steelnb.fusion.sensor_errors import true_flight
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
 from steelnb.io.clouds import shift_of
@@ -21,6 +22,7 @@ from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
 from steelnb.odometry import KnownStructureOdometry, Odometry
+from steelnb.report.calibration import error_lines
 from steelnb.report.changes import changes_line, figure_changes, write_changes
 from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
@@ -166,6 +168,7 @@ def run_recording(
 
         on_stage("correcting the poses")
         estimate = odometry.run(flight, estimator, observe)
+        flight = true_flight(flight, estimate.sensor_errors)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
         built = with_sigma(built, estimate) if built is not None else None
@@ -208,6 +211,8 @@ def run_recording(
     summary = summary_lines(flight, numbers, (*notes, *remarks), built)
     if changes is not None:
         summary = (*summary, changes_line(changes))
+    if estimate.sensor_errors is not None:
+        summary = (*summary, *error_lines(estimate.sensor_errors))
     summary = (summary[0], settings_line(settings), *summary[1:], f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, changes, segments, numbers, figures, summary)
 

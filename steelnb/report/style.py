@@ -38,6 +38,7 @@ METHODS = {
     "combined": ("combined", INDIGO),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
+    "calibrated": ("smoothed and calibrated", "#B8860B"),
     "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""

@@ -10,6 +10,7 @@ from steelnb.settings.base import Positive, Settings, parse_parameter
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
     SEGMENT_METHODS,
+    CalibrationSettings,
     CloudSettings,
     FusionSettings,
     HoughSettings,
@@ -34,9 +35,9 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CloudSettings", "ExperimentSettings",
-    "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings", "NoiseSettings", "OdometrySettings", "Positive",
-    "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings", "StructureSettings",
-    "TofFaultSettings", "TofSettings", "Tolerance", "TowerSettings", "TrajectoryName", "method_names",
-    "parse_parameter", "read_tables", "read_toml", "sensor_names",
+    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CloudSettings",
+    "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings", "NoiseSettings",
+    "OdometrySettings", "Positive", "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings",
+    "StructureSettings", "TofFaultSettings", "TofSettings", "Tolerance", "TowerSettings", "TrajectoryName",
+    "method_names", "parse_parameter", "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted
+from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted, table
 from steelnb.settings.presets import method_names, method_preset, sensor_preset
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
@@ -92,6 +92,21 @@ class CloudSettings(Settings):
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
 
 
+class CalibrationSettings(Settings):
+    """Standard deviations, before the flight, of errors of the sensor that smoothing finds; 0 for what is known.
+
+    Of a constant error of the range and of one in proportion to it, by default 1 cm and 1 % as data sheets have them;
+    of shift and turn of the mount, each along or about one axis, 1 cm and 1° as measured by hand; and of the stamps,
+    20 ms.
+    """
+
+    range_offset_sigma_m: NotNegative = 0.01
+    range_scale_sigma: Annotated[float, Field(ge=0, le=0.1)] = 0.01
+    mount_sigma_m: NotNegative = 0.01
+    mount_sigma_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0175
+    time_sigma_s: NotNegative = 0.02
+
+
 class OdometrySettings(Settings):
     """One method and all that it takes from the sensor's and the method's preset.
 
@@ -100,8 +115,8 @@ class OdometrySettings(Settings):
     deviations of a correction from its prediction, metres and radians, None for none; ``tilt_sigma_rad`` is that of the
     prior's roll and pitch, which are then corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan,
     all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
-    keyframes and bars during the flight (`steelnb.odometry.faces`), None for none. Tables that a method does not use
-    are None.
+    keyframes and bars during the flight (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the
+    sensor that smoothing finds, too. Tables that a method does not use are None.
     """
 
     method: str
@@ -116,6 +131,7 @@ class OdometrySettings(Settings):
     fusion: FusionSettings | None = None
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
+    calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -131,6 +147,8 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
+        if self.calibration is not None and not self.smooth:
+            raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
         return self
 
     @classmethod

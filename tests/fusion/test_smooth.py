@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.errors import SingularError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
+from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.observations import Observations
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
@@ -108,7 +109,7 @@ def made_up(seed: int, noise_m: float):
     ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
     segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
     across = sections.frames(segments.direction)
-    bars = bundle.Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
+    bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
     corner = sections.outlines(bars.turn, bars.flange)
     T = np.tile(np.eye(4), (40, 1, 1))
     T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, 40), 0.2 * np.sin(np.arange(40) / 6)
@@ -147,7 +148,7 @@ def test_a_made_up_flight_comes_back_to_the_truth():
     prior = T.copy()
     prior[1:, :3, 3] += np.cumsum(rng.normal(scale=0.001, size=(len(T) - 1, 3)), axis=0)
     shifted = bars.segments.start + rng.normal(scale=0.004, size=(6, 3)), bars.segments.end
-    wrong = bundle.Bars(Segments(*shifted, bars.segments.count, bars.segments.radius), bars.across, bars.turn + 0.02,
+    wrong = Bars(Segments(*shifted, bars.segments.count, bars.segments.radius), bars.across, bars.turn + 0.02,
                         bars.flange + 0.002)  # fmt: skip
     state = bundle.start(prior, prior, wrong)
     for _ in range(8):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SingularError
 from steelnb.fusion import bundle, poses, sections, uncertainty
-from steelnb.fusion.bundle import BAR
+from steelnb.fusion.bar_equations import BAR, Bars
 from tests.fusion.made import bars_of
 from tests.fusion.test_smooth import made_up as made_up_anew
 
@@ -109,7 +109,7 @@ def wall_of_posts():
     """Four posts alone, all seen at one height: nothing but the prior holds z."""
     T, bars, seen = made_up(1, 0.004)
     posts = np.arange(len(bars.flange)) < 4
-    return T, bundle.Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), seen
+    return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), seen
 
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():

@@ -1,0 +1,190 @@
+"""Normal equations of points on bars: their distances to the front faces (`fusion.sections`), linearised by the poses
+of the scans, by place, direction, turn and flange of the bars, and by offset and scale of the range."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from steelnb.fusion import sections
+from steelnb.fusion.observations import Observations
+from steelnb.fusion.poses import AXES, POSE
+from steelnb.fusion.sensor_errors import SensorEquations
+from steelnb.types import Array, IntArray, Segments
+
+BAR = 6
+"""Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
+ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
+"""A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.scales.Scales`."""
+MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
+
+
+@dataclass(frozen=True)
+class Bars:
+    """B bars with angle sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
+    radians and ``flange (B,)`` in metres as in `fusion.sections`; a bar with a flange of NaN takes no part."""
+
+    segments: Segments
+    across: Array
+    turn: Array
+    flange: Array
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which of them take part ``(B,)``."""
+        return np.isfinite(self.flange)
+
+    def sectioned(self) -> "Bars":
+        """Those that take part."""
+        known = self.known
+        return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
+
+
+class Equations(NamedTuple):
+    """Normal equations of all points: of the poses ``matrix (K, D, D)``, ``vector (K, D)``, of the bars ``block
+    (B, S, S)``, ``right (B, S)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
+    both ``cross (P, D, S)``, and its share of the bar's ``shares (P, S, S)``. ``residuals`` counts their magnitudes in
+    standard deviations. D is 4, or 6 where roll and pitch are free; S is 6, or 8 where the range's offset and scale
+    are, which all bars have in common."""
+
+    matrix: Array
+    vector: Array
+    cross: Array
+    block: Array
+    right: Array
+    shares: Array
+    pair_scan: IntArray
+    pair_bar: IntArray
+    residuals: Array
+
+    def between(self) -> Array:
+        """The part between poses and bars ``(K, D, 6 B)``."""
+        poses, size = self.vector.shape
+        result = np.zeros((poses, size, len(self.block), BAR))
+        result[self.pair_scan, :, self.pair_bar] = self.cross[:, :, :BAR]
+        return result.reshape(poses, size, -1)
+
+    def of_sensor(self) -> SensorEquations:
+        """The part of the range's offset and scale, where they are free."""
+        rest = slice(BAR, None)
+        return SensorEquations(
+            summed(self.cross[:, :, rest], self.pair_scan, len(self.vector)),
+            self.block[:, :BAR, rest].reshape(BAR * len(self.block), -1),
+            self.block[:, rest, rest].sum(axis=0), self.right[:, rest].sum(axis=0),
+        )  # fmt: skip
+
+
+def equations(
+    seen: Observations,
+    T_world_sensor: Array,
+    bars: Bars,
+    corner: Array,
+    sigma_ratio: float,
+    size: int = POSE,
+    of_range: int = 0,
+) -> Equations:
+    """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``, of poses with ``size`` degrees
+    of freedom, and of ``of_range`` errors of the range, none or two.
+
+    A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
+    """
+    segments, scan, bar = bars.segments, seen.pair_scan, seen.pair_bar
+    shares, told, residuals = gather(
+        *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
+        sigma_ratio, BAR + of_range,
+    )  # fmt: skip
+    moved = as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
+    cross, vector = moved @ shares[:, :BAR], (moved @ told[:, :BAR, None])[:, :, 0]
+    poses, n = len(T_world_sensor), len(bars.turn)
+    matrix = summed(cross[:, :, :BAR] @ moved.transpose(0, 2, 1), scan, poses)
+    vector = summed(vector, scan, poses)
+    block, right = summed(shares, bar, n), summed(told, bar, n)
+    return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
+
+
+def as_bars_move(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
+    """How each bar seems to move as a pose does: the derivatives of a residual by the degrees of freedom of a pose are
+    these ``(P, size, 6)`` times those by the bar; ``sensor (P, 3)`` from the start of the ``bar (P,)``, world frame."""
+    across, direction = bars.across[bar], bars.segments.direction[bar]
+    beside = (across @ sensor[:, :, None])[:, :, 0]
+    ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
+    result = np.zeros((len(bar), size, BAR))
+    result[:, :3, :2] = -across.transpose(0, 2, 1)
+    for row, axis in zip(range(3, size), AXES, strict=False):
+        up, along = across[:, :, axis], direction[:, axis]
+        result[:, row, 0] = -ahead * up[:, 1] - along * beside[:, 1]
+        result[:, row, 1] = ahead * up[:, 0] + along * beside[:, 0]
+        result[:, row, 2], result[:, row, 3], result[:, row, 4] = -up[:, 1], up[:, 0], -along
+    return result
+
+
+def summed(values: Array, of: IntArray, count: int) -> Array:
+    """Sums ``(count, …)`` of the values ``(P, …)`` of each number ``of (P,)``."""
+    flat = values.reshape(len(of), math.prod(values.shape[1:]))
+    which = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
+    return np.asarray(which @ flat).reshape(count, *values.shape[1:])
+
+
+def noise_ratio(residuals: Array, before: float) -> float:
+    """The range noise as a multiple of that in `points.ranges`, from the median of the residuals that `gather` took in
+    standard deviations of ``before`` times that; ``before`` itself where there is none."""
+    total = residuals.sum()
+    if not total:
+        return before
+    median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
+    return float(before * median / 0.6745)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def gather(  # type: ignore[no-untyped-def]
+    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio, size
+):  # fmt: skip
+    """The normal equations of the bar of each pair, ``(P, size, size)`` and ``(P, size)``, and the histogram of
+    residuals. Beyond the bar's own degrees of freedom, ``size`` may hold the offset and scale of the range."""
+    shares, right = np.zeros((len(pair_bar), size, size)), np.zeros((len(pair_bar), size))
+    residuals, total, place = np.zeros(MEDIAN_BINS), np.empty((size, size + 1)), np.empty(size + 1)
+    for pair in range(len(pair_bar)):
+        b, pose = pair_bar[pair], T[pair_scan[pair]]
+        if flange[b] != flange[b]:
+            continue
+        # From the sensor's frame to that of the bar, in which the point is o + r s.
+        x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
+        ou, ov, ot = sections.in_frame(direction[b], across[b], x, y, z)
+        r00, r10, r20 = sections.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
+        r01, r11, r21 = sections.in_frame(direction[b], across[b], pose[0, 1], pose[1, 1], pose[2, 1])
+        r02, r12, r22 = sections.in_frame(direction[b], across[b], pose[0, 2], pose[1, 2], pose[2, 2])
+        total[:] = 0.0
+        for i in range(first[pair], first[pair + 1]):
+            sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
+            u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
+            residual, sigma, distance, cosine, sine, beside, front, rise = sections.face_distance(
+                ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
+            )
+            if residual != residual:
+                continue
+            sigma *= ratio
+            residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
+            bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
+            weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
+            # Derivatives are those at the point of the face on the same ray: at the measured point they would hold its
+            # noise, and the product of noise with itself does not average out.
+            gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
+            place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
+            place[4], place[5] = beside + rise * front, (beside * rise - front) / flange[b]
+            if size > BAR:
+                place[BAR] = distance / math.sqrt(u * u + v * v + t * t)
+                place[BAR + 1] = distance + residual
+            place[size] = -residual
+            for n in range(size):
+                weighed = weight * place[n]
+                for m in range(n, size + 1):
+                    total[n, m] += weighed * place[m]
+        for n in range(size):
+            right[pair, n] = total[n, size]
+            for m in range(size):
+                shares[pair, n, m] = total[min(n, m), max(n, m)]
+    return shares, right, residuals
