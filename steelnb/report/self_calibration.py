@@ -1,0 +1,144 @@
+"""Notebook 15: a sensor that is not what it is taken for, fault by fault, and the errors that smoothing finds."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import experiment
+from steelnb.fusion import smooth
+from steelnb.fusion.sensor_errors import unknown_errors
+from steelnb.metrics import score_trajectory
+from steelnb.noise import drifting
+from steelnb.odometry import make_odometry, run_kept
+from steelnb.report.calibration import SHOWN
+from steelnb.report.conclusions import bullets
+from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, VERMILION, Figure, gather_legend, style
+from steelnb.rng import stream
+from steelnb.settings import CalibrationSettings, ExperimentSettings, StructureSettings, TrajectoryName
+from steelnb.simulation import Truth
+from steelnb.types import Array, Estimate, Flight, RangeScans, SensorErrors
+
+METHODS = ("combined", "smoothed", "calibrated")
+DRAWN = "all nine at once, drawn"
+TILT = "roll and pitch wander by 1°"
+DEGREE = float(np.radians(1))
+FAULTS: dict[str, dict[str, float]] = {
+    "none": {}, "range × 1.02": {"range scale": 0.02}, "range + 2 cm": {"range offset": 0.02},
+    "mount off by 1 cm and 1°": {
+        "mount x": 0.01, "mount y": 0.01, "mount z": 0.01, "mount pitch": DEGREE, "mount yaw": DEGREE,
+    },
+    "stamps late by 48 ms": {"time offset": -0.048}, TILT: {}, DRAWN: {},
+}  # fmt: skip
+"""Fault → errors of the sensor, in the units of `SensorErrors`, of which no method is told; the mount is off by 1 cm
+along each axis and by 1° of pitch and of yaw."""
+
+
+def errors_of(fault: str, seed: int) -> Array:
+    """The errors ``(9,)`` of a fault; those of `DRAWN` have the standard deviations that a calibration starts from."""
+    if fault == DRAWN:
+        sigma = unknown_errors(CalibrationSettings()).prior_sigma
+        return sigma * stream(seed, "errors").standard_normal(len(sigma))
+    return np.array([FAULTS[fault].get(name, 0.0) for name in SensorErrors.NAMES])
+
+
+def wrongly_told(settings: ExperimentSettings, flight: Flight, truth: Truth, errors: Array) -> Flight:
+    """The flight of a sensor with these errors, ``(9,)``, as an estimator sees it that knows of none."""
+    sensor, scans = SensorErrors(errors, np.diag(errors**2), np.abs(errors)), flight.scans
+    assert isinstance(scans, RangeScans)
+    ranges = (scans.range_m * (1 + errors[1]) + errors[0]).astype(np.float32)
+    drifted = drifting(truth.trajectory, settings.noise, settings.seed)
+    stamp_s = flight.prior.stamp_s
+    prior = drifted.at(stamp_s)
+    if errors[8]:
+        prior = replace(prior, T_world_drone=drifted.between(stamp_s - errors[8]))
+    mount = flight.T_drone_sensor @ np.linalg.inv(sensor.T_assumed_true)
+    return replace(flight, scans=RangeScans(scans.stamp_s, ranges, scans.ray), prior=prior, T_drone_sensor=mount)
+
+
+def estimates(
+    settings: ExperimentSettings, flight: Flight, truth: Truth, errors: Array, tilt_sigma_rad: float = 0.0
+) -> dict[str, Estimate]:
+    """What `METHODS` make of a flight whose sensor has errors; the last one knows how far roll and pitch may be off."""
+    told, seen = wrongly_told(settings, flight, truth, errors), settings.odometry.preprocess
+    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+    online = run_kept(told, make_odometry(settings.odometry, told.T_drone_sensor))
+    found = smooth(told, online, structure), smooth(told, online, structure, tilt_sigma_rad, CalibrationSettings())
+    return dict(zip(METHODS, (online, *found), strict=True))
+
+
+def fault_runs(
+    trajectory: TrajectoryName, seed: int, duration_s: float, on_fault: Callable[[], None] = lambda: None
+) -> tuple[pd.DataFrame, SensorErrors]:
+    """A row a fault: ATE of each of `METHODS` and of the drift, metres; and the errors found where all were drawn."""
+    rows = []
+    usual: dict[str, Any] = {"seed": seed, "duration_s": duration_s, "method": "combined"}
+    flight, truth = experiment.simulate(ExperimentSettings.preset(trajectory, "random-walk", **usual))
+    for fault in FAULTS:
+        noise, tilt_rad = ("random-walk+tilt", DEGREE) if fault == TILT else ("random-walk", 0.0)
+        settings = ExperimentSettings.preset(trajectory, noise, **usual)
+        found = estimates(settings, flight, truth, errors_of(fault, seed), tilt_rad)
+        trajectories = {method: each.corrected for method, each in found.items()} | {"drift": found["combined"].prior}
+        ate = {name: score_trajectory(each, truth.trajectory)["ate_rmse_m"] for name, each in trajectories.items()}
+        rows.append({"fault": fault, **ate})
+        on_fault()
+    sensor = found["calibrated"].sensor_errors
+    if sensor is None:
+        raise ValueError(f"seed {seed}, {duration_s:g} s: not calibrated: {found['calibrated'].unsmoothed}")
+    return pd.DataFrame(rows), sensor
+
+
+def error_table(found: SensorErrors, seed: int) -> pd.DataFrame:
+    """A row an error that was drawn: the true one, the one found, its standard deviation and that of before, in the
+    column's ``unit``."""
+    factor = np.array([SHOWN[unit][0] for unit in found.UNITS])
+    columns = {"true": errors_of(DRAWN, seed), "found": found.value, "sigma": found.sigma, "before": found.prior_sigma}
+    table = pd.DataFrame({name: column * factor for name, column in columns.items()})
+    table.insert(0, "error", found.NAMES)
+    return table.assign(unit=[SHOWN[unit][1] for unit in found.UNITS])
+
+
+def calibration_sentences(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
+    """What a wrong sensor costs, what calibration takes back, and where it costs."""
+    mm = runs.set_index("fault") * 1e3
+    gained = mm[mm["calibrated"] < 0.5 * mm["smoothed"]].index
+    none, inside = mm.loc["none"], (errors["found"] - errors["true"]).abs() < 2 * errors["sigma"]
+    told = errors[errors["sigma"] < 0.5 * errors["before"]]["error"]
+    less = [f"{fault} ({mm.loc[fault, 'smoothed']:.0f} → {mm.loc[fault, 'calibrated']:.0f} mm)" for fault in gained]
+    lines = [
+        f"Calibrated in flight, poses err by less than half of what they do without it in {len(gained)} of {len(mm)} "
+        f"cases: {', '.join(less)}.",
+        f"Nothing is free: with a sensor that has no fault they err by {none['calibrated']:.0f} mm instead of "
+        f"{none['smoothed']:.0f}, since its scale is then known as well as the drifting prior knows lengths.",
+        f"Of the nine errors drawn at once, {int(inside.sum())} are found within two standard deviations. This flight "
+        f"tells {', '.join(told)}: their σ is at most half of what it was before.",
+    ]
+    return bullets(lines)
+
+
+@style()
+def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
+    """ATE by fault and method; and the nine errors drawn at once, true and found, over their σ before the flight."""
+    figure = Figure(figsize=(11.0, 4.6))
+    left, right = figure.subplots(1, 2, width_ratios=[1.3, 1.0])
+    at = np.arange(len(runs))[::-1]
+    for k, method in enumerate(METHODS):
+        left.barh(at + 0.25 * (1 - k), 1e3 * runs[method], 0.22, color=COLOURS[method], label=LABELS[method])
+    left.plot(1e3 * runs["drift"], at, "|", color=VERMILION, ms=22, mew=1.5, label=LABELS["none"])
+    left.set_yticks(at, runs["fault"])
+    left.set(xlabel="ATE, root mean square (mm)", xlim=(0, None))
+    left.grid(axis="y", visible=False)
+    at, before = np.arange(len(errors))[::-1], errors["before"]
+    right.axvspan(-1, 1, color="#eeeeee", lw=0, label="one σ before the flight")
+    right.errorbar(errors["found"] / before, at, xerr=2 * errors["sigma"] / before, fmt="o", ms=5, capsize=3,
+                   color=COLOURS["calibrated"], label="found, ± 2 σ")  # fmt: skip
+    right.plot(errors["true"] / before, at, "x", color=BLACK, ms=7, mew=1.5, label="true")
+    right.axvline(0, color=GREY, lw=0.8)
+    named = zip(errors["error"], before.round(1), errors["unit"], strict=True)
+    right.set_yticks(at, [f"{name} (σ {sigma:g} {unit})" for name, sigma, unit in named])
+    right.set(xlabel="error of the sensor, in σ before the flight")
+    right.grid(axis="y", visible=False)
+    gather_legend(figure, ncols=4)
+    return figure
