@@ -122,7 +122,7 @@ def calibration_sentences(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
 def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     """ATE by fault and method; and the nine errors drawn at once, true and found, over their σ before the flight."""
     figure = Figure(figsize=(11.0, 4.6))
-    left, right = figure.subplots(1, 2, width_ratios=[1.3, 1.0])
+    left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
     at = np.arange(len(runs))[::-1]
     for k, method in enumerate(METHODS):
         left.barh(at + 0.25 * (1 - k), 1e3 * runs[method], 0.22, color=COLOURS[method], label=LABELS[method])
@@ -138,7 +138,7 @@ def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     right.axvline(0, color=GREY, lw=0.8)
     named = zip(errors["error"], before.round(1), errors["unit"], strict=True)
     right.set_yticks(at, [f"{name} (σ {sigma:g} {unit})" for name, sigma, unit in named])
-    right.set(xlabel="error of the sensor, in σ before the flight")
+    right.set(xlabel="error of the sensor (σ before the flight)")
     right.grid(axis="y", visible=False)
     gather_legend(figure, ncols=4)
     return figure
