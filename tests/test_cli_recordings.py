@@ -278,6 +278,7 @@ def test_where_files_may_not_grow_nothing_is_left(bag, place, options):
     shown = subprocess.run(
         [sys.executable, "-m", "steelnb.cli", "run", str(bag), "-o", "deep/out", *options],
         cwd=place,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},  # else libraries' compiled modules are cut off, for good
         capture_output=True,
         text=True,
         check=False,

@@ -38,7 +38,7 @@ METHODS = {
     "combined": ("combined", INDIGO),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
-    "calibrated": ("smoothed and calibrated", "#B8860B"),
+    "calibrated": ("smoothed and calibrated", "#8490FC"),
     "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""

@@ -95,7 +95,7 @@ def test_many_runs_scatter_as_they_say():
         state = bundle.start(T, prior, bars)
         for _ in range(4):
             state = bundle.improve(state, bundle.linearised(state, seen), prior, STAMP_S)
-        pose, _ = marginals(state, seen, prior, 0.0)
+        pose = marginals(state, seen, prior, 0.0).pose
         error = np.empty((39, 4))
         error[:, :3] = (T - state.T_world_sensor)[1:, :3, 3]
         error[:, 3] = poses.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
@@ -114,7 +114,7 @@ def wall_of_posts():
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
     T, bars, seen = wall_of_posts()
-    pose, _ = marginals(state_of(T, bars), seen, T)
+    pose = marginals(state_of(T, bars), seen, T).pose
     np.testing.assert_allclose(np.sqrt(pose[:, 2, 2]), 0.01 * np.sqrt(np.arange(40)), rtol=0.01)
     assert np.sqrt(pose[-1, 1, 1]) < 0.01
 
@@ -128,7 +128,7 @@ def test_a_free_direction_is_named(monkeypatch):
 
 def test_what_no_point_tells_of_a_bar_is_half_a_metre():
     T, bars, seen = wall_of_posts()
-    _, bar = marginals(state_of(T, bars), seen, T)
+    bar = marginals(state_of(T, bars), seen, T).bar
     np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), bundle.BAR_SIGMA, rtol=1e-6)
 
 

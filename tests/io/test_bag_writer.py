@@ -109,7 +109,7 @@ def test_an_error_between_leaves_nothing(tmp_path, name):
 def test_a_disk_that_fills_up_leaves_nothing(tmp_path, name):
     """In a process whose files may not pass a size, which the kernel refuses as it refuses a full disk."""
     code = (
-        "import resource, sys; from steelnb.errors import OutputError\n"
+        "import resource, sys; sys.dont_write_bytecode = True; from steelnb.errors import OutputError\n"
         "from steelnb.io import write_flight; from tests.io.samples import made_up\n"
         "flight = made_up(6, 100, 100)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))\n"
