@@ -24,6 +24,10 @@ class Progress:
             self._shown_s = time.monotonic()
             self.say(text)
 
+    def share(self, share: float) -> None:
+        """Show how much of the stage shown last is done, 0 to 1."""
+        self.show(self._stage, share)
+
     def say(self, line: str) -> None:
         """Print a line that stays to stderr."""
         print(line, file=sys.stderr, flush=True)

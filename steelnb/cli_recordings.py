@@ -161,13 +161,6 @@ def run(
         from steelnb.report.recording_truth import part_of
         from steelnb.settings import NoiseSettings
 
-        stage = ""
-
-        def on_stage(name: str) -> None:
-            nonlocal stage
-            stage = name
-            shown.show(stage)
-
         if map_file is not None and (odometry or smooth):
             raise SettingsError("--map with --odometry or --smooth: expected one of them; the map is what corrects")
         known = None if map_file is None else read_structure(map_file)
@@ -180,7 +173,7 @@ def run(
         settings_for()  # what is given wrongly is refused before a file is opened
         if noise is not None:
             NoiseSettings.parse(noise)
-        on_stage(f"opening {recording.name}")
+        shown.show(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
         true = read_truth(recording, truth=truth, settings=settings)
         part_s = None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s)
@@ -191,7 +184,7 @@ def run(
         }
         options: dict[str, Any] = {
             "truth": true, "added_noise": noise, "known": known, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
-            "part_s": part_s, "on_stage": on_stage, "on_progress": lambda share: shown.show(stage, share),
+            "part_s": part_s, "on_stage": shown.show, "on_progress": shown.share,
         }  # fmt: skip
         if len(chosen) > 1:
             lines = compare_recording(flight, output, chosen, **options).summary
@@ -234,24 +227,16 @@ def calibrate(
         from steelnb.report.recording_settings import Scene, recording_settings
         from steelnb.report.recording_truth import part_of
 
-        stage = ""
-
-        def on_stage(name: str) -> None:
-            nonlocal stage
-            stage = name
-            shown.show(stage)
-
         overrides = _overrides(changed)
         recording_settings("calibrated", sensor, overrides=overrides)  # refused before a file is opened
-        on_stage(f"opening {recording.name}")
+        shown.show(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, settings=settings, gap_max_s=gap)
-        if (from_s, to_s) != (0.0, math.inf):
-            flight = part_of(flight, None, (from_s, to_s), gap)[0]
+        flight = part_of(flight, None, (from_s, to_s), gap)[0]
         chosen = recording_settings("calibrated", sensor, scene=Scene.of(flight), overrides=overrides)[0]
         target = output or Path(f"{Path(flight.name).stem}.calibration.toml")
         lines = find(
             flight, target, chosen, already=settings, overwrite=force,
-            on_progress=lambda share: shown.show(stage, share), on_stage=on_stage,
+            on_progress=shown.share, on_stage=shown.show,
         )  # fmt: skip
     print("\n".join(lines))
 

@@ -83,7 +83,8 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     right[:, 4:] -= from_fitted(bundle) * BAR_SIGMA[4:] ** -2.0
     matrix, beside, vector = increments(T, bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad)
     poses = Chain.factored(equations.matrix + matrix, beside)
-    sensor = sensor_equations(bundle, equations, prior, stamp_s)
+    along = bars_along(bundle, prior, stamp_s)
+    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
     columns = [equations.between(), sensor.poses, (equations.vector + vector)[:, :, None]]
     half = poses.half(np.concatenate(columns, axis=2))
     flat = half.reshape(-1, half.shape[2])
@@ -98,12 +99,15 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     )  # fmt: skip
     if bundle.errors is None:
         return improved
-    fitted = bundle.fitted + bars_along(bundle, prior, stamp_s)[:, 4:] @ of_sensor
+    fitted = bundle.fitted + along[:, 4:] @ of_sensor
     return replace(improved, fitted=fitted, errors=replace(bundle.errors, value=bundle.errors.value + of_sensor))
 
 
-def sensor_equations(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> SensorEquations:
-    """The normal equations of the sensor's errors, by points, prior and bars; empty where they are not sought.
+def sensor_equations(
+    bundle: Bundle, equations: Equations, along: Array, prior: Array, stamp_s: Array
+) -> SensorEquations:
+    """The normal equations of the sensor's errors, by points, prior and bars, which go ``along`` (`bars_along`); empty
+    where they are not sought.
 
     What is known of bars beforehand is no more than how they move beside all others: were they held where they are,
     they would tell the scale of the range and the turn of the mount.
@@ -112,7 +116,6 @@ def sensor_equations(bundle: Bundle, equations: Equations, prior: Array, stamp_s
     if bundle.errors is None:
         return found
     found = with_prior(found, bundle.errors, bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad)
-    along = bars_along(bundle, prior, stamp_s)
     weighed = along * BAR_SIGMA[:, None] ** -2.0
     found.bars[:] -= weighed.reshape(found.bars.shape)
     found.block[:] += np.einsum("bnc,bne->ce", along, weighed)
@@ -122,9 +125,10 @@ def sensor_equations(bundle: Bundle, equations: Equations, prior: Array, stamp_s
 
 def bars_along(bundle: Bundle, prior: Array, stamp_s: Array) -> Array:
     """How bars ``(B, 6, C)`` move by errors of the sensor as parts of one body, which scales with its ranges and turns
-    with its first pose."""
-    assert bundle.errors is not None
+    with its first pose; C is 0 where they are not sought."""
     T, bars = bundle.T_world_sensor[0], bundle.bars
+    if bundle.errors is None:
+        return np.zeros((len(bars.turn), BAR, 0))
     n, from_bars = len(bars.turn), T[:3, 3] - bars.segments.start
     size = bundle.step.shape[1]
     first = derivative(bundle.errors, lambda at: pose_step(T, at[0], size), prior[:2], stamp_s[:2])

@@ -49,8 +49,8 @@ def unknown_errors(settings: CalibrationSettings) -> SensorErrors:
 def true_poses(errors: SensorErrors, prior: Array, stamp_s: Array) -> Array:
     """The drifting poses of the true sensor when it took its scans, ``(K, 4, 4)``, from those of the assumed one at the
     stamps ``(K,)``, between which it moves evenly."""
-    last = np.arange(len(prior))
-    before, after = np.maximum(last - 1, 0), np.minimum(last + 1, len(prior) - 1)
+    scan = np.arange(len(prior))
+    before, after = np.maximum(scan - 1, 0), np.minimum(scan + 1, len(prior) - 1)
     share = (errors.value[TIME] / np.maximum(stamp_s[after] - stamp_s[before], 1e-6))[:, None]
     turned = Rotation.from_matrix(prior[after, :3, :3] @ prior[before, :3, :3].transpose(0, 2, 1)).as_rotvec()
     result = prior.copy()

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
 from steelnb.fusion.bar_equations import BAR, Equations, summed
-from steelnb.fusion.bundle import Bundle, reduced, sensor_equations
+from steelnb.fusion.bundle import Bundle, bars_along, reduced, sensor_equations
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.poses import AXES, POSE, increments
 from steelnb.fusion.sections import frames
@@ -67,7 +67,8 @@ def marginals(
     matrix = known + equations.matrix + HOLD * np.eye(known.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
-    chain, sensor = Chain.factored(matrix, beside), sensor_equations(bundle, equations, prior, stamp_s)
+    chain, along = Chain.factored(matrix, beside), bars_along(bundle, prior, stamp_s)
+    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
     half = chain.half(np.concatenate([equations.between(), sensor.poses], axis=2))
     flat = half.reshape(-1, half.shape[2])
     inverse = cho_solve(cho_factor(reduced(equations.block, sensor, flat.T @ flat)), np.eye(flat.shape[1]))

@@ -8,16 +8,16 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.fusion import smooth
 from steelnb.fusion.sensor_errors import unknown_errors
 from steelnb.metrics import score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
-from steelnb.report.calibration import SHOWN
+from steelnb.odometry.run import smoothed
+from steelnb.report.calibration import SHOWN, TOLD_SHARE
 from steelnb.report.conclusions import bullets
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, VERMILION, Figure, gather_legend, style
 from steelnb.rng import stream
-from steelnb.settings import CalibrationSettings, ExperimentSettings, StructureSettings, TrajectoryName
+from steelnb.settings import CalibrationSettings, ExperimentSettings, OdometrySettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.types import Array, Estimate, Flight, RangeScans, SensorErrors
 
@@ -62,11 +62,13 @@ def estimates(
     settings: ExperimentSettings, flight: Flight, truth: Truth, errors: Array, tilt_sigma_rad: float = 0.0
 ) -> dict[str, Estimate]:
     """What `METHODS` make of a flight whose sensor has errors; the last one knows how far roll and pitch may be off."""
-    told, seen = wrongly_told(settings, flight, truth, errors), settings.odometry.preprocess
-    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
-    online = run_kept(told, make_odometry(settings.odometry, told.T_drone_sensor))
-    found = smooth(told, online, structure), smooth(told, online, structure, tilt_sigma_rad, CalibrationSettings())
-    return dict(zip(METHODS, (online, *found), strict=True))
+    told = wrongly_told(settings, flight, truth, errors)
+    made = {
+        method: make_odometry(OdometrySettings.preset(method, settings.sensor, changed), told.T_drone_sensor)
+        for method, changed in zip(METHODS, ({}, {}, {"tilt_sigma_rad": tilt_sigma_rad}), strict=True)
+    }
+    online = run_kept(told, made["combined"])
+    return {method: smoothed(told, online, odometry) for method, odometry in made.items()}
 
 
 def fault_runs(
@@ -105,7 +107,7 @@ def calibration_sentences(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
     mm = runs.set_index("fault") * 1e3
     gained = mm[mm["calibrated"] < 0.5 * mm["smoothed"]].index
     none, inside = mm.loc["none"], (errors["found"] - errors["true"]).abs() < 2 * errors["sigma"]
-    told = errors[errors["sigma"] < 0.5 * errors["before"]]["error"]
+    told = errors[errors["sigma"] < TOLD_SHARE * errors["before"]]["error"]
     less = [f"{fault} ({mm.loc[fault, 'smoothed']:.0f} → {mm.loc[fault, 'calibrated']:.0f} mm)" for fault in gained]
     lines = [
         f"Calibrated in flight, poses err by less than half of what they do without it in {len(gained)} of {len(mm)} "
