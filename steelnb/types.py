@@ -61,6 +61,10 @@ class Trajectory:
         return result.reshape(*stamp_s.shape, 4, 4)
 
 
+GRAVITY = 9.81
+"""m/s², towards −z of the world."""
+
+
 @dataclass(frozen=True)
 class Imu:
     """Specific force ``(N, 3)`` in m/s² and angular rate ``(N, 3)`` in rad/s, drone frame, at ``stamp_s (N,)``."""

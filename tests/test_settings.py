@@ -183,10 +183,15 @@ def test_a_method_has_what_the_sensor_adds_to_the_one_it_is_based_on():
 def test_a_calibration_is_part_of_smoothing():
     assert OdometrySettings.preset("calibrated").calibration == CalibrationSettings()
     assert OdometrySettings.preset("calibrated", "starling2-honest").calibration.mount_sigma_m == 0.0
+    assert OdometrySettings.preset("smoothed").inertial is None
+    honest = ExperimentSettings.preset(sensor="starling2-honest", method="smoothed")
+    assert honest.odometry.inertial == honest.imu
     looser = OdometrySettings.preset("smoothed", overrides={"calibration": {"mount_sigma_m": 0.1}})
     assert looser.calibration == CalibrationSettings(mount_sigma_m=0.1)
     for overrides, says in (
         ({"calibration": {}}, "'combined': a table calibration without smooth"),
+        ({"inertial": {"gyro_noise": 1e-4}}, "'combined': a table inertial without smooth"),
+        ({"smooth": True, "inertial": {"gyro_noise": 1e-4}}, "inertial without noise"),
         ({"smooth": True, "calibration": {"mount_sigma": 1}}, "mount_sigma"),
         ({"smooth": True, "calibration": {"range_scale_sigma": 0.5}}, "range_scale_sigma = 0.5"),
         ({"smooth": True, "calibration": {"time_sigma_s": -1.0}}, "time_sigma_s = -1.0"),

@@ -15,6 +15,7 @@ so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion import sections
 from steelnb.fusion.bar_equations import BAR, Bars, Equations, as_bars_move, equations, noise_ratio
 from steelnb.fusion.chain import Chain
+from steelnb.fusion.inertial import STATE, Inertial
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.poses import increments, moved_poses, pose_size, pose_step, yaw_of
 from steelnb.fusion.sensor_errors import RANGE, SCALE, SensorEquations, derivative, true_poses, with_prior
@@ -38,18 +40,18 @@ FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 @dataclass(frozen=True)
 class Bundle:
     """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
-    these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, the ``step (K, D)``
-    that led here, metres and radians, and the standard deviation of the prior's roll and pitch, 0 where they are kept.
-    ``errors`` of the sensor are None where they are not sought.
+    these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, and the standard
+    deviation of the prior's roll and pitch, 0 where they are kept.
+    ``errors`` of the sensor are None where they are not sought, and ``inertial`` without an IMU.
     """
 
     T_world_sensor: Array
     bars: Bars
     sigma_ratio: float
     fitted: Array
-    step: Array
     tilt_sigma_rad: float = 0.0
     errors: SensorErrors | None = None
+    inertial: Inertial | None = None
 
     def prior(self, prior: Array, stamp_s: Array) -> Array:
         """The drifting poses of the sensor ``(K, 4, 4)``, from those without its errors."""
@@ -57,7 +59,12 @@ class Bundle:
 
 
 def start(
-    T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, errors: SensorErrors | None = None
+    T_world_sensor: Array,
+    prior: Array,
+    bars: Bars,
+    tilt_sigma_rad: float = 0.0,
+    errors: SensorErrors | None = None,
+    inertial: Inertial | None = None,
 ) -> Bundle:
     """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
     them, by a turn about z and a shift."""
@@ -68,8 +75,8 @@ def start(
     segments = bars.segments.transformed(turn)
     moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
-    step = np.zeros((len(prior), pose_size(tilt_sigma_rad)))
-    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, step, tilt_sigma_rad, errors)
+    inertial = inertial and inertial.turned(turn[:3, :3])
+    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, errors, inertial)
 
 
 def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> Bundle:
@@ -81,12 +88,10 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     T, bars = bundle.T_world_sensor, bundle.bars
     right = equations.right[:, :BAR].copy()
     right[:, 4:] -= from_fitted(bundle) * BAR_SIGMA[4:] ** -2.0
-    matrix, beside, vector = increments(T, bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad)
-    poses = Chain.factored(equations.matrix + matrix, beside)
     along = bars_along(bundle, prior, stamp_s)
-    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
-    columns = [equations.between(), sensor.poses, (equations.vector + vector)[:, :, None]]
-    half = poses.half(np.concatenate(columns, axis=2))
+    matrix, beside, vector, between, sensor = state_equations(bundle, equations, along, prior, stamp_s)
+    poses = Chain.factored(matrix, beside)
+    half = poses.half(np.concatenate([between, sensor.poses, vector[:, :, None]], axis=2))
     flat = half.reshape(-1, half.shape[2])
     told = flat.T @ flat
     whole = np.concatenate([right.ravel(), sensor.right]) - told[:-1, -1]
@@ -94,13 +99,48 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     step = poses.rest((half[:, :, -1] - half[:, :, :-1] @ moved)[:, :, None])[:, :, 0]
     of_bars, of_sensor = np.split(moved, [right.size])
     improved = replace(
-        bundle, T_world_sensor=moved_poses(T, step), bars=_moved_bars(bars, of_bars.reshape(right.shape)), step=step,
+        bundle, T_world_sensor=moved_poses(T, step[:, : pose_size(bundle.tilt_sigma_rad)]),
+        bars=_moved_bars(bars, of_bars.reshape(right.shape)), inertial=bundle.inertial and bundle.inertial.moved(step),
         sigma_ratio=noise_ratio(equations.residuals, bundle.sigma_ratio),
     )  # fmt: skip
     if bundle.errors is None:
         return improved
     fitted = bundle.fitted + along[:, 4:] @ of_sensor
     return replace(improved, fitted=fitted, errors=replace(bundle.errors, value=bundle.errors.value + of_sensor))
+
+
+class StateEquations(NamedTuple):
+    """Normal equations of the states of K scans, by points, prior and IMU: ``matrix (K, D, D)``, between each and the
+    next ``beside (K − 1, D, D)``, ``vector (K, D)``, between states and bars ``between (K, D, 6 B)``; and those of the
+    ``sensor``'s errors. A state is a pose, D = 4 or 6; with an IMU it has velocity and biases, too, D = 15."""
+
+    matrix: Array
+    beside: Array
+    vector: Array
+    between: Array
+    sensor: SensorEquations
+
+
+def state_equations(bundle: Bundle, equations: Equations, along: Array, prior: Array, stamp_s: Array) -> StateEquations:
+    """The normal equations of all states; the arguments are those of `improve` and `sensor_equations`."""
+    T, inertial = bundle.T_world_sensor, bundle.inertial
+    prior_of = bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad, inertial is None
+    matrix, beside, vector = increments(T, *prior_of)
+    matrix, vector, between = matrix + equations.matrix, vector + equations.vector, equations.between()
+    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
+    if inertial is None:
+        return StateEquations(matrix, beside, vector, between, sensor)
+    told, more = inertial.equations(T, bundle.errors), (0, STATE - matrix.shape[1])
+    return StateEquations(
+        told.matrix + np.pad(matrix, ((0, 0), more, more)),
+        told.beside + np.pad(beside, ((0, 0), more, more)),
+        told.vector + np.pad(vector, ((0, 0), more)),
+        np.pad(between, ((0, 0), more, (0, 0))),
+        SensorEquations(
+            told.of_sensor + np.pad(sensor.poses, ((0, 0), more, (0, 0))), sensor.bars,
+            told.block + sensor.block, told.right + sensor.right,
+        ),
+    )  # fmt: skip
 
 
 def sensor_equations(
@@ -115,7 +155,9 @@ def sensor_equations(
     found = equations.of_sensor()
     if bundle.errors is None:
         return found
-    found = with_prior(found, bundle.errors, bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad)
+    found = with_prior(
+        found, bundle.errors, bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad, bundle.inertial is None
+    )
     weighed = along * BAR_SIGMA[:, None] ** -2.0
     found.bars[:] -= weighed.reshape(found.bars.shape)
     found.block[:] += np.einsum("bnc,bne->ce", along, weighed)
@@ -130,7 +172,7 @@ def bars_along(bundle: Bundle, prior: Array, stamp_s: Array) -> Array:
     if bundle.errors is None:
         return np.zeros((len(bars.turn), BAR, 0))
     n, from_bars = len(bars.turn), T[:3, 3] - bars.segments.start
-    size = bundle.step.shape[1]
+    size = pose_size(bundle.tilt_sigma_rad)
     first = derivative(bundle.errors, lambda at: pose_step(T, at[0], size), prior[:2], stamp_s[:2])
     along = -as_bars_move(from_bars, bars, np.arange(n), size).transpose(0, 2, 1) @ first
     away = 0.5 * bars.segments.length[:, None] * bars.segments.direction - from_bars

@@ -44,12 +44,17 @@ class PriorErrors(NamedTuple):
     before: Array
 
 
-def prior_errors(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> PriorErrors:
+def prior_errors(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> PriorErrors:
     """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
-    if they have a standard deviation, from a Gauss-Markov process about those of the prior."""
+    if they have a standard deviation, from a Gauss-Markov process about those of the prior. The first pose is the
+    prior's, its roll and pitch only if it is ``upright``: without, they are no better known than all others."""
     size = pose_size(tilt_sigma_rad)
     error, weight = np.zeros((2, len(T), size))
     error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED
+    if not upright:
+        weight[0, POSE:] = tilt_sigma_rad**-2.0
     gap_s = np.maximum(np.diff(stamp_s), 1e-6)
     turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
     expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
@@ -67,10 +72,12 @@ def prior_errors(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float =
     return PriorErrors(error, weight, before)
 
 
-def increments(T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0) -> tuple[Array, Array, Array]:
+def increments(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> tuple[Array, Array, Array]:
     """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
     ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
-    error, weight, before = prior_errors(T, prior, stamp_s, tilt_sigma_rad)
+    error, weight, before = prior_errors(T, prior, stamp_s, tilt_sigma_rad, upright)
     beside = before.transpose(0, 2, 1) * weight[1:, None, :]
     matrix, vector = weight[:, :, None] * np.eye(error.shape[1]), -weight * error
     matrix[:-1] += beside @ before

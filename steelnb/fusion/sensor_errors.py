@@ -70,12 +70,18 @@ def derivative(errors: SensorErrors, of: Callable[[Array], Array], prior: Array,
 
 
 def with_prior(
-    of_range: SensorEquations, errors: SensorErrors, T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float
+    of_range: SensorEquations,
+    errors: SensorErrors,
+    T: Array,
+    prior: Array,
+    stamp_s: Array,
+    tilt_sigma_rad: float,
+    upright: bool = True,
 ) -> SensorEquations:
     """The normal equations of all errors: of the range by points, as they are given; of mount and clock by the
     ``prior (K, 4, 4)`` of the poses ``T``; and what was known before."""
-    error, weight, before = prior_errors(T, true_poses(errors, prior, stamp_s), stamp_s, tilt_sigma_rad)
-    by = derivative(errors, lambda at: prior_errors(T, at, stamp_s, tilt_sigma_rad).error, prior, stamp_s)
+    error, weight, before = prior_errors(T, true_poses(errors, prior, stamp_s), stamp_s, tilt_sigma_rad, upright)
+    by = derivative(errors, lambda at: prior_errors(T, at, stamp_s, tilt_sigma_rad, upright).error, prior, stamp_s)
     weighed, known = weight[:, :, None] * by, np.maximum(errors.prior_sigma, KNOWN_SIGMA) ** -2.0
     poses, bars = weighed.copy(), np.zeros((len(of_range.bars), len(known)))
     poses[:-1] += before.transpose(0, 2, 1) @ weighed[1:]

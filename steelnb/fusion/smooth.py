@@ -9,11 +9,12 @@ import numpy as np
 from steelnb.errors import EmptyCloudError, SingularError
 from steelnb.fusion import bundle, uncertainty
 from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.fusion.sensor_errors import RANGE, true_flight, true_poses, unknown_errors
 from steelnb.points.ranges import true_points
-from steelnb.settings import CalibrationSettings, StructureSettings
+from steelnb.settings import CalibrationSettings, ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
 Stages = tuple[tuple[int, int], ...]
@@ -33,20 +34,26 @@ def smooth(
     settings: StructureSettings | None = None,
     tilt_sigma_rad: float = 0.0,
     calibration: CalibrationSettings | None = None,
+    imu: ImuSettings | None = None,
 ) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`fusion.bundle`).
 
     ``settings`` say what a bar is, as for `reconstruct`; ``tilt_sigma_rad`` is the standard deviation of the prior's
     roll and pitch, which are kept where it is 0; with ``calibration``, errors of the sensor are found, too
-    (`fusion.sensor_errors`). The corrected poses become smooth, the first one the prior's,
+    (`fusion.sensor_errors`); with ``imu``, the errors of its data sheet, the readings of the flight's IMU take part
+    (`fusion.inertial`), where it has one. The corrected poses become smooth, the first one the prior's,
     where drift begins; the map's points are those of one in three scans at the poses before the last steps, its
     segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as it
-    was, with the reason in ``unsmoothed``.
+    was, with the reason in ``unsmoothed``. Raises `RecordingError` for readings in other units or axes.
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
-    ratio, errors = None, None
+    ratio, errors, inertial = None, None, None
+    if imu is not None and flight.imu is not None:
+        check_imu(flight.imu, flight.prior)
+        inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected)
+        tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     if calibration is not None:
         errors, tilt_sigma_rad = unknown_errors(calibration), max(tilt_sigma_rad, TILT_MIN_RAD)
     for fits, stages in ROUNDS:
@@ -58,7 +65,7 @@ def smooth(
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         first = prior if errors is None else true_poses(errors, prior, stamp_s)
         bars = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
-        state = bundle.start(T, first, bars, tilt_sigma_rad, errors)
+        state = bundle.start(T, first, bars, tilt_sigma_rad, errors, inertial)
         voxels = scans.around(fitted.bars)
         for pixels, steps in stages:
             scans = replace(scans, scans=true_flight(flight, state.errors).scans, T_world_sensor=state.T_world_sensor)
@@ -69,7 +76,7 @@ def smooth(
                 if before is not None and state.errors is not None:
                     offset_m, scale = (state.errors.value - before.value)[:RANGE]
                     seen = seen._replace(point=true_points(seen.point, offset_m, scale).astype(np.float32))
-        T, ratio, errors = state.T_world_sensor, state.sigma_ratio, state.errors
+        T, ratio, errors, inertial = state.T_world_sensor, state.sigma_ratio, state.errors, state.inertial
     bars, mount = state.bars.sectioned(), true_flight(flight, errors).T_drone_sensor
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:

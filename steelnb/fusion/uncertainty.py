@@ -16,9 +16,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
 from steelnb.fusion.bar_equations import BAR, Equations, summed
-from steelnb.fusion.bundle import Bundle, bars_along, reduced, sensor_equations
+from steelnb.fusion.bundle import Bundle, bars_along, reduced, state_equations
 from steelnb.fusion.chain import Chain
-from steelnb.fusion.poses import AXES, POSE, increments
+from steelnb.fusion.poses import AXES, POSE, pose_size
 from steelnb.fusion.sections import frames
 from steelnb.types import Array, IntArray, Segments
 
@@ -63,17 +63,18 @@ def marginals(
     sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
     equations = _displaced(equations, sigma_m) if sigma_m else equations
     n = len(equations.block)
-    known, beside, _ = increments(bundle.T_world_sensor, bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad)
-    matrix = known + equations.matrix + HOLD * np.eye(known.shape[1])
+    along = bars_along(bundle, prior, stamp_s)
+    matrix, beside, _, between, sensor = state_equations(bundle, equations, along, prior, stamp_s)
+    matrix = matrix + HOLD * np.eye(matrix.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
-    chain, along = Chain.factored(matrix, beside), bars_along(bundle, prior, stamp_s)
-    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
-    half = chain.half(np.concatenate([equations.between(), sensor.poses], axis=2))
+    chain = Chain.factored(matrix, beside)
+    half = chain.half(np.concatenate([between, sensor.poses], axis=2))
     flat = half.reshape(-1, half.shape[2])
     inverse = cho_solve(cho_factor(reduced(equations.block, sensor, flat.T @ flat)), np.eye(flat.shape[1]))
-    by_bars = chain.rest(half)
-    pose = chain.inverse_blocks() + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
+    size = pose_size(bundle.tilt_sigma_rad)
+    by_bars = chain.rest(half)[:, :size]
+    pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
     check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
     bars = np.arange(n)

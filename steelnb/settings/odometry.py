@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted, table
 from steelnb.settings.presets import method_names, method_preset, sensor_preset
+from steelnb.settings.sensors import ImuSettings
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
 """Odometries by segments alone; all other methods are by clouds, ``combined`` and those based on it by both."""
@@ -116,7 +117,8 @@ class OdometrySettings(Settings):
     prior's roll and pitch, which are then corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan,
     all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
     keyframes and bars during the flight (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the
-    sensor that smoothing finds, too. Tables that a method does not use are None.
+    sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings smoothing uses, None for none.
+    Tables that a method does not use are None.
     """
 
     method: str
@@ -132,6 +134,7 @@ class OdometrySettings(Settings):
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
+    inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -147,17 +150,23 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        if self.calibration is not None and not self.smooth:
-            raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
+        for name in ("calibration", "inertial"):
+            if getattr(self, name) is not None and not self.smooth:
+                raise ValueError(f"method {self.method!r}: a table {name} without smooth: expected smooth = true")
+        if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
+            raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
         return self
 
     @classmethod
     def preset(
         cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
     ) -> "OdometrySettings":
-        """The settings of a method with a sensor's data; ``overrides`` as in `override`. Raises `SettingsError`."""
+        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method that smooths uses the
+        IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
+        if tables.get("smooth") and "imu" in of_sensor:
+            tables["inertial"] = of_sensor["imu"]
         by_clouds, by_segments = "clouds" in tables, "segments" in tables
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}

@@ -15,10 +15,9 @@ from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import gusts
 from steelnb.simulation.paths import heading, setpoints
 from steelnb.simulation.tower import Tower
-from steelnb.types import Imu, Trajectory
+from steelnb.types import GRAVITY, Imu, Trajectory
 
 STEP_S = 0.008
-GRAVITY = 9.81
 MASS_KG = 0.275
 INERTIA = (6e-4, 6e-4, 10e-4)
 HALF_BOX_M = (0.12, 0.12, 0.04)

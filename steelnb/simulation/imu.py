@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import rng
 from steelnb.errors import needs
 from steelnb.settings import ImuSettings
-from steelnb.simulation.flight import GRAVITY
-from steelnb.types import Array, Imu, Trajectory
+from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 FILTER_GAIN = 0.5
 """Rate, 1/s, at which the filter turns towards the accelerometer's vertical: the library's default."""

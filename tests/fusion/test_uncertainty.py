@@ -33,7 +33,7 @@ def dense(state, seen, prior, stamp_s, shared_sigma_m):
     eq = bundle.linearised(state, seen)
     K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
     chained, beside, _ = poses.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
-    D = state.step.shape[1]
+    D = poses.pose_size(state.tilt_sigma_rad)
     size = D * K + BAR * n
     whole = np.zeros((size + 2 * P, size + 2 * P))
     whole[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
@@ -69,7 +69,7 @@ def test_the_information_of_a_bar_in_a_scan_saturates():
     """A hundred times the points say ten times as much of a bar; with a shared error hardly more."""
     T, bars, seen = made_up(1, 0.004)
     state = state_of(T, bars)
-    sharp = bundle.Bundle(T, bars, 0.1 * state.sigma_ratio, state.fitted, state.step)
+    sharp = bundle.Bundle(T, bars, 0.1 * state.sigma_ratio, state.fitted)
     sigma = {
         (name, shared): np.sqrt(np.median(marginals(each, seen, T, shared).pose[1:, 0, 0]))
         for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)

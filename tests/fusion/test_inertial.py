@@ -1,0 +1,198 @@
+"""Inertial factors: readings of a known motion, their equations by differences, and what smoothing makes of an IMU."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment
+from steelnb.errors import RecordingError
+from steelnb.fusion import inertial, smooth
+from steelnb.fusion.poses import moved_poses
+from steelnb.fusion.sensor_errors import unknown_errors
+from steelnb.metrics import score_trajectory
+from steelnb.settings import CalibrationSettings, ExperimentSettings, ImuSettings
+from steelnb.simulation import measured_imu
+from steelnb.types import GRAVITY, Imu, RangeScans, Trajectory
+
+SHEET = ImuSettings.preset("starling2-honest")
+STEP_S, EVERY = 0.008, 25
+MOUNT = np.eye(4)
+MOUNT[:3, :3], MOUNT[:3, 3] = Rotation.from_rotvec([0.0, 0.3, 0.1]).as_matrix(), [0.06, 0.0, 0.02]
+
+
+def swaying(scans, rate=(0.1, -0.2, 0.5)):
+    """A drone that sways and turns: trajectory and exact readings at 125 Hz, and its motions at every 25th stamp."""
+    stamp_s = STEP_S * np.arange(EVERY * (scans - 1) + 1)
+    phase = np.outer(stamp_s, [0.9, 1.3, 0.7])
+    T = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+    T[:, :3, 3] = np.sin(phase)
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(stamp_s, rate)).as_matrix()
+    velocity = np.cos(phase) * [0.9, 1.3, 0.7]
+    gained = np.diff(velocity, axis=0, prepend=velocity[:1]) / STEP_S + [0.0, 0.0, GRAVITY]
+    force = np.einsum("nji,nj->ni", T[:, :3, :3], gained)
+    motion = np.hstack([velocity, np.zeros((len(stamp_s), 6))])[::EVERY]
+    return Trajectory(stamp_s, T), Imu(stamp_s, force, np.tile(rate, (len(stamp_s), 1))), motion
+
+
+def made(scans=5):
+    """Inertial factors at the true poses of `swaying`, and those poses of the sensor."""
+    trajectory, imu, motion = swaying(scans)
+    at = Trajectory(trajectory.stamp_s[::EVERY], trajectory.T_world_drone[::EVERY])
+    return replace(inertial.Inertial.started(imu, SHEET, MOUNT, at), motion=motion), at.T_world_drone @ MOUNT
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
+def test_readings_integrate_to_the_motion_that_they_are_of_whatever_the_biases(bias):
+    factors, T = made()
+    biased = Imu(
+        factors.imu.stamp_s, factors.imu.specific_force + bias[3:], factors.imu.angular_rate + bias[:3]
+    )  # fmt: skip
+    known = factors.motion + np.array([0.0, 0.0, 0.0, *bias])
+    error = replace(factors, imu=biased, motion=known).errors(T)
+    np.testing.assert_allclose(error[:, :3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(error[:, 3:6], 0.0, atol=1e-9)
+    np.testing.assert_allclose(error[:, 6:9], 0.0, atol=2e-5)  # the path is no parabola within a step
+    np.testing.assert_array_equal(error[:, 9:], 0.0)
+
+
+def test_an_error_is_in_the_axes_of_the_world():
+    factors, T = made(2)
+    T[1, :3, 3] += [0.01, 0.02, 0.03]
+    np.testing.assert_allclose(factors.errors(T)[0, 6:9], [0.01, 0.02, 0.03], atol=2e-5)
+    factors, T = made(2)
+    moved = factors.moved(np.hstack([np.zeros((2, 6)), [[0.0] * 9, [0.1, 0.2, 0.3, 0.01, 0, 0, 0, 0, 0.02]]]))
+    np.testing.assert_allclose(moved.errors(T)[0, 3:], [0.1, 0.2, 0.3, 0, 0, 0, 0.01, 0, 0, 0, 0, 0.02], atol=2e-5)
+
+
+def test_the_equations_are_those_of_derivatives_by_differences():
+    """The gradient of half the sum of squares, in random directions, by states and by errors of the sensor."""
+    factors, T = made()
+    rng = np.random.default_rng(3)
+    T = moved_poses(T, 0.01 * rng.normal(size=(len(T), 6)))
+    factors = replace(factors, motion=factors.motion + 0.01 * rng.normal(size=factors.motion.shape))
+    sensor = replace(unknown_errors(CalibrationSettings()), value=0.01 * rng.normal(size=9))
+
+    def cost(states, errors):
+        moved = factors.moved(states)
+        error = moved.errors(moved_poses(T, states[:, :6]), replace(sensor, value=sensor.value + errors))
+        return 0.5 * np.einsum("kd,kde,ke", error, factors.weight, error) + 0.5 * (moved.known * moved.motion**2).sum()
+
+    found = factors.equations(T, sensor)
+    for _ in range(20):
+        states, errors = rng.normal(size=found.vector.shape), rng.normal(size=9)
+        slope = (cost(1e-6 * states, 1e-6 * errors) - cost(-1e-6 * states, -1e-6 * errors)) / 2e-6
+        expected = -(found.vector * states).sum() - found.right @ errors
+        assert slope == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(found.vector).max())
+    # Curvature by Gauss and Newton: that of the linearised errors.
+    before, after = (factors.errors(moved_poses(T, sign * 1e-6 * states[:, :6]), sensor) for sign in (-1, 1))
+    slope, flat = (after - before) / 2e-6, np.where(np.arange(15) < 6, states, 0.0)
+    whole = np.einsum("kd,kde,ke", flat, found.matrix, flat)
+    whole += 2 * np.einsum("kd,kde,ke", flat[:-1], found.beside, flat[1:])
+    assert whole == pytest.approx(np.einsum("kd,kde,ke", slope, factors.weight, slope), rel=1e-3)
+
+
+def test_noise_spreads_as_its_covariance_says():
+    count, stamp_s = 2000, np.array([0.0, 0.2])
+    still = Imu(
+        STEP_S * np.arange(EVERY + 1), np.tile([0, 0, GRAVITY], (EVERY + 1, 1)), np.zeros((EVERY + 1, 3))
+    )  # fmt: skip
+    noise, found = SHEET.replace(gyro_bias=0.0, accelerometer_bias=0.0, gyro_walk=0.0, accelerometer_walk=0.0), []
+    at = Trajectory(stamp_s, np.tile(np.eye(4), (2, 1, 1)))
+    for seed in range(count):
+        read = measured_imu(still, noise, seed)
+        found.append(inertial.Inertial.started(read, noise, np.eye(4), at).errors(at.T_world_drone)[0, :9])
+    expected = inertial.integration_covariances(noise, np.diff(stamp_s))[0]
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(np.cov(np.array(found).T) / np.outer(sigma, sigma), expected / np.outer(sigma, sigma),
+                               atol=5 / np.sqrt(count) + 0.05)  # fmt: skip
+
+
+def test_an_interval_with_a_gap_says_nothing():
+    factors, T = made(6)
+    kept = (factors.imu.stamp_s < 0.45) | (factors.imu.stamp_s > 0.56)
+    torn = Imu(factors.imu.stamp_s[kept], factors.imu.specific_force[kept], factors.imu.angular_rate[kept])
+    np.testing.assert_array_equal(inertial.gaps(torn.stamp_s, factors.stamp_s), [False, False, True, False, False])
+    stopped = Imu(*(column[factors.imu.stamp_s < 0.85] for column in vars(factors.imu).values()))
+    np.testing.assert_array_equal(inertial.gaps(stopped.stamp_s, factors.stamp_s), [False] * 4 + [True])
+    at = Trajectory(factors.stamp_s, T @ np.linalg.inv(MOUNT))
+    weight = inertial.Inertial.started(torn, SHEET, MOUNT, at).weight
+    assert not weight[2, :9, :9].any()
+    assert np.linalg.eigvalsh(weight[[0, 1, 3, 4], :9, :9]).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda imu: replace(imu, specific_force=imu.specific_force / GRAVITY),
+            r"of 0\.967 on average, as of g; expected 9\.81 m/s²",
+        ),
+        (lambda imu: replace(imu, specific_force=100 * imu.specific_force), "as of mg or cm/s²"),
+        (lambda imu: replace(imu, specific_force=3 * imu.specific_force), r"specific force of .* on average; expected"),
+        (lambda imu: replace(imu, specific_force=-imu.specific_force), "vertical is upside down"),
+        (lambda imu: replace(imu, specific_force=imu.specific_force[:, [2, 1, 0]]), r"vertical is \d+° off"),
+        (lambda imu: replace(imu, angular_rate=np.degrees(imu.angular_rate)), "as of degrees; expected rad/s"),
+        (lambda imu: replace(imu, stamp_s=imu.stamp_s + 1e9), "0 of 501 readings within the time of the poses"),
+    ],
+)
+def test_readings_in_other_units_or_axes_are_refused(change, says):
+    trajectory, imu, _ = swaying(21, rate=(0.02, 0.01, 0.3))
+    prior = Trajectory(trajectory.stamp_s[::EVERY], trajectory.T_world_drone[::EVERY])
+    inertial.check_imu(imu, prior)
+    with pytest.raises(RecordingError, match=says):
+        inertial.check_imu(change(imu), prior)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A flight of 16 s about the tower whose ranges are 2 % too long, with a real IMU and roll and pitch of a filter on
+    it."""
+    settings = ExperimentSettings.preset(
+        "orbit", "random-walk", seed=12, duration_s=16.0, method="combined", overrides={"imu": SHEET.model_dump()}
+    )
+    flight, truth = experiment.simulate(settings)
+    scans = flight.scans
+    long = replace(flight, scans=RangeScans(scans.stamp_s, scans.range_m * np.float32(1.02), scans.ray))
+    return flight, long, truth, experiment.estimate(settings, flight, truth), experiment.estimate(settings, long, truth)
+
+
+def ate_m(estimate, truth):
+    return score_trajectory(estimate.corrected, truth.trajectory)["ate_rmse_m"]
+
+
+def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown):
+    flight, _, truth, estimate, _ = flown
+    without, found = smooth(flight, estimate), smooth(flight, estimate, imu=SHEET)
+    up, told = (
+        each.T_world_drone[:, 2, :3] for each in (truth.trajectory.at(flight.prior.stamp_s), flight.prior)
+    )  # fmt: skip
+    lean, before = (
+        np.linalg.norm(each - up, axis=1).mean() for each in (found.corrected.T_world_drone[:, 2, :3], told)
+    )
+    assert lean < 0.4 * before
+    assert ate_m(found, truth) < ate_m(without, truth)
+    sigma = np.sqrt(found.pose_covariance[1:, [3, 4], [3, 4]])
+    assert sigma.min() > 0
+    assert sigma.max() < inertial.TILT_SIGMA_RAD
+
+
+def test_an_imu_tells_metres(flown):
+    _, long, _, _, estimate = flown
+    settings = CalibrationSettings(range_offset_sigma_m=0.0, time_sigma_s=0.0)
+    without, found = (
+        smooth(long, estimate, None, 0.0175, settings, imu).sensor_errors for imu in (None, SHEET)
+    )  # fmt: skip
+    assert found.sigma[1] < 0.7 * without.sigma[1]
+    assert abs(found.value[1] - 0.02) < 3 * found.sigma[1]
+
+
+def test_a_flight_without_readings_is_smoothed_without(flown):
+    flight, _, _, estimate, _ = flown
+    short = replace(flight.first(30), imu=None)
+    first = replace(estimate, corrected=Trajectory(short.prior.stamp_s, estimate.corrected.T_world_drone[:30]))
+    one, other = (smooth(short, first, imu=imu).corrected.T_world_drone for imu in (None, SHEET))
+    np.testing.assert_array_equal(one, other)
