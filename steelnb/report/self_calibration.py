@@ -15,13 +15,16 @@ from steelnb.odometry import make_odometry, run_kept
 from steelnb.odometry.run import smoothed
 from steelnb.report.calibration import SHOWN, TOLD_SHARE
 from steelnb.report.conclusions import bullets
+from steelnb.report.honest import HONEST
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, VERMILION, Figure, gather_legend, style
 from steelnb.rng import stream
-from steelnb.settings import CalibrationSettings, ExperimentSettings, OdometrySettings, TrajectoryName
-from steelnb.simulation import Truth
+from steelnb.settings import CalibrationSettings, ExperimentSettings, ImuSettings, OdometrySettings, TrajectoryName
+from steelnb.simulation import Truth, measured_imu
 from steelnb.types import Array, Estimate, Flight, RangeScans, SensorErrors
 
-METHODS = ("combined", "smoothed", "calibrated")
+WITH_IMU = "calibrated, IMU"
+METHODS = ("combined", "smoothed", "calibrated", WITH_IMU)
+"""The last one has the readings of an IMU, too: that beside `HONEST`."""
 DRAWN = "all nine at once, drawn"
 TILT = "roll and pitch wander by 1°"
 DEGREE = float(np.radians(1))
@@ -45,7 +48,8 @@ def errors_of(fault: str, seed: int) -> Array:
 
 
 def wrongly_told(settings: ExperimentSettings, flight: Flight, truth: Truth, errors: Array) -> Flight:
-    """The flight of a sensor with these errors, ``(9,)``, as an estimator sees it that knows of none."""
+    """The flight of a sensor with these errors, ``(9,)``, as an estimator sees it that knows of none; and its IMU's
+    readings with the errors of the data sheet."""
     sensor, scans = SensorErrors(errors, np.diag(errors**2), np.abs(errors)), flight.scans
     assert isinstance(scans, RangeScans)
     ranges = (scans.range_m * (1 + errors[1]) + errors[0]).astype(np.float32)
@@ -55,26 +59,44 @@ def wrongly_told(settings: ExperimentSettings, flight: Flight, truth: Truth, err
     if errors[8]:
         prior = replace(prior, T_world_drone=drifted.between(stamp_s - errors[8]))
     mount = flight.T_drone_sensor @ np.linalg.inv(sensor.T_assumed_true)
-    return replace(flight, scans=RangeScans(scans.stamp_s, ranges, scans.ray), prior=prior, T_drone_sensor=mount)
+    scans, imu = RangeScans(scans.stamp_s, ranges, scans.ray), flight.imu
+    if imu is not None:  # poses and readings have one clock
+        read = measured_imu(imu, data_sheet(), settings.seed)
+        imu = replace(read, stamp_s=read.stamp_s + errors[8])
+    return replace(flight, scans=scans, prior=prior, T_drone_sensor=mount, imu=imu)
+
+
+def data_sheet() -> ImuSettings:
+    """The errors of the IMU beside the honest sensor."""
+    sheet = ImuSettings.preset(HONEST)
+    assert sheet is not None
+    return sheet
 
 
 def estimates(
     settings: ExperimentSettings, flight: Flight, truth: Truth, errors: Array, tilt_sigma_rad: float = 0.0
 ) -> dict[str, Estimate]:
-    """What `METHODS` make of a flight whose sensor has errors; the last one knows how far roll and pitch may be off."""
-    told = wrongly_told(settings, flight, truth, errors)
-    made = {
-        method: make_odometry(OdometrySettings.preset(method, settings.sensor, changed), told.T_drone_sensor)
-        for method, changed in zip(METHODS, ({}, {}, {"tilt_sigma_rad": tilt_sigma_rad}), strict=True)
+    """What `METHODS` make of a flight whose sensor has errors; those that calibrate know how far roll and pitch may be
+    off."""
+    told, tilted = wrongly_told(settings, flight, truth, errors), {"tilt_sigma_rad": tilt_sigma_rad}
+    changed: dict[str, dict[str, Any]] = {
+        "calibrated": tilted,
+        WITH_IMU: {**tilted, "inertial": data_sheet().model_dump()},
     }
+    made = {}
+    for method in METHODS:
+        preset = "calibrated" if method == WITH_IMU else method
+        odometry = OdometrySettings.preset(preset, settings.sensor, changed.get(method))
+        made[method] = make_odometry(odometry, told.T_drone_sensor)
     online = run_kept(told, made["combined"])
     return {method: smoothed(told, online, odometry) for method, odometry in made.items()}
 
 
 def fault_runs(
     trajectory: TrajectoryName, seed: int, duration_s: float, on_fault: Callable[[], None] = lambda: None
-) -> tuple[pd.DataFrame, SensorErrors]:
-    """A row a fault: ATE of each of `METHODS` and of the drift, metres; and the errors found where all were drawn."""
+) -> tuple[pd.DataFrame, dict[str, SensorErrors]]:
+    """A row a fault: ATE of each of `METHODS` and of the drift, metres; and by method the errors found where all were
+    drawn."""
     rows = []
     usual: dict[str, Any] = {"seed": seed, "duration_s": duration_s, "method": "combined"}
     flight, truth = experiment.simulate(ExperimentSettings.preset(trajectory, "random-walk", **usual))
@@ -86,17 +108,21 @@ def fault_runs(
         ate = {name: score_trajectory(each, truth.trajectory)["ate_rmse_m"] for name, each in trajectories.items()}
         rows.append({"fault": fault, **ate})
         on_fault()
-    sensor = found["calibrated"].sensor_errors
-    if sensor is None:
-        raise ValueError(f"seed {seed}, {duration_s:g} s: not calibrated: {found['calibrated'].unsmoothed}")
-    return pd.DataFrame(rows), sensor
+    for method in ("calibrated", WITH_IMU):
+        if found[method].sensor_errors is None:
+            raise ValueError(f"seed {seed}, {duration_s:g} s: not calibrated: {found[method].unsmoothed}")
+    return pd.DataFrame(rows), {method: each.sensor_errors for method, each in found.items() if each.sensor_errors}
 
 
-def error_table(found: SensorErrors, seed: int) -> pd.DataFrame:
-    """A row an error that was drawn: the true one, the one found, its standard deviation and that of before, in the
-    column's ``unit``."""
+def error_table(of: dict[str, SensorErrors], seed: int) -> pd.DataFrame:
+    """A row an error that was drawn: the true one, its standard deviation before the flight, and the one found and its
+    standard deviation, without an IMU and with it, in the column's ``unit``."""
+    found, imu = of["calibrated"], of[WITH_IMU]
     factor = np.array([SHOWN[unit][0] for unit in found.UNITS])
-    columns = {"true": errors_of(DRAWN, seed), "found": found.value, "sigma": found.sigma, "before": found.prior_sigma}
+    columns = {
+        "true": errors_of(DRAWN, seed), "before": found.prior_sigma, "found": found.value, "sigma": found.sigma,
+        "found_imu": imu.value, "sigma_imu": imu.sigma,
+    }  # fmt: skip
     table = pd.DataFrame({name: column * factor for name, column in columns.items()})
     table.insert(0, "error", found.NAMES)
     return table.assign(unit=[SHOWN[unit][1] for unit in found.UNITS])
@@ -106,18 +132,30 @@ def calibration_sentences(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
     """What a wrong sensor costs, what calibration takes back, and where it costs."""
     mm = runs.set_index("fault") * 1e3
     gained = mm[mm["calibrated"] < 0.5 * mm["smoothed"]].index
-    none, inside = mm.loc["none"], (errors["found"] - errors["true"]).abs() < 2 * errors["sigma"]
-    told = errors[errors["sigma"] < TOLD_SHARE * errors["before"]]["error"]
-    less = [f"{fault} ({mm.loc[fault, 'smoothed']:.0f} → {mm.loc[fault, 'calibrated']:.0f} mm)" for fault in gained]
+    none, inside = mm.loc["none"], (errors["found_imu"] - errors["true"]).abs() < 2 * errors["sigma_imu"]
+    told, by_imu = (errors[errors[sigma] < TOLD_SHARE * errors["before"]]["error"] for sigma in ("sigma", "sigma_imu"))
+    less = [
+        f"{fault} ({mm.loc[fault, 'smoothed']:.0f} → {mm.loc[fault, 'calibrated']:.0f} mm, "
+        f"with the IMU {mm.loc[fault, WITH_IMU]:.0f})"
+        for fault in gained
+    ]
     lines = [
         f"Calibrated in flight, poses err by less than half of what they do without it in {len(gained)} of {len(mm)} "
         f"cases: {', '.join(less)}.",
         f"Nothing is free: with a sensor that has no fault they err by {none['calibrated']:.0f} mm instead of "
-        f"{none['smoothed']:.0f}, since its scale is then known as well as the drifting prior knows lengths.",
-        f"Of the nine errors drawn at once, {int(inside.sum())} are found within two standard deviations. This flight "
-        f"tells {', '.join(told)}: their σ is at most half of what it was before.",
+        f"{none['smoothed']:.0f}, since its scale is then known as well as the drifting prior knows lengths; with the "
+        f"readings of an IMU, which know metres too, by {none[WITH_IMU]:.0f}.",
+        f"This flight tells {', '.join(told)}: their σ is at most half of what it was before. With the IMU it tells "
+        f"{', '.join(by_imu)}; {int(inside.sum())} of the nine are then found within two standard deviations.",
     ]
     return bullets(lines)
+
+
+def bar_style(method: str) -> tuple[str, str, str]:
+    """Colour, label and hatch of one of `METHODS`."""
+    if method == WITH_IMU:
+        return COLOURS["calibrated"], f"{LABELS['calibrated']}, IMU", "////"
+    return COLOURS[method], LABELS[method], ""
 
 
 @style()
@@ -127,15 +165,18 @@ def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
     at = np.arange(len(runs))[::-1]
     for k, method in enumerate(METHODS):
-        left.barh(at + 0.25 * (1 - k), 1e3 * runs[method], 0.22, color=COLOURS[method], label=LABELS[method])
+        colour, label, hatch = bar_style(method)
+        left.barh(at + 0.2 * (1.5 - k), 1e3 * runs[method], 0.18, color=colour, label=label, hatch=hatch, ec="white")
     left.plot(1e3 * runs["drift"], at, "|", color=VERMILION, ms=22, mew=1.5, label=LABELS["none"])
     left.set_yticks(at, runs["fault"])
     left.set(xlabel="ATE, root mean square (mm)", xlim=(0, None))
     left.grid(axis="y", visible=False)
     at, before = np.arange(len(errors))[::-1], errors["before"]
     right.axvspan(-1, 1, color="#eeeeee", lw=0, label="one σ before the flight")
-    right.errorbar(errors["found"] / before, at, xerr=2 * errors["sigma"] / before, fmt="o", ms=5, capsize=3,
-                   color=COLOURS["calibrated"], label="found, ± 2 σ")  # fmt: skip
+    for shift, column, face, label in ((0.15, "", "white", "found, ± 2 σ"), (-0.15, "_imu", None, "with the IMU")):
+        found, sigma = errors[f"found{column}"] / before, errors[f"sigma{column}"] / before
+        right.errorbar(found, at + shift, xerr=2 * sigma, fmt="o", ms=5, mfc=face, capsize=3,
+                       color=COLOURS["calibrated"], label=label)  # fmt: skip
     right.plot(errors["true"] / before, at, "x", color=BLACK, ms=7, mew=1.5, label="true")
     right.axvline(0, color=GREY, lw=0.8)
     named = zip(errors["error"], before.round(1), errors["unit"], strict=True)

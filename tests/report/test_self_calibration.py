@@ -23,12 +23,16 @@ def test_every_fault_has_a_row_and_a_wrong_mount_is_taken_back(ran):
     mount = mm.loc["mount off by 1 cm and 1°"]
     assert mount["calibrated"] < 0.5 * mount["smoothed"]
     assert mount["smoothed"] > 5 * mm.loc["none", "smoothed"]
-    assert mm.loc[self_calibration.DRAWN, "calibrated"] < 0.5 * mm.loc[self_calibration.DRAWN, "smoothed"]
+    drawn = mm.loc[self_calibration.DRAWN]
+    assert (drawn[["calibrated", self_calibration.WITH_IMU]] < 0.5 * drawn["smoothed"]).all()
 
 
 def test_the_errors_drawn_are_found_within_their_standard_deviations(ran):
     table = self_calibration.error_table(ran[1], 3).set_index("error")
-    assert ((table["found"] - table["true"]).abs() < 4 * table["sigma"]).all()
+    for method in ("", "_imu"):
+        assert ((table[f"found{method}"] - table["true"]).abs() < 4 * table[f"sigma{method}"]).all()
+    assert (table["sigma_imu"] < 1.02 * table["sigma"]).all()
+    assert table.loc["range scale", "sigma_imu"] < 0.7 * table.loc["range scale", "sigma"]
     assert table.loc["mount pitch", "unit"] == "°"
     assert table.loc["mount pitch", "before"] == pytest.approx(1.0, abs=0.01)
     assert table.loc["mount pitch", "sigma"] < 0.1
@@ -56,6 +60,7 @@ def test_a_wrongly_told_flight_differs_by_the_errors_alone():
     same = self_calibration.wrongly_told(settings, flight, truth, np.zeros(9))
     np.testing.assert_array_equal(same.scans.range_m, flight.scans.range_m)
     np.testing.assert_array_equal(same.prior.T_world_drone, flight.prior.T_world_drone)
+    assert 0 < np.abs(same.imu.specific_force - flight.imu.specific_force).max() < 1.0
     errors = np.array([0.01, 0.02, 0.03, 0, 0, 0, 0, 0.1, 0.04])
     told = self_calibration.wrongly_told(settings, flight, truth, errors)
     np.testing.assert_allclose(told.scans.range_m, 1.02 * flight.scans.range_m + 0.01, rtol=1e-5)
@@ -63,13 +68,17 @@ def test_a_wrongly_told_flight_differs_by_the_errors_alone():
     np.testing.assert_allclose(told.T_drone_sensor @ true, flight.T_drone_sensor, atol=1e-12)
     moved_m = np.linalg.norm(told.prior.position - flight.prior.position, axis=1)
     assert 0 < moved_m[-1] < 0.2  # where the drone was 40 ms before
+    np.testing.assert_allclose(told.imu.stamp_s - flight.imu.stamp_s, 0.04)
 
 
 def test_its_sentences_say_what_calibration_costs():
-    runs = pd.DataFrame({"fault": ["none", "range × 1.02"], "smoothed": [0.003, 0.1], "calibrated": [0.014, 0.02]})
-    errors = pd.DataFrame({"error": ["range scale", "mount z"], "true": [1.0, 1.0], "found": [1.2, 9.0],
-                           "sigma": [0.2, 1.0], "before": [1.0, 1.1]})  # fmt: skip
+    runs = pd.DataFrame({"fault": ["none", "range × 1.02"], "smoothed": [0.003, 0.1], "calibrated": [0.014, 0.02],
+                         self_calibration.WITH_IMU: [0.008, 0.009]})  # fmt: skip
+    errors = pd.DataFrame({"error": ["range scale", "mount z"], "true": [1.0, 1.0], "before": [1.0, 1.1],
+                           "sigma": [0.2, 1.0], "found_imu": [1.1, 9.0], "sigma_imu": [0.1, 0.5]})  # fmt: skip
     said = self_calibration.calibration_sentences(runs, errors)
-    assert "in 1 of 2 cases: range × 1.02 (100 → 20 mm)" in said
+    assert "in 1 of 2 cases: range × 1.02 (100 → 20 mm, with the IMU 9)" in said
     assert "they err by 14 mm instead of 3" in said
-    assert "1 are found within two standard deviations. This flight tells range scale: " in said
+    assert "know metres too, by 8." in said
+    assert "This flight tells range scale: " in said
+    assert "it tells range scale, mount z; 1 of the nine are then found within two standard deviations" in said
