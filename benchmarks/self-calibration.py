@@ -15,7 +15,7 @@ import numpy as np
 from steelnb import experiment
 from steelnb.metrics import score_trajectory
 from steelnb.report.calibration import SHOWN
-from steelnb.report.self_calibration import DRAWN, errors_of, estimates
+from steelnb.report.self_calibration import DRAWN, METHODS, WITH_IMU, errors_of, estimates
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.types import Estimate, Flight
@@ -31,8 +31,10 @@ def main() -> None:
     parser.add_argument("--case", choices=CASES, nargs="+", default=list(CASES))
     parser.add_argument("--flight", choices=FLIGHTS, nargs="+", default=FLIGHTS)
     arguments = parser.parse_args()
-    print("| flight | case | seed | combined | smoothed | calibrated (mm) | found − true ± σ | NEES / 9 |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(
+        f"| flight | case | seed | {' | '.join(METHODS)} (mm) | found − true ± σ | NEES / 9 | with the IMU | NEES / 9 |"
+    )
+    print("|---|---|---|" + "---|" * (len(METHODS) + 4))
     for flight_name in arguments.flight:
         for seed in arguments.seeds:
             settings = ExperimentSettings.preset(
@@ -47,15 +49,17 @@ def row(settings: ExperimentSettings, flight: Flight, truth: Truth, case: str) -
     """Position errors by each method, the errors that were found but for those of the sensor, and their NEES."""
     true = errors_of(CASES[case], settings.seed)
     estimates_of = estimates(settings, flight, truth, true)
-    found = estimates_of["calibrated"].sensor_errors
-    assert found is not None
-    off = found.value - true
-    ate = " | ".join(f"{ate_mm(each, truth):.1f}" for each in estimates_of.values())
-    said = ", ".join(
-        f"{name} {SHOWN[unit][0] * value:+.2f} ± {SHOWN[unit][0] * sigma:.2f} {SHOWN[unit][1]}"
-        for name, value, sigma, unit in zip(found.NAMES, off, found.sigma, found.UNITS, strict=True)
-    )
-    return f"{ate} | {said} | {off @ np.linalg.solve(found.covariance, off) / len(off):.2f}"
+    cells = [f"{ate_mm(each, truth):.1f}" for each in estimates_of.values()]
+    for method in ("calibrated", WITH_IMU):
+        found = estimates_of[method].sensor_errors
+        assert found is not None
+        off = found.value - true
+        said = (
+            f"{name} {SHOWN[unit][0] * value:+.2f} ± {SHOWN[unit][0] * sigma:.2f} {SHOWN[unit][1]}"
+            for name, value, sigma, unit in zip(found.NAMES, off, found.sigma, found.UNITS, strict=True)
+        )
+        cells += [", ".join(said), f"{off @ np.linalg.solve(found.covariance, off) / len(off):.2f}"]
+    return " | ".join(cells)
 
 
 def ate_mm(estimate: Estimate, truth: Truth) -> float:

@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,24 @@ def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
     mount = read_flight("a.mcap", settings="a.calibration.toml").T_drone_sensor
     assert np.degrees(np.arccos(mount[0, 0])) < 0.3
     assert "exists already" in said(capfd, ["calibrate", "a.mcap"], code=2)
+
+
+def test_the_readings_of_an_imu_tell_metres_where_the_sensor_s_preset_has_one(place, capfd):
+    said(capfd, ["record", "a.mcap", "--trajectory", "orbit", "--duration", "8", "--seed", "4"])
+    sheet = "gyro_noise = 1.4e-4\naccelerometer_noise = 3.9e-3\ngyro_bias = 8.7e-4\naccelerometer_bias = 0.015\n"
+    (place / "mine.toml").write_text(f'based_on = "starling2"\n[imu]\n{sheet}')
+    sigma = []
+    for sensor in ("starling2", "mine.toml"):
+        shown = said(capfd, ["calibrate", "a.mcap", "--sensor", sensor, "-o", f"of-{sensor}.toml"])
+        found = re.search(r"^range scale +[+-](\S+) ± (\S+) %", shown, re.MULTILINE)
+        sigma.append(float(found[2]))
+        assert float(found[1]) < 2 * sigma[-1]
+    assert sigma[1] < 0.8 * sigma[0]
+    flight = read_flight("a.mcap")
+    in_g = replace(flight, imu=replace(flight.imu, specific_force=flight.imu.specific_force / 9.81))
+    write_flight(place / "g.bag", in_g)
+    told = said(capfd, ["calibrate", "g.bag", "--sensor", "mine.toml"], code=2)
+    assert "as of g; expected 9.81 m/s²" in told
 
 
 def test_scans_come_without_the_errors_that_a_settings_file_names(bag, place, capfd):

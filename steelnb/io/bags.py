@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, RecordingError, TopicError
 from steelnb.io.bag_files import DEPTHS, TRANSFORMS, Bag, Message, decode_depth, decode_points
@@ -23,6 +24,10 @@ CAMERA, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORM = "nav_msgs/msg/Odometry", "geometry_msgs/msg/TransformStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM)
+
+RANGE_MIN = (15.0, 2.0)
+"""A little less than the smallest measuring ranges, 2 g and 125°/s, in m/s² and rad/s."""
+FULL_IN_A_ROW = 3
 
 
 class Topics(NamedTuple):
@@ -174,6 +179,9 @@ class Contents:
         count(skipped, "IMU sample not finite", ~finite)
         rows = rows[finite]
         rows = rows[rising(rows[:, 0], skipped, "IMU sample: ")]
+        full = saturated(rows[:, 1:])
+        count(skipped, "IMU sample saturated", full)
+        rows = rows[~full]
         R_drone_imu = frames.R_drone(self.frame_of.get(topic, ""))
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
@@ -183,6 +191,18 @@ class Contents:
             return None
         self.distortion = ", its distortion ignored" if np.any(distortion) else ""
         return Intrinsics(fx=K[0], fy=K[4], cx=K[2], cy=K[5], width=info.width or None, height=info.height or None)
+
+
+def saturated(readings: Array) -> NDArray[np.bool_]:
+    """Which readings ``(N, 6)`` of specific force and angular rate are at the end of a range: several times in a row
+    the same value, the largest of all on its axis and beyond the smallest range that IMUs have."""
+    size = np.abs(readings)
+    same = (size == size.max(axis=0, initial=0.0)) & (size > np.repeat(RANGE_MIN, 3))
+    full = np.zeros(len(size), dtype=bool)
+    for begin in range(len(size) - FULL_IN_A_ROW + 1):
+        if same[begin : begin + FULL_IN_A_ROW].all(axis=0).any():
+            full[begin : begin + FULL_IN_A_ROW] = True
+    return full
 
 
 def _poses(

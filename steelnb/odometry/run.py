@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.errors import RecordingError
+from steelnb.fusion.inertial import check_imu
 from steelnb.fusion.smooth import smooth
 from steelnb.odometry.base import Odometry
 from steelnb.settings import OdometrySettings, StructureSettings
@@ -26,8 +27,12 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
 
     Where the odometry's settings ask for it, the estimate is smoothed at the end (`steelnb.fusion.smooth`).
 
-    Raises `RecordingError` where fewer scans can be read than the flight has poses.
+    Raises `RecordingError` where fewer scans can be read than the flight has poses, and before the first scan where
+    smoothing is to use readings of an IMU that are in other units or axes.
     """
+    settings = getattr(odometry, "settings", None)
+    if isinstance(settings, OdometrySettings) and settings.inertial and flight.imu is not None:
+        check_imu(flight.imu, flight.prior)
     return smoothed(flight, run_online(flight, odometry, on_step), odometry)
 
 

@@ -200,6 +200,21 @@ def test_a_camera_frame_is_turned_to_the_drones_axes(bag1, tmp_path):
     np.testing.assert_allclose(flight.T_drone_sensor, T_of((1, 0, 0)), atol=1e-14)
 
 
+def test_imu_samples_at_the_end_of_the_range_are_left_out(bag):
+    make = bag.clouds().odometry().make
+    for k in range(40):
+        force = np.array(
+            [0.1 * k, 0.0, min(9.8 + 3.0 * abs(np.sin(0.5 * k)) * (k > 9), 12.0)]
+        )  # 12 m/s²: no range ends
+        rate = np.array([0.0, np.clip(6.0 * np.sin(0.3 * k), -4.36, 4.36), 0.0])  # ±250°/s
+        bag.rows.append(("/imu", IMU, 0.01 * k, make.imu(ns(0.01 * k), force, rate)))
+    flight = read_flight(bag.write())
+    full = np.abs(6.0 * np.sin(0.3 * np.arange(40))) > 4.36
+    assert full.sum() > 10
+    assert flight.skipped["IMU sample saturated"] == full.sum()
+    np.testing.assert_allclose(flight.imu.stamp_s, 0.01 * np.flatnonzero(~full))
+
+
 def test_imu_samples_are_turned_to_the_drone(bag):
     make = bag.clouds().odometry().tf("base_link", "imu", T_of((0, 0, 0), (0, 0, np.pi / 2))).make
     for stamp, x in ((0.0, 1.0), (0.1, 1.0), (0.1, 1.0), (0.2, np.nan)):

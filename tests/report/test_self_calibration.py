@@ -31,7 +31,8 @@ def test_the_errors_drawn_are_found_within_their_standard_deviations(ran):
     table = self_calibration.error_table(ran[1], 3).set_index("error")
     for method in ("", "_imu"):
         assert ((table[f"found{method}"] - table["true"]).abs() < 4 * table[f"sigma{method}"]).all()
-    assert (table["sigma_imu"] < 1.02 * table["sigma"]).all()
+    level = table.drop(index=["mount roll", "mount pitch"])  # without an IMU the prior's roll and pitch are exact
+    assert (level["sigma_imu"] < 1.02 * level["sigma"]).all()
     assert table.loc["range scale", "sigma_imu"] < 0.7 * table.loc["range scale", "sigma"]
     assert table.loc["mount pitch", "unit"] == "°"
     assert table.loc["mount pitch", "before"] == pytest.approx(1.0, abs=0.01)
