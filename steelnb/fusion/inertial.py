@@ -79,8 +79,19 @@ class Inertial:
     weight: Array
 
     @classmethod
-    def started(cls, imu: Imu, noise: ImuSettings, T_drone_sensor: Array, trajectory: Trajectory) -> "Inertial":
-        """With the velocities of a trajectory at the scans and without biases; ``noise`` is that of the data sheet."""
+    def started(
+        cls,
+        imu: Imu,
+        noise: ImuSettings,
+        T_drone_sensor: Array,
+        trajectory: Trajectory,
+        time_sigma_s: float = 0.0,
+    ) -> "Inertial":
+        """With the velocities of a trajectory at the scans and without biases.
+
+        ``noise`` is that of the data sheet; ``time_sigma_s`` is the standard deviation of the time between a scan and
+        its stamp: readings that only a scan three times as far off would need must be there, too.
+        """
         stamp_s, place = trajectory.stamp_s, trajectory.T_world_drone[:, :3, 3]
         gap_s, motion, known = np.diff(stamp_s), *np.zeros((2, len(stamp_s), 9))
         if len(stamp_s) > 1:
@@ -89,7 +100,7 @@ class Inertial:
         known[0, 3:] = np.repeat(np.maximum([noise.gyro_bias, noise.accelerometer_bias], SIGMA_MIN) ** -2.0, 3)
         walk = np.maximum([noise.gyro_walk, noise.accelerometer_walk], SIGMA_MIN) ** -2.0
         weight = np.zeros((len(gap_s), STATE, STATE))
-        seen = ~gaps(imu.stamp_s, stamp_s)
+        seen = ~gaps(imu.stamp_s, stamp_s, 3 * time_sigma_s)
         weight[seen, :9, :9] = np.linalg.inv(integration_covariances(noise, gap_s[seen]))
         weight[:, range(9, STATE), range(9, STATE)] = np.repeat(walk, 3) / gap_s[:, None]
         return cls(imu, T_drone_sensor, stamp_s, motion, known, weight)
@@ -141,11 +152,8 @@ class Inertial:
             for T, step in ((T_world_sensor[:-1], before), (T_world_sensor[1:], after))
         )
         old, new = self.motion[:-1] + before[POSE:], self.motion[1:] + after[POSE:]
-        read, R, fallen = (
-            integrated(self.imu, stamp_s, old[:, 3:]),
-            T0[:, :3, :3],
-            np.array([0.0, 0.0, -GRAVITY]) * gap_s,
-        )
+        R, read = T0[:, :3, :3], integrated(self.imu, stamp_s, old[:, 3:])
+        fallen = np.array([0.0, 0.0, -GRAVITY]) * gap_s
         turned = T1[:, :3, :3] @ (R @ read.turn).transpose(0, 2, 1)
         gained, gone = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
         return np.hstack(
@@ -178,12 +186,13 @@ def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
     )
 
 
-def gaps(at_s: Array, stamp_s: Array) -> NDArray[np.bool_]:
-    """Between which of K scans ``(K − 1,)`` readings at ``at_s (N,)`` are missing for more than `GAP_MAX_S`."""
+def gaps(at_s: Array, stamp_s: Array, margin_s: float = 0.0) -> NDArray[np.bool_]:
+    """Between which of K scans ``(K − 1,)``, and a margin before and after, readings at ``at_s (N,)`` are missing for
+    more than `GAP_MAX_S`."""
     edges = np.concatenate([[-np.inf], at_s, [np.inf]])
     wide = np.concatenate([[0], np.cumsum(np.diff(edges) > GAP_MAX_S)])
-    first = np.searchsorted(at_s, stamp_s[:-1], side="right")  # edges[first] is the reading before
-    last = np.searchsorted(at_s, stamp_s[1:], side="left") + 1
+    first = np.searchsorted(at_s, stamp_s[:-1] - margin_s, side="right")  # edges[first] is the reading before
+    last = np.searchsorted(at_s, stamp_s[1:] + margin_s, side="left") + 1
     return wide[last] > wide[first]
 
 

@@ -52,7 +52,8 @@ def smooth(
     ratio, errors, inertial = None, None, None
     if imu is not None and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
-        inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected)
+        time_sigma_s = 0.0 if calibration is None else calibration.time_sigma_s
+        inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected, time_sigma_s)
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     if calibration is not None:
         errors, tilt_sigma_rad = unknown_errors(calibration), max(tilt_sigma_rad, TILT_MIN_RAD)

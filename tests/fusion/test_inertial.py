@@ -118,6 +118,8 @@ def test_an_interval_with_a_gap_says_nothing():
     np.testing.assert_array_equal(inertial.gaps(torn.stamp_s, factors.stamp_s), [False, False, True, False, False])
     stopped = Imu(*(column[factors.imu.stamp_s < 0.85] for column in vars(factors.imu).values()))
     np.testing.assert_array_equal(inertial.gaps(stopped.stamp_s, factors.stamp_s), [False] * 4 + [True])
+    ends = [True, False, True, False, True]  # scans may have been taken before their stamps, or after
+    np.testing.assert_array_equal(inertial.gaps(torn.stamp_s, factors.stamp_s, 0.03), ends)
     at = Trajectory(factors.stamp_s, T @ np.linalg.inv(MOUNT))
     weight = inertial.Inertial.started(torn, SHEET, MOUNT, at).weight
     assert not weight[2, :9, :9].any()
