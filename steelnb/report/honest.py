@@ -216,8 +216,9 @@ def figure_imu(table: pd.DataFrame) -> Figure:
 @style()
 def figure_honest(runs: pd.DataFrame) -> Figure:
     """ATE of each run of `honest_runs`: a column a method, a marker a case."""
-    methods = list(dict.fromkeys(runs["method"]))
-    figure = Figure(figsize=(9.0, 4.4))
+    flown = set(runs["method"])
+    methods = [method for method in COLOURS if method in flown]
+    figure = Figure(figsize=(9.0, 4.9))
     for panel, trajectory in zip(figure.subplots(1, 2, sharey=True), ("vertical", "orbit"), strict=True):
         here = runs[runs["trajectory"] == trajectory]
         for k, method in enumerate(methods):
@@ -228,7 +229,7 @@ def figure_honest(runs: pd.DataFrame) -> Figure:
                     draw_sample(panel, k + side, ate, COLOURS[method], marker=marker, width=0.2, markersize=6, mfc=face)
         drift_cm = 100 * here.drop_duplicates("seed")["raw_ate_rmse_m"].mean()
         panel.axhline(drift_cm, color=VERMILION, lw=1.2, label=f"{LABELS['none']}, mean")
-        panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods])
+        panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods], rotation=25, ha="right")
         panel.set(title=f"{trajectory} flight", yscale="log", xlim=(-0.6, len(methods) - 0.4))
         panel.grid(axis="x", visible=False)
     figure.axes[0].set_ylabel("ATE, root mean square (cm)")
