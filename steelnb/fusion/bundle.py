@@ -6,12 +6,13 @@ Odometry places each scan against a map that holds the errors of the scans befor
 - the distance of each point to the front face of its bar (`fusion.sections`) along the line of sight, with the range
   noise as its standard deviation and robust weights;
 - the increments of the drifting prior from scan to scan, in the frame of the earlier pose;
-- the first pose, which is the prior's: drift begins there.
+- the first pose, which is the prior's: drift begins there;
+- the readings of an IMU from scan to scan, where there are any (`fusion.inertial`).
 
 Free are position and yaw of each pose, and place, direction, turn and flange of each bar. Roll and pitch are the
 prior's; or free, too, where the prior's have a standard deviation: their error is then a first-order Gauss-Markov
-process. Errors of the sensor may be free with them (`fusion.sensor_errors`). Poses form a chain and see few bars each,
-so their block tridiagonal matrix is eliminated first (Schur complement).
+process. With an IMU velocities and biases are free, too, and errors of the sensor may be (`fusion.sensor_errors`).
+Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
 from dataclasses import dataclass, replace
