@@ -16,10 +16,10 @@ from steelnb import experiment
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.odometry.run import smoothed
+from steelnb.report.honest import HONEST
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
 
-HONEST = "starling2-honest"
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "combined": ("combined", {}),
     "smoothed": ("smoothed", {"inertial": None}),

@@ -198,10 +198,10 @@ def saturated(readings: Array) -> NDArray[np.bool_]:
     the same value, the largest of all on its axis and beyond the smallest range that IMUs have."""
     size = np.abs(readings)
     same = (size == size.max(axis=0, initial=0.0)) & (size > np.repeat(RANGE_MIN, 3))
-    full = np.zeros(len(size), dtype=bool)
-    for begin in range(len(size) - FULL_IN_A_ROW + 1):
-        if same[begin : begin + FULL_IN_A_ROW].all(axis=0).any():
-            full[begin : begin + FULL_IN_A_ROW] = True
+    full, starts = np.zeros(len(size), dtype=bool), len(size) - FULL_IN_A_ROW + 1
+    in_a_row = np.logical_and.reduce([same[k : starts + k] for k in range(FULL_IN_A_ROW)]).any(axis=1)
+    for k in range(FULL_IN_A_ROW):
+        full[k : len(in_a_row) + k] |= in_a_row
     return full
 
 

@@ -30,8 +30,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     Raises `RecordingError` where fewer scans can be read than the flight has poses, and before the first scan where
     smoothing is to use readings of an IMU that are in other units or axes.
     """
-    settings = getattr(odometry, "settings", None)
-    if isinstance(settings, OdometrySettings) and settings.inertial and flight.imu is not None:
+    settings = _settings(odometry)
+    if settings is not None and settings.inertial and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
     return smoothed(flight, run_online(flight, odometry, on_step), odometry)
 
@@ -67,8 +67,8 @@ def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None
 def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate:
     """The estimate smoothed if the odometry's settings ask for it; the stage ``smooth`` has an equal share of the time
     a scan."""
-    settings = getattr(odometry, "settings", None)
-    if not isinstance(settings, OdometrySettings) or not settings.smooth:
+    settings = _settings(odometry)
+    if settings is None or not settings.smooth:
         return estimate
     begin, seen = time.perf_counter(), settings.preprocess
     structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
@@ -77,3 +77,9 @@ def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate
     )  # fmt: skip
     share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})
+
+
+def _settings(odometry: Odometry) -> OdometrySettings | None:
+    """The settings of an odometry of ours; another one need not have any."""
+    settings = getattr(odometry, "settings", None)
+    return settings if isinstance(settings, OdometrySettings) else None
