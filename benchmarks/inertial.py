@@ -1,10 +1,10 @@
-"""What the readings of an IMU do for smoothing, on flights with the honest sensor, which has one.
+"""What the readings of an IMU do between scans and for smoothing, on flights with the honest sensor, which has one.
 
     PYTHONPATH=. .venv/bin/python benchmarks/inertial.py [--seeds 101 102 …] [--duration 200] [--flight vertical orbit]
 
-Roll and pitch of the prior are those of a filter. Prints a row a flight: errors of `combined`, and of smoothing with
-the prior's roll and pitch as they are, with their standard deviation stated, and with the IMU; then how far roll and
-pitch are off. See inertial.md.
+Roll and pitch of the prior are those of a filter. Prints a row a flight: errors of `combined` and `faces` without and
+with the IMU, and of smoothing with the prior's roll and pitch as they are, with their standard deviation stated, and
+with the IMU; then how far roll and pitch are off. See inertial.md.
 """
 
 import argparse
@@ -21,7 +21,10 @@ from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
 
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "combined": ("combined", {}),
+    "combined": ("combined", {"inertial": None}),
+    "combined, IMU": ("combined", {}),
+    "faces": ("faces", {"inertial": None}),
+    "faces, IMU": ("faces", {}),
     "smoothed": ("smoothed", {"inertial": None}),
     "smoothed, tilt 1°": ("smoothed", {"inertial": None, "tilt_sigma_rad": 0.0175}),
     "smoothed, IMU": ("smoothed", {}),
@@ -46,13 +49,14 @@ def row(flight_name: Any, seed: int, duration_s: float) -> str:
     """Position errors of each of `KINDS`, and the leans of the prior and of the one with the IMU."""
     usual: dict[str, Any] = {"sensor": HONEST, "seed": seed, "duration_s": duration_s}
     flight, truth = experiment.simulate(ExperimentSettings.preset(flight_name, "random-walk", **usual))
-    true, ate, found = truth.trajectory.at(flight.prior.stamp_s), [], {}
+    true, found = truth.trajectory.at(flight.prior.stamp_s), {}
     for kind, (method, changed) in KINDS.items():
-        odometry = make_odometry(OdometrySettings.preset(method, HONEST, changed), flight.T_drone_sensor)
-        online = run_kept(flight, odometry) if kind == "combined" else smoothed(flight, found["combined"], odometry)
-        found[kind] = online
-        ate.append(f"{1e3 * score_trajectory(online.corrected, truth.trajectory)['ate_rmse_m']:.1f}")
-    leans = lean_deg(flight.prior, true), lean_deg(found["smoothed, IMU"].corrected, true)
+        settings = OdometrySettings.preset(method, HONEST, changed)
+        odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu)
+        online = found.get("combined, IMU" if settings.inertial else "combined")
+        found[kind] = smoothed(flight, online, odometry) if settings.smooth and online else run_kept(flight, odometry)
+    ate = [f"{1e3 * score_trajectory(each.corrected, truth.trajectory)['ate_rmse_m']:.1f}" for each in found.values()]
+    leans = [lean_deg(each, true) for each in (flight.prior, found["smoothed, IMU"].corrected)]
     return " | ".join([*ate, *(f"{lean:.3f}" for lean in leans)])
 
 

@@ -155,7 +155,7 @@ def _run(path: Path) -> dict[str, float]:
         if k + 1 == LONG_SCANS // 10:
             peaks["tenth"] = _peak()
 
-    odometry.run(flight, odometry.make_odometry(SETTINGS.odometry, flight.T_drone_sensor), note)
+    odometry.run(flight, odometry.make_odometry(SETTINGS.odometry, flight.T_drone_sensor, flight.imu), note)
     return peaks | {"end": _peak(), "rate": LONG_SCANS / (time.process_time() - began)}
 
 

@@ -58,7 +58,7 @@ def measure(trajectory: TrajectoryName, sensor: str) -> list[str]:
     rows = []
     for method in METHODS:
         case = ExperimentSettings.preset(trajectory, "random-walk", sensor=sensor, method=method)
-        odometry = make_odometry(case.odometry, flight.T_drone_sensor)
+        odometry = make_odometry(case.odometry, flight.T_drone_sensor, flight.imu)
         steps = [odometry.update(*frame) for frame in zip(scans, flight.prior.T_world_drone, strict=True)]
         frame = 1e3 * np.array([sum(step.seconds.values()) for step in steps])
         points = np.array([

@@ -68,7 +68,7 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
-    found = run_kept(flight, make_odometry(settings.odometry, flight.T_drone_sensor), on_step)
+    found = run_kept(flight, make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu), on_step)
     if on_progress:
         on_progress(1.0)  # an estimate that was kept makes no steps
     return Result(**vars(found), settings=settings, truth=truth, metrics=measure(settings, found, truth))

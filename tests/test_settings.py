@@ -180,18 +180,32 @@ def test_a_method_has_what_the_sensor_adds_to_the_one_it_is_based_on():
     assert smoothed.segments.robust_scale_m != OdometrySettings.preset("average", "starling2").segments.robust_scale_m
 
 
+def test_methods_by_clouds_and_bars_use_the_imu_beside_a_sensor():
+    assert OdometrySettings.preset("smoothed").inertial is None
+    for method, uses in (("combined", True), ("faces", True), ("smoothed", True), ("best", False), ("average", False)):
+        honest = ExperimentSettings.preset(sensor="starling2-honest", method=method)
+        assert honest.odometry.inertial == (honest.imu if uses else None)
+    off = OdometrySettings.preset("combined", "starling2-honest", {"inertial": False})
+    assert off == OdometrySettings.preset("combined", "starling2-honest", {"inertial": None})
+    assert off.inertial is None
+    noise = {"gyro_noise": 1e-4, "accelerometer_noise": 1e-3}
+    for method, inertial, says in (
+        ("best", noise, "'best': a table inertial: expected a method by clouds and bars"),
+        ("least_squares_yaw", noise, "a table inertial"),
+        ("combined", {"gyro_noise": 1e-4}, "inertial without noise"),
+        ("combined", True, "inertial"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            OdometrySettings.preset(method, overrides={"inertial": inertial})
+
+
 def test_a_calibration_is_part_of_smoothing():
     assert OdometrySettings.preset("calibrated").calibration == CalibrationSettings()
     assert OdometrySettings.preset("calibrated", "starling2-honest").calibration.mount_sigma_m == 0.0
-    assert OdometrySettings.preset("smoothed").inertial is None
-    honest = ExperimentSettings.preset(sensor="starling2-honest", method="smoothed")
-    assert honest.odometry.inertial == honest.imu
     looser = OdometrySettings.preset("smoothed", overrides={"calibration": {"mount_sigma_m": 0.1}})
     assert looser.calibration == CalibrationSettings(mount_sigma_m=0.1)
     for overrides, says in (
         ({"calibration": {}}, "'combined': a table calibration without smooth"),
-        ({"inertial": {"gyro_noise": 1e-4}}, "'combined': a table inertial without smooth"),
-        ({"smooth": True, "inertial": {"gyro_noise": 1e-4}}, "inertial without noise"),
         ({"smooth": True, "calibration": {"mount_sigma": 1}}, "mount_sigma"),
         ({"smooth": True, "calibration": {"range_scale_sigma": 0.5}}, "range_scale_sigma = 0.5"),
         ({"smooth": True, "calibration": {"time_sigma_s": -1.0}}, "time_sigma_s = -1.0"),

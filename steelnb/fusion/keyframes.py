@@ -1,16 +1,19 @@
 """Keyframes of a flight that is under way: their poses and the bars in them, adjusted together now and then."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from steelnb.fusion import bundle
 from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.reconstruct import MappedScans
 from steelnb.fusion.scales import Scales
 from steelnb.points import VoxelMap, smooth_ranges
-from steelnb.settings import StructureSettings
-from steelnb.types import Array, Scan
+from steelnb.settings import ImuSettings, StructureSettings
+from steelnb.types import Array, Imu, Scan, Trajectory
 
 STEPS, REFINED = 2, 2
 """Steps of an adjustment, and how often the bars are fitted before it; chosen on the development seed 11."""
@@ -20,15 +23,24 @@ is bounded."""
 BARS_MIN = 4
 
 
+class Readings(NamedTuple):
+    """Readings of an IMU, the errors of its data sheet, and the sensor's mount ``T_drone_sensor (4, 4)``."""
+
+    imu: Imu
+    noise: ImuSettings
+    T_drone_sensor: Array
+
+
 class Keyframes:
     """Some scans of a flight, accumulated in voxels at the poses that they had when they came.
 
     ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is,
-    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`bundle.Bundle`).
+    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`bundle.Bundle`); ``readings`` of an IMU take part.
     """
 
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
         self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
+        self.readings: Readings | None = None
         self.voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
@@ -58,8 +70,13 @@ class Keyframes:
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return None
         found = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
-        state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad)
-        stamp_s = np.array([scan.stamp_s for scan in self.scans])
+        stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
+        if self.readings:
+            imu, noise, mount = self.readings
+            inertial = Inertial.started(
+                imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
+            )
+        state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
         seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
         for _ in range(STEPS):
             state = bundle.improve(state, bundle.linearised(state, seen), self._prior, stamp_s)

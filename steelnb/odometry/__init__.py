@@ -9,16 +9,19 @@ from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry, shared_segments
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array
+from steelnb.types import Array, Imu
 
 
-def make_odometry(settings: OdometrySettings, T_drone_sensor: Array) -> CloudOdometry | FaceOdometry | SegmentOdometry:
-    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor."""
+def make_odometry(
+    settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None
+) -> CloudOdometry | FaceOdometry | SegmentOdometry:
+    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor, and
+    readings of the ``imu`` are used where the settings have a table ``inertial``."""
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
     if settings.refit_s is not None:
-        return FaceOdometry(settings, T_drone_sensor)
-    return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor)
+        return FaceOdometry(settings, T_drone_sensor, imu)
+    return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor, imu)
 
 
 __all__ = [

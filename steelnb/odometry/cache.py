@@ -26,12 +26,14 @@ def run_kept(
     if not isinstance(flight.scans, RangeScans):
         return run(flight, odometry, on_step)
     scans, prior = flight.scans, flight.prior
-    given = (scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor)
+    given = [scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor]
+    if odometry.settings.inertial and flight.imu:
+        given += [flight.imu.stamp_s, flight.imu.specific_force, flight.imu.angular_rate]
 
     def key() -> object:
         content = [hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() for array in given]
         # The rules of odometry by segments go by their names; methods by clouds differ in their settings alone.
-        named = {"smooth", "calibration", "inertial"} | (set() if odometry.settings.clouds is None else {"method"})
+        named = {"smooth", "calibration"} | (set() if odometry.settings.clouds is None else {"method"})
         settings = odometry.settings.model_dump(mode="json", exclude=named)
         return [type(odometry).__name__, settings, *content]
 

@@ -8,6 +8,7 @@ import numpy as np
 from steelnb.errors import SettingsError
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.odometry.base import nothing_left, scan_of
+from steelnb.odometry.inertial_prediction import InertialPrediction, information_at
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
@@ -16,7 +17,7 @@ from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Target, Term, VoxelTarget, align, free_directions, prior_term, voxel_target
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, OdometryStep, Scan, Segments
+from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
 NEIGHBOURS = 20
 """Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
@@ -37,13 +38,15 @@ STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 
 
 class Registered(NamedTuple):
-    """The pose of the drone by a scan, or the predicted one and the reason why; the number of pairs, and the unit
-    vectors ``(u, 3)`` along which the pose is the prediction's."""
+    """The pose of the drone by a scan, or the predicted one and the reason why; the number of pairs, the unit vectors
+    ``(u, 3)`` along which the pose is the prediction's, and the information ``(6, 6)`` about turn and place of the
+    drone by scan and prediction together."""
 
     T_world_drone: Array
     reason: str
     inliers: int = 0
     unobserved: Array = np.zeros((0, 3))
+    information: Array = np.zeros((6, 6))
 
 
 class CloudOdometry:
@@ -53,9 +56,12 @@ class CloudOdometry:
     ----------
     settings : a method by clouds, default ``OdometrySettings.preset("best")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
     """
 
-    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+    def __init__(
+        self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
+    ) -> None:
         self.settings = settings or OdometrySettings.preset("best")
         if self.settings.clouds is None:
             raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
@@ -64,7 +70,10 @@ class CloudOdometry:
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad
         self.prediction = Prediction(self.settings.drift_gain, self.tilt_sigma_rad)
-        self.free = free_directions("se3" if self.tilt_sigma_rad else self.clouds.dof)
+        noise = self.settings.inertial
+        self.inertial = InertialPrediction(imu, noise) if noise is not None and imu is not None else None
+        self.tilted = self.tilt_sigma_rad > 0 or self.inertial is not None  # roll and pitch are found, too
+        self.free = free_directions("se3" if self.tilted else self.clouds.dof)
         self.stamp_s = np.nan  # of the last scan whose pose was estimated
         self.near_side = NearSide()
         s, self.information = self.settings, None  # of the prediction, rotation first, (6, 6)
@@ -83,7 +92,7 @@ class CloudOdometry:
         clock.append(time.perf_counter())
         target, covariance = self._prepare(points, T_init)
         clock.append(time.perf_counter())
-        T_world_drone, reason, inliers, unobserved = self._register(points, covariance, target, T_init)
+        T_world_drone, reason, inliers, unobserved, information = self._register(points, covariance, target, T_init)
         used = reason == ""
         if not len(points):
             reason = nothing_left(scan, s.preprocess.crop_m) or reason
@@ -93,16 +102,25 @@ class CloudOdometry:
         if used:
             if c.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
-            self.prediction.correct(T_world_drone, T_world_drone_prior, unobserved)
+            self.correct(T_world_drone, T_world_drone_prior, unobserved, information)
         else:
-            self.prediction.lose()
+            (self.inertial or self.prediction).lose()
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
 
+    def correct(self, T_world_drone: Array, prior: Array, unobserved: Array, information: Array) -> None:
+        """Update the prediction with the pose of a registered scan, as `Registered` has it."""
+        if self.inertial:
+            self.inertial.correct(T_world_drone, information, unobserved)
+        else:
+            self.prediction.correct(T_world_drone, prior, unobserved)
+
     def predicted(self, stamp_s: float, prior: Array) -> Array:
         """The pose ``(4, 4)`` of the drone at which the registration of a scan starts; the information about its roll
         and pitch becomes that of the time passed."""
+        if self.inertial:
+            return self.inertial.pose(prior, stamp_s)
         passed_s = stamp_s - self.stamp_s
         passed_s = passed_s if passed_s > 0 else DRIFT_PERIOD_S  # the first scan, and scans without stamps
         if self.tilt_sigma_rad and self.information is not None:
@@ -155,7 +173,7 @@ class CloudOdometry:
     def _register(
         self, points: Array, covariance: Array | None, target: Target | VoxelTarget | None, T_init: Array
     ) -> Registered:
-        s, known = self.clouds, self.information is not None
+        s, known = self.clouds, self.inertial is not None or self.information is not None
         if len(points) < POINTS_MIN[known]:
             return Registered(T_init, "too few points")
         if not len(self.map):
@@ -176,10 +194,15 @@ class CloudOdometry:
             return Registered(T_init, result.reason, result.inliers)
         if jump > s.jump_max_m:
             return Registered(T_init, f"jump of {jump:.2f} m", result.inliers)
-        return Registered(result.T_target_source, "", result.inliers, result.unobserved)
+        T, information = result.T_target_source, np.zeros((6, 6))
+        if self.inertial:
+            information = information_at(result.H, T[:3, 3] - result.centre)
+        return Registered(T, "", result.inliers, result.unobserved, information)
 
     def _terms(self, points: Array, T_init: Array) -> list[Term]:
         """Further costs of the pose of the scan's ``points (N, 3)``: its distance from the prediction."""
+        if self.inertial:
+            return [self.inertial.term()]
         return [] if self.information is None else [prior_term(self.information, T_init, points)]
 
     def insert(self, points: Array, T_world_drone: Array) -> None:

@@ -9,7 +9,7 @@ from steelnb.odometry.corrections import bar_equations
 from steelnb.odometry.segments import segments_in
 from steelnb.registration import Term
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, Segments
+from steelnb.types import Array, Imu, Segments
 
 TWIST = np.array([2, 3, 4, 5, 0, 1])
 """Where yaw, x, y, z, roll and pitch are in a twist (ω, v)."""
@@ -26,10 +26,13 @@ class CombinedOdometry(CloudOdometry):
     ----------
     settings : a method by both, default ``OdometrySettings.preset("combined")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    imu : readings in the axes of the drone, as for `CloudOdometry`.
     """
 
-    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        super().__init__(settings or OdometrySettings.preset("combined"), T_drone_sensor)
+    def __init__(
+        self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
+    ) -> None:
+        super().__init__(settings or OdometrySettings.preset("combined"), T_drone_sensor, imu)
         if self.settings.segments is None or self.settings.hough is None:
             raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds and bars")
         self.hough, self.bars = self.settings.hough, self.settings.segments
@@ -48,7 +51,7 @@ class CombinedOdometry(CloudOdometry):
             return prior
 
         def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.tilt_sigma_rad > 0)
+            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.tilted)
             H, b, at = np.zeros((6, 6)), np.zeros(6), TWIST[: len(found.b)]
             H[at[:, None], at], b[at] = found.H, found.b
             return self.clouds.bars_weight * H, self.clouds.bars_weight * b, self.clouds.bars_weight * found.loss

@@ -56,16 +56,18 @@ class FaceRegistration:
         stays = tilt_stays(2.0 * passed_s)
         self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
-    def fit(self, points: Array, T_start: Array, start_sigma: Array | None = None) -> Fit:
+    def fit(self, points: Array, T_start: Array, start_sigma: Array | None = None, known: Array | None = None) -> Fit:
         """Register ``points (N, 3)``, sensor frame, from a pose of the sensor, with all points assigned to bars anew in
-        each step. ``start_sigma (D,)`` is that of a start that is a guess, in place of the predicted variance."""
+        each step. ``start_sigma (D,)`` is that of a start that is a guess, ``known (D, D)`` the information about one
+        that is not, in place of the predicted variance."""
         guessed = start_sigma is not None
         variance = self.variance if start_sigma is None else start_sigma**2
+        held = np.diag(1 / variance) if known is None else known
         T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(variance)
         for wide in (*COARSE, *FINE) if guessed else FINE:
             matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio, size)
-            information = matrix + np.diag(1 / variance)
-            pulled = vector - pose_step(T_start, T, size) / variance
+            information, apart = matrix + held, pose_step(T_start, T, size)
+            pulled = vector - (apart / variance if known is None else known @ apart)
             step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
             if wide == FINE[-1] and (np.abs(step) < STEP_MIN[:size]).all():

@@ -15,16 +15,19 @@ import numpy as np
 
 from steelnb.errors import SettingsError
 from steelnb.fusion.bundle import Bundle
-from steelnb.fusion.keyframes import Keyframes
+from steelnb.fusion.inertial import TILT_SIGMA_RAD
+from steelnb.fusion.keyframes import Keyframes, Readings
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, Fit, points_in_range
+from steelnb.odometry.inertial_prediction import SCAN_SHARE, information_at
+from steelnb.odometry.prediction import NONE
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, StructureSettings
-from steelnb.types import Array, OdometryStep, Scan, Segments
+from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
 KEYFRAME_S = 1.0
 ADOPT_S = 2.0
@@ -34,6 +37,8 @@ SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
 REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
 """Standard deviation of the latest pose in the adjusted bars, metres and radians."""
+STEP_OF_TWIST, TWIST_OF_STEP = [3, 4, 5, 2, 0, 1], [4, 5, 3, 0, 1, 2]
+"""Where x, y, z, yaw, roll and pitch are in (turn, shift), and the other way round."""
 GATE = {4: 18.5, 6: 22.5}
 """Degrees of freedom → the largest squared distance of a registration from its prediction, in standard deviations:
 99.9 % of chi-squared. Beyond it, bars that were fitted wrongly lead the registration astray."""
@@ -50,21 +55,26 @@ class FaceOdometry:
     ----------
     settings : a method by clouds with ``refit_s``, default ``OdometrySettings.preset("faces")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    imu : readings in the axes of the drone, as for `CloudOdometry`; they take part in the adjustments, too.
     """
 
-    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+    def __init__(
+        self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
+    ) -> None:
         self.settings = settings or OdometrySettings.preset("faces")
         if self.settings.clouds is None or self.settings.refit_s is None:
             raise SettingsError(
                 f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'"
             )
         by_bars = self.settings.clouds.bars_weight > 0
-        self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor)
+        self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor
-        seen = self.settings.preprocess
-        self.tilt_sigma_rad = self.settings.tilt_sigma_rad
+        seen, self.inertial = self.settings.preprocess, self.clouds.inertial
+        self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
         bars = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
+        if self.inertial:
+            self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
         self.faces: FaceRegistration | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # What is put out lies behind the estimate by so much: x, y, z, yaw, and roll and pitch where they are free.
@@ -86,7 +96,7 @@ class FaceOdometry:
             T_world_drone, seconds, held = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
         else:
             T_world_drone, held = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
-            self.clouds.prediction.correct(T_world_drone, prior)
+            self.clouds.correct(T_world_drone, prior, NONE, self._at_drone(fit))
             self.clouds.stamp_s = scan.stamp_s
             step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
             seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
@@ -118,13 +128,25 @@ class FaceOdometry:
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < POINTS_MIN:
             return None
-        fit = self.faces.fit(points, T_sensor)
-        size = len(self._behind)
+        known, size = None, len(self._behind)
+        if self.inertial:
+            arm = T_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
+            known = information_at(self.inertial.information, -arm)[np.ix_(STEP_OF_TWIST, STEP_OF_TWIST)]
+        fit = self.faces.fit(points, T_sensor, known=known)
         apart = pose_step(T_sensor, fit.T_world_sensor, size)
-        if fit.reason or (apart**2 / self.faces.variance).sum() > GATE[size]:
+        square = (apart**2 / self.faces.variance).sum() if known is None else SCAN_SHARE * apart @ known @ apart
+        if fit.reason or square > GATE[size]:
             return None
         self.faces.accept(fit)
         return fit
+
+    def _at_drone(self, fit: Fit) -> Array:
+        """The information ``(6, 6)`` of a registration about turn and place of the drone; zero where only four degrees
+        of freedom were free."""
+        if not self.inertial:
+            return np.zeros((6, 6))
+        arm = fit.T_world_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
+        return information_at(fit.information[np.ix_(TWIST_OF_STEP, TWIST_OF_STEP)], arm)
 
     def _add_keyframe(self, scan: Scan, T_world_drone: Array, prior: Array, mapped: bool) -> None:
         """Add a scan to the keyframes, and where it is not ``mapped`` yet to the cloud."""
@@ -174,8 +196,11 @@ class FaceOdometry:
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = FaceRegistration(known, self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[: len(self._behind)] ** 2
-        self.clouds.prediction.lose()  # an adjustment is no motion
-        self.clouds.prediction.correct(moved @ T_world_drone, prior)
+        if self.inertial:
+            self.inertial.move(moved, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)
+        else:
+            self.clouds.prediction.lose()  # an adjustment is no motion
+            self.clouds.prediction.correct(moved @ T_world_drone, prior)
         self._behind = pose_step(moved @ T_world_drone, put_out, len(self._behind))
 
     def _put_out(self, T_world_drone: Array) -> Array:

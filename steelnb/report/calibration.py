@@ -43,7 +43,9 @@ def calibrate(
             on_stage("adjusting poses, bars and the sensor's errors together")
 
     on_stage("correcting the poses")
-    estimate = odometry.run(flight, odometry.make_odometry(settings.odometry, flight.T_drone_sensor), on_step)
+    estimate = odometry.run(
+        flight, odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu), on_step
+    )
     errors = found_errors(estimate, flight.name)
     lines = error_lines(errors)
     mount, correction = flight.T_drone_sensor @ errors.T_assumed_true, composed(read_correction(already), errors.value)

@@ -26,7 +26,7 @@ from steelnb.types import Array, Imu, RangeScans
 WHITE = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 """Overrides that take the range noise away."""
 IDEAL, HONEST = "starling2", "starling2-honest"
-BEFORE = "clouds.sigma_filter_px=0"
+BEFORE = "clouds.sigma_filter_px=0, inertial=False"
 """Variant of a study's run with the honest sensor and the settings that methods have for the ideal one."""
 CASES = {(IDEAL, ""): "ideal", (HONEST, BEFORE): "honest, ideal's settings", (HONEST, ""): "honest"}
 """Sensor and variant of the runs compared, and what to call them."""

@@ -248,7 +248,7 @@ def _figures(
 
 def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
     if known is None:
-        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor)
+        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu)
     chosen = settings.odometry
     return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, chosen.preprocess, chosen.tilt_sigma_rad)
 

@@ -87,7 +87,7 @@ def estimates(
     for method in METHODS:
         preset = "calibrated" if method == WITH_IMU else method
         odometry = OdometrySettings.preset(preset, settings.sensor, changed.get(method))
-        made[method] = make_odometry(odometry, told.T_drone_sensor)
+        made[method] = make_odometry(odometry, told.T_drone_sensor, told.imu)
     online = run_kept(told, made["combined"])
     return {method: smoothed(told, online, odometry) for method, odometry in made.items()}
 

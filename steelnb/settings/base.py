@@ -43,10 +43,15 @@ class Settings(BaseModel):
 
 
 def table(kind: type[Settings]) -> BeforeValidator:
-    """Lets a field that holds settings of a ``kind`` be given as a dict, as files and overrides have them."""
-    return BeforeValidator(
-        lambda given: kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
-    )
+    """Lets a field that holds settings of a ``kind``, or None, be given as files and overrides have them: as a dict,
+    or as false, since TOML has no None."""
+
+    def read(given: Any) -> Any:
+        if given is False:
+            return None
+        return kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
+
+    return BeforeValidator(read)
 
 
 def describe_fault(where: str, fault: ValidationError) -> str:

@@ -117,7 +117,8 @@ class OdometrySettings(Settings):
     prior's roll and pitch, which are then corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan,
     all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
     keyframes and bars during the flight (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the
-    sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings smoothing uses, None for none.
+    sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings predict the pose of a scan
+    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none.
     Tables that a method does not use are None.
     """
 
@@ -150,9 +151,10 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        for name in ("calibration", "inertial"):
-            if getattr(self, name) is not None and not self.smooth:
-                raise ValueError(f"method {self.method!r}: a table {name} without smooth: expected smooth = true")
+        if self.calibration is not None and not self.smooth:
+            raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
+        if self.inertial is not None and (self.clouds is None or not self.clouds.bars_weight):
+            raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars")
         if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
             raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
         return self
@@ -161,11 +163,11 @@ class OdometrySettings(Settings):
     def preset(
         cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
     ) -> "OdometrySettings":
-        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method that smooths uses the
-        IMU beside the sensor. Raises `SettingsError`."""
+        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and
+        bars uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        if tables.get("smooth") and "imu" in of_sensor:
+        if tables.get("clouds", {}).get("bars_weight") and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
         by_clouds, by_segments = "clouds" in tables, "segments" in tables
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}

@@ -1,0 +1,185 @@
+"""The filter that predicts poses from an IMU: exact on exact readings, as uncertain as it says, and in odometries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb.fusion.poses import DRIFT_SIGMA
+from steelnb.metrics import score_trajectory
+from steelnb.odometry import make_odometry, run, run_kept
+from steelnb.odometry.inertial_prediction import BIAS, POSE, SCAN_SHARE, InertialPrediction, information_at
+from steelnb.registration.solve import exp_about
+from steelnb.settings import ImuSettings, OdometrySettings
+from steelnb.simulation import measured_imu
+from steelnb.types import Imu
+from tests.fusion.test_inertial import EVERY, SHEET, swaying
+from tests.odometry.test_tilt import tilt_rms_deg, world
+
+__all__ = ["world"]  # a fixture
+TURN_RAD, PLACE_M = 0.002, 0.004
+TOLD = np.diag([TURN_RAD**-2.0] * 3 + [PLACE_M**-2.0] * 3)
+
+
+def apart(T_from, T_to):
+    return np.append(
+        Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T).as_rotvec(), T_to[:3, 3] - T_from[:3, 3]
+    )  # fmt: skip
+
+
+def drifted(T, rng):
+    """Poses whose place and yaw walk as the filter takes a prior's to do; roll and pitch stay."""
+    walk = np.cumsum(DRIFT_SIGMA * rng.normal(size=(len(T), 4)), axis=0)
+    prior = T.copy()
+    for k in range(1, len(T)):
+        prior[k, :3, :3] = Rotation.from_euler("z", walk[k, 3]).as_matrix() @ T[k, :3, :3]
+        step = prior[k - 1, :3, :3] @ T[k - 1, :3, :3].T @ (T[k, :3, 3] - T[k - 1, :3, 3])
+        prior[k, :3, 3] = prior[k - 1, :3, 3] + step + walk[k, :3] - walk[k - 1, :3]
+    return prior
+
+
+def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
+    """Predictions, their information and those of the filter's states, where scans are registered with noise."""
+    prediction, found = InertialPrediction(imu, SHEET), []
+    for k, T in enumerate(true):
+        T_init = prediction.pose(prior[k], stamp_s[k])
+        ahead = prediction.ahead
+        found.append((apart(T_init, T), ahead))
+        if k == 0 or not registered(k):
+            prediction.lose()
+            continue
+        noise = np.zeros(6) if rng is None else rng.normal(size=6) * np.sqrt(np.diag(np.linalg.inv(TOLD)))
+        measured = exp_about(T[:3, 3], noise) @ T
+        # The most likely pose, as a registration with the filter's term finds it.
+        before = np.linalg.inv(ahead.covariance[POSE, POSE])
+        step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
+        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, (before + TOLD) / SCAN_SHARE)
+    return prediction, found
+
+
+def at_scans(scans):
+    trajectory, imu, _ = swaying(scans)
+    return trajectory.T_world_drone[::EVERY], trajectory.stamp_s[::EVERY], imu
+
+
+def test_exact_readings_predict_the_motion_and_their_biases_are_found():
+    true, stamp_s, imu = at_scans(60)
+    bias = np.array([0.001, -0.0005, 0.0008, 0.02, -0.01, 0.015])
+    biased = Imu(imu.stamp_s, imu.specific_force + bias[3:], imu.angular_rate + bias[:3])
+    prediction, found = flown(biased, true, stamp_s, true)
+    error = np.array([each for each, _ in found])
+    np.testing.assert_allclose(error[30:, :3], 0.0, atol=2e-4)
+    np.testing.assert_allclose(error[30:, 3:], 0.0, atol=1e-3)
+    sigma = np.sqrt(np.diag(prediction.state.covariance)[BIAS])
+    assert (np.abs(prediction.state.bias - bias) < 3 * sigma).all()
+    assert sigma[:3].max() < 5e-4 < SHEET.gyro_bias
+    assert sigma[3:].max() < SHEET.accelerometer_bias
+
+
+def test_a_prediction_is_as_uncertain_as_it_says():
+    true, stamp_s, imu = at_scans(40)
+    squares = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        read = measured_imu(imu, SHEET, seed)
+        _, found = flown(read, true, stamp_s, drifted(true, rng), rng, registered=lambda k: k % 10)
+        squares += [
+            error @ np.linalg.solve(ahead.covariance[POSE, POSE], error) / 6 for error, ahead in found[1:]
+        ]  # fmt: skip
+    assert 0.7 < np.mean(squares) < 1.4
+
+
+def test_without_readings_it_follows_the_prior_and_knows_less():
+    true, stamp_s, imu = at_scans(12)
+    kept = (imu.stamp_s < stamp_s[8] + 0.02) | (imu.stamp_s > stamp_s[9] - 0.02)
+    torn = Imu(imu.stamp_s[kept], imu.specific_force[kept], imu.angular_rate[kept])
+    prior = true.copy()
+    prior[9:, :3, 3] += [0.02, 0.0, -0.01]
+    (_, whole), (_, found) = (flown(each, true, stamp_s, prior) for each in (imu, torn))
+    np.testing.assert_allclose(found[9][0][3:], [-0.02, 0.0, 0.01], atol=3e-3)
+    assert np.linalg.norm(whole[9][0][3:]) < 0.3 * np.linalg.norm(found[9][0][3:])
+    size = [np.sqrt(np.diag(each[9][1].covariance)) for each in (whole, found)]
+    assert (size[1] > 2 * size[0])[:9].all()
+    for each in found[10:]:  # the readings are back, and the velocity is known again
+        assert np.abs(each[0][3:]).max() < 0.015
+
+
+def test_a_shift_that_a_scan_does_not_observe_stays_as_unsure_as_it_was():
+    true, stamp_s, imu = at_scans(6)
+    prediction, _ = flown(imu, true, stamp_s, true, registered=lambda k: k < 5)
+    prediction.pose(true[5], stamp_s[5])
+    before = prediction.ahead.covariance
+    along = np.array([[0.6, 0.8, 0.0]])
+    prediction.correct(prediction.ahead.T_world_drone, prediction.information + TOLD / SCAN_SHARE, along)
+    after = prediction.state.covariance
+    pose = np.linalg.inv(after[POSE, POSE]) - np.linalg.inv(before[POSE, POSE])
+    u = np.append(np.zeros(3), along)
+    assert u @ pose @ u == pytest.approx(0.0, abs=1e-3 * TOLD.max())
+    assert pose[5, 5] == pytest.approx(TOLD[5, 5], rel=1e-6)
+
+
+def test_the_term_is_the_distance_from_the_prediction_whatever_the_centre_of_the_twist():
+    true, stamp_s, imu = at_scans(4)
+    prediction, _ = flown(imu, true, stamp_s, true)
+    T = prediction.pose(true[3], stamp_s[3] + 0.1)
+    rng = np.random.default_rng(1)
+    pose, centre = exp_about(T[:3, 3], 0.01 * rng.normal(size=6)) @ T, T[:3, 3] + [1.0, 2.0, -1.5]
+    H, b, loss = prediction.term()(pose, centre)
+    d = apart(T, pose)
+    assert loss == pytest.approx(0.5 * d @ prediction.information @ d)
+    for step in 1e-6 * np.eye(6):
+        ahead, behind = (prediction.term()(exp_about(centre, s * step) @ pose, centre)[2] for s in (1, -1))
+        assert (ahead - behind) / 2e-6 == pytest.approx(b @ step / 1e-6, rel=0.02, abs=1e-3 * np.abs(b).max())
+    np.testing.assert_allclose(information_at(H, pose[:3, 3] - centre), prediction.information, rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["combined", "faces"])
+def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(world, method):
+    flight, truth = world
+    flight = replace(flight, imu=measured_imu(flight.imu, SHEET, 3))
+    changes = {"refit_s": 4.0} if method == "faces" else {}
+    given = OdometrySettings.preset(method, overrides={"inertial": SHEET.model_dump(), **changes})
+    without = OdometrySettings.preset(method, overrides=changes)
+    kept, found = (
+        run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu)) for settings in (without, given)
+    )
+    assert tilt_rms_deg(kept.corrected, truth) > 3.0
+    assert tilt_rms_deg(found.corrected, truth) < 0.15
+    error_m = score_trajectory(found.corrected, truth.trajectory)["ate_rmse_m"]
+    assert error_m < min(0.03, 0.5 * score_trajectory(kept.corrected, truth.trajectory)["ate_rmse_m"])
+    assert not any(found.reason[1:])
+
+
+def test_without_an_imu_the_settings_change_nothing_and_with_one_an_estimate_is_kept_apart(
+    world, monkeypatch, tmp_path
+):
+    flight = world[0].first(12)
+    given, without = (
+        OdometrySettings.preset("combined", overrides={"inertial": each}) for each in (SHEET.model_dump(), False)
+    )
+    blind = replace(flight, imu=None)
+    plain, unread = (
+        run(blind, make_odometry(each, blind.T_drone_sensor, blind.imu)).corrected.T_world_drone
+        for each in (without, given)
+    )
+    np.testing.assert_array_equal(plain, unread)
+    monkeypatch.setenv("STEELNB_CACHE", str(tmp_path))
+    found = []
+    for imu in (flight.imu, measured_imu(flight.imu, SHEET, 1), flight.imu):
+        read = replace(flight, imu=imu)
+        found.append(run_kept(read, make_odometry(given, read.T_drone_sensor, imu)).corrected.T_world_drone)
+    assert len(list((tmp_path / "estimates").iterdir())) == 2
+    np.testing.assert_array_equal(found[0], found[2])
+    assert not np.array_equal(found[0], found[1])
+
+
+def test_an_imu_without_errors_is_no_division_by_zero():
+    true, stamp_s, imu = at_scans(10)
+    prediction, state = InertialPrediction(imu, ImuSettings()), None
+    for k, T in enumerate(true):
+        prediction.pose(T, stamp_s[k])
+        prediction.lose()
+        state = prediction.state
+    assert np.isfinite(state.covariance).all()
+    assert np.abs(apart(state.T_world_drone, true[-1])[3:]).max() < 0.05
