@@ -56,6 +56,7 @@ Set = Annotated[
     epilog=examples(
         "steelnb record flight.mcap --duration 30",
         "steelnb record flight.bag --trajectory orbit --noise random-walk+yaw-random-walk --force",
+        "steelnb record around.mcap --trajectory planned --duration 120",
     )
 )
 def record(
@@ -88,6 +89,7 @@ def record(
         settings = ExperimentSettings.preset(
             trajectory,  # type: ignore[arg-type]
             noise,
+            method="combined",  # which steers a planned flight, and has no part in others
             sensor=sensor,
             seed=seed,
             duration_s=duration,
@@ -95,7 +97,7 @@ def record(
         )
         check_target(file, True, force)
         shown.show(f"flying {duration:g} s")
-        flight, truth = experiment.simulate_anew(settings)
+        flight, truth = experiment.simulate_anew(settings, lambda share: shown.show(f"flying {duration:g} s", share))
         write_flight(file, flight, truth, lambda share: shown.show(f"writing {file.name}", share), overwrite=force)
     scans = counted(len(flight), "scan")
     print(f"{file} written: {scans} with drifting poses; the truth is {_short(truth_path(file))}")

@@ -2,14 +2,25 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from steelnb.closed_loop import OnboardPilot
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import CastScans, Truth, build_tower, filtered_attitude, fly, fly_and_scan, measured_imu
+from steelnb.simulation import (
+    CastScans,
+    Tower,
+    Truth,
+    build_tower,
+    filtered_attitude,
+    fly,
+    fly_and_scan,
+    measured_imu,
+)
 from steelnb.types import Array, Estimate, Flight, Imu, Trajectory
 
 Progress = Callable[[float], None]
@@ -30,22 +41,36 @@ def run(settings: ExperimentSettings, on_progress: Progress | None = None) -> Re
     return estimate(settings, flight, truth, on_progress)
 
 
-def simulate(settings: ExperimentSettings) -> tuple[Flight, Truth]:
-    """The flight as an estimator sees it, and the truth apart. Raises `CollisionError`."""
-    tower = build_tower(settings.tower)
-    trajectory, exact, scans, visibility = fly_and_scan(tower, settings.flight, settings.tof, settings.seed)
+def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) -> tuple[Flight, Truth]:
+    """The flight as an estimator sees it, and the truth apart. Raises `CollisionError`.
+
+    Who steers a planned flight sees no more: drifting poses and scans, and what the settings' odometry makes of them;
+    it takes as long as the odometry, and tells how far it has come.
+    """
+    tower, given = build_tower(settings.tower), (settings.flight, settings.tof, settings.seed)
+    steering = pilot(settings, tower, on_progress)
+    depends_on = (settings.model_dump(mode="json"), OnboardPilot.__module__) if steering else None
+    trajectory, exact, scans, visibility = fly_and_scan(tower, *given, steering, depends_on)
     imu = read_imu(settings, exact)
     prior = drift(settings, trajectory, imu, scans.stamp_s)
     return Flight(scans, prior, settings.tof.T_drone_sensor, imu), Truth(trajectory, tower, visibility)
 
 
-def simulate_anew(settings: ExperimentSettings) -> tuple[Flight, Trajectory]:
+def simulate_anew(settings: ExperimentSettings, on_progress: Progress | None = None) -> tuple[Flight, Trajectory]:
     """The flight of `simulate`, whose scans are cast whenever they are iterated over, and the true trajectory: a flight
     of any length takes no more memory than its poses."""
     tower, mount = build_tower(settings.tower), settings.tof.T_drone_sensor
-    trajectory, exact = fly(tower, settings.flight, settings.seed)
+    steering = pilot(settings, tower, on_progress)
+    trajectory, exact = fly(tower, settings.flight, settings.seed, steering() if steering else None)
     scans, imu = CastScans(tower, trajectory, mount, settings.tof, settings.seed), read_imu(settings, exact)
     return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu), trajectory
+
+
+def pilot(
+    settings: ExperimentSettings, tower: Tower, on_progress: Progress | None = None
+) -> Callable[[], OnboardPilot] | None:
+    """Makes the pilot of a planned flight; None for others."""
+    return partial(OnboardPilot, settings, tower, on_progress) if settings.flight.planner else None
 
 
 def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:

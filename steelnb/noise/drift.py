@@ -21,23 +21,37 @@ def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajector
     accelerometer's bias wanders. Each noise has a stream of its own (``random-walk``, ``constant-drift``,
     ``yaw-random-walk``, ``tilt``) of the seed, so that a sum contains its parts unchanged.
     """
-    steps = len(truth) - 1
+    return drifted(truth, drift_errors(truth.stamp_s, settings, seed))
+
+
+def drifted(truth: Trajectory, error: Array) -> Trajectory:
+    """A piece of a true trajectory with the errors ``(N, 4, 4)`` of its stamps, as `drift_errors` gives them."""
+    T_world_drone = truth.T_world_drone.copy()
+    T_world_drone[:, :3, 3] += error[:, :3, 3]
+    T_world_drone[:, :3, :3] = error[:, :3, :3] @ T_world_drone[:, :3, :3]
+    return Trajectory(truth.stamp_s, T_world_drone)
+
+
+def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: int) -> Array:
+    """Turn about the drone and shift ``(N, 4, 4)``, world axes, of `drifting` at each stamp; they do not depend on the
+    flight."""
+    steps = len(stamp_s) - 1
     walk = settings.random_walk_m * rng.stream(seed, "random-walk").standard_normal((steps, 3))
     direction = rng.stream(seed, "constant-drift").standard_normal(3)  # normalised: uniform on the sphere
     step = settings.constant_drift_m * (direction / np.linalg.norm(direction))
     yaw = settings.yaw_random_walk_rad * rng.stream(seed, "yaw-random-walk").standard_normal(steps)
 
-    T_world_drone = truth.T_world_drone.copy()
-    T_world_drone[1:, :3, 3] += np.cumsum(walk + step, axis=0)
     heading = np.append(0.0, np.cumsum(yaw))
-    turn = np.tile(np.eye(3), (len(truth), 1, 1))
+    turn = np.tile(np.eye(3), (len(stamp_s), 1, 1))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(heading)
     turn[:, 1, 0] = np.sin(heading)
     turn[:, 0, 1] = -turn[:, 1, 0]
     if settings.tilt_rad:
-        turn = turn @ Rotation.from_rotvec(_tilt(truth.stamp_s, settings.tilt_rad, seed)).as_matrix()
-    T_world_drone[:, :3, :3] = turn @ T_world_drone[:, :3, :3]
-    return Trajectory(truth.stamp_s, T_world_drone)
+        turn = turn @ Rotation.from_rotvec(_tilt(stamp_s, settings.tilt_rad, seed)).as_matrix()
+    error = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+    error[1:, :3, 3] = np.cumsum(walk + step, axis=0)
+    error[:, :3, :3] = turn
+    return error
 
 
 def _tilt(stamp_s: Array, sigma_rad: float, seed: int) -> Array:

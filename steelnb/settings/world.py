@@ -17,7 +17,7 @@ from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
-TrajectoryName = Literal["vertical", "orbit"]
+TrajectoryName = Literal["vertical", "orbit", "planned"]
 
 
 class TowerSettings(Settings):
@@ -62,8 +62,24 @@ class TowerSettings(Settings):
         return cls(**tower_preset(tower))
 
 
+class PlannerSettings(Settings):
+    """A flight that `steelnb.planning` steers by what it sees.
+
+    ``goal``: up the ``face`` before which it starts, in levels, or ``around`` the structure in a helix. ``keep_view``:
+    the structure stays in the middle of the image, and scans keep enough returns; ``keep_information``: scans keep
+    telling the pose in all directions.
+    """
+
+    goal: Literal["face", "around"] = "around"
+    keep_view: bool = True
+    keep_information: bool = True
+
+
 class FlightSettings(Settings):
     """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height.
+
+    A ``planned`` flight has a ``planner``, for which distance, heights, levels and speed are wishes, and its path
+    depends on the odometry; the others have none.
 
     ``gust_sigma_m_s`` is the standard deviation of the gusts along the vertical; ``gust_spectrum`` says whether they
     are alike along all axes, with a correlation time of 2 s, or have the Dryden spectra near the ground
@@ -79,10 +95,21 @@ class FlightSettings(Settings):
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
     gust_spectrum: Literal["first-order", "dryden"] = "first-order"
+    planner: Annotated[PlannerSettings | None, table(PlannerSettings)] = None
+
+    @model_validator(mode="after")
+    def _planned_by_a_planner(self) -> Self:
+        if (self.trajectory == "planned") != (self.planner is not None):
+            raise ValueError(
+                f"trajectory {self.trajectory!r} with {'no' if self.planner is None else 'a'} table planner: expected"
+                " one for 'planned', and for no other"
+            )
+        return self
 
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
-        """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long: ``presets/flights.toml``."""
+        """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long, and ``planned``, around the
+        tower as ``orbit``: ``presets/flights.toml``."""
         return cls(trajectory=trajectory, duration_s=duration_s, **flight_preset(trajectory))
 
 

@@ -1,13 +1,13 @@
 """Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
 
 from steelnb.simulation.cache import fly_and_scan
-from steelnb.simulation.flight import fly
+from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.tof import CastScans, scan_flight
 from steelnb.simulation.tower import Member, Tower, build_tower, changed_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "CastScans", "Member", "Tower", "Truth", "Visibility", "build_tower", "changed_tower", "filtered_attitude", "fly",
-    "fly_and_scan", "measured_imu", "scan_flight",
+    "CastScans", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower", "changed_tower",
+    "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "scan_flight",
 ]  # fmt: skip

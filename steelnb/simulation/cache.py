@@ -1,10 +1,12 @@
 """Simulated flights kept on disk, so that one that several notebooks need is flown once."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from steelnb.cache import Arrays, kept
 from steelnb.settings import FlightSettings, TofSettings
-from steelnb.simulation.flight import fly
+from steelnb.simulation.flight import Pilot, fly
 from steelnb.simulation.scene import rays
 from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Tower
@@ -14,20 +16,28 @@ from steelnb.types import Array, Imu, RangeScans, Trajectory
 Flown = tuple[Trajectory, Imu, RangeScans, Visibility]
 
 
-def fly_and_scan(tower: Tower, flight: FlightSettings, tof: TofSettings, seed: int) -> Flown:
+def fly_and_scan(
+    tower: Tower,
+    flight: FlightSettings,
+    tof: TofSettings,
+    seed: int,
+    pilot: Callable[[], Pilot] | None = None,
+    depends_on: tuple[object, str] | None = None,
+) -> Flown:
     """True trajectory and IMU of `fly`, scans and visibility of `scan_flight`, `kept` between notebooks.
 
-    Ranges are float32, as flown, so that both ways give the same bits. Raises `CollisionError`.
+    A flight that a new ``pilot`` steers ``depends_on`` more: what JSON can hold, and the pilot's module. Ranges are
+    float32, as flown, so that both ways give the same bits. Raises `CollisionError`.
     """
 
     def simulated() -> Flown:
-        trajectory, imu = fly(tower, flight, seed)
+        trajectory, imu = fly(tower, flight, seed, pilot() if pilot else None)
         return trajectory, imu, *scan_flight(tower, trajectory, tof.T_drone_sensor, tof, seed)
 
     settings = [each.model_dump(mode="json") for each in (tower.settings, flight, tof)]
-    return kept(
-        "flights", lambda: [settings, seed], [__name__], simulated, _pack, lambda each: _unpack(each, rays(tof))
-    )
+    more, module = depends_on or (None, __name__)
+    key = [settings, seed] if depends_on is None else [settings, seed, more]
+    return kept("flights", lambda: key, [__name__, module], simulated, _pack, lambda each: _unpack(each, rays(tof)))
 
 
 def _pack(flown: Flown) -> Arrays:

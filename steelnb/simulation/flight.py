@@ -3,9 +3,10 @@
 import math
 import os
 import sys
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import ModuleType
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,9 +16,11 @@ from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import gusts
 from steelnb.simulation.paths import heading, setpoints
 from steelnb.simulation.tower import Tower
-from steelnb.types import GRAVITY, Imu, Trajectory
+from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STEP_S = 0.008
+COMMAND_S = 0.1
+"""From one command of a pilot to the next."""
 MASS_KG = 0.275
 INERTIA = (6e-4, 6e-4, 10e-4)
 HALF_BOX_M = (0.12, 0.12, 0.04)
@@ -27,13 +30,26 @@ POSITION_P, VELOCITY_P, VELOCITY_I, ATTITUDE_P, ATTITUDE_D = 1.2, 2.5, 0.8, 80.0
 TILT_ACCELERATION_MAX = 5.0
 
 
-def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, Imu]:
+class Command(NamedTuple):
+    """What a pilot asks for until the next command: velocity ``(forward, left, up)``, m/s, along the axes of the drone
+    when it is level, and the rate of the heading, rad/s."""
+
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_rate: float = 0.0
+
+
+Pilot = Callable[[Trajectory, Imu], Command | None]
+"""Called every `COMMAND_S` with the true poses and exact readings since its last call, that one's last included, of
+which a drone would know what its sensors show; None ends the flight."""
+
+
+def fly(tower: Tower, settings: FlightSettings, seed: int, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`. `gusts` act
-    through the drag. World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over
-    the step that ends at their stamp. Raises `CollisionError` with time and place when the body touches the structure
-    or the ground.
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`, or the commands
+    of a ``pilot`` from where these begin. `gusts` act through the drag. World frame and REP 103 drone frame; specific
+    force (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `CollisionError` with
+    time and place when the body touches the structure or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
@@ -42,16 +58,57 @@ def fly(tower: Tower, settings: FlightSettings, seed: int) -> tuple[Trajectory, 
     state = np.empty((steps + 1, 7))
     imu = np.empty((steps + 1, 6))
     client = pybullet.connect(pybullet.DIRECT)
+    yaw = heading(settings, *target[0, :2])
+    if pilot is None:
+        reference = _along_path(target.tolist(), target_velocity.tolist(), settings)
+    else:
+        reference = _as_commanded(pilot, yaw, state, imu)
     try:
-        body = _make_world(pybullet, client, tower, target[0].tolist(), heading(settings, *target[0, :2]))
-        _loop(pybullet, client, body, target.tolist(), target_velocity.tolist(), settings, wind, state, imu)
+        body = _make_world(pybullet, client, tower, target[0].tolist(), yaw)
+        steps = _loop(pybullet, client, body, reference, settings, wind, state, imu)
     finally:
         pybullet.disconnect(client)
-    stamp = np.arange(steps + 1, dtype=np.float64) * STEP_S
-    T_world_drone = np.tile(np.eye(4), (steps + 1, 1, 1))
+    return _flown(state[: steps + 1], imu[: steps + 1])
+
+
+def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
+    """Trajectory and IMU of positions and quaternions ``(N, 7)`` and readings ``(N, 6)``, from the step ``first``."""
+    stamp = np.arange(first, first + len(state), dtype=np.float64) * STEP_S
+    T_world_drone = np.tile(np.eye(4), (len(state), 1, 1))
     T_world_drone[:, :3, :3] = Rotation.from_quat(state[:, 3:]).as_matrix()
     T_world_drone[:, :3, 3] = state[:, :3]
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
+
+
+Reference = Callable[[int, Sequence[float], Sequence[float]], tuple[Sequence[float], Sequence[float], float] | None]
+"""Number of the step, position and quaternion → position and velocity to follow, and the heading; None: the end."""
+
+
+def _along_path(target: list[list[float]], target_velocity: list[list[float]], settings: FlightSettings) -> Reference:
+    return lambda step, position, quaternion: (
+        target[step], target_velocity[step], heading(settings, position[0], position[1]),
+    )  # fmt: skip
+
+
+def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Reference:
+    """What follows a pilot's commands: no position, and the heading that they add up to from ``yaw``."""
+    command, told = Command(), 0
+
+    def reference(step: int, position: Sequence[float], quaternion: Sequence[float]):  # type: ignore[no-untyped-def]
+        nonlocal command, told, yaw
+        if math.floor(step * STEP_S / COMMAND_S + 1e-6) != math.floor((step - 1) * STEP_S / COMMAND_S + 1e-6):
+            given = pilot(*_flown(state[told : step + 1], imu[told : step + 1], told))
+            if given is None:
+                return None
+            command, told = given, step
+        yaw += command.yaw_rate * STEP_S
+        x, y, z, w = quaternion
+        ahead = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        c, s = math.cos(ahead), math.sin(ahead)
+        forward, left, up = command.velocity
+        return position, (c * forward - s * left, s * forward + c * left, up), yaw
+
+    return reference
 
 
 def _import_pybullet() -> ModuleType:
@@ -83,15 +140,19 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
     return int(body)
 
 
-def _loop(pybullet, client, body, target, target_velocity, settings, wind, state, imu) -> None:  # type: ignore[no-untyped-def]
-    """Control, step, record. Scalars throughout: a 3-vector in NumPy costs ten times its arithmetic."""
+def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:  # type: ignore[no-untyped-def]
+    """Control, step, record; gives the number of steps flown. Scalars throughout: a 3-vector in NumPy costs ten times
+    its arithmetic."""
     position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
     velocity, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     ix = iy = iz = 0.0  # integral of the velocity error
     state[0] = (*position, *quaternion)
     imu[0] = (0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0)
     for step in range(len(wind)):
-        (rx, ry, rz), (tx, ty, tz) = target[step], target_velocity[step]
+        asked = reference(step, position, quaternion)
+        if asked is None:
+            return step
+        (rx, ry, rz), (tx, ty, tz), yaw = asked
         ex = tx + POSITION_P * (rx - position[0]) - velocity[0]
         ey = ty + POSITION_P * (ry - position[1]) - velocity[1]
         ez = tz + POSITION_P * (rz - position[2]) - velocity[2]
@@ -105,7 +166,7 @@ def _loop(pybullet, client, body, target, target_velocity, settings, wind, state
 
         m = pybullet.getMatrixFromQuaternion(quaternion)
         thrust = MASS_KG * (ax * m[2] + ay * m[5] + az * m[8])
-        torque = _attitude(m, rate, ax, ay, az, heading(settings, position[0], position[1]))
+        torque = _attitude(m, rate, ax, ay, az, yaw)
         w = wind[step]
         force = [DRAG_N_PER_M_S * (w[axis] - velocity[axis]) for axis in range(3)]
         pybullet.applyExternalForce(body, -1, (0, 0, thrust), (0, 0, 0), pybullet.LINK_FRAME, physicsClientId=client)
@@ -132,6 +193,7 @@ def _loop(pybullet, client, body, target, target_velocity, settings, wind, state
             m[0] * rate[0] + m[3] * rate[1] + m[6] * rate[2], m[1] * rate[0] + m[4] * rate[1] + m[7] * rate[2],
             m[2] * rate[0] + m[5] * rate[1] + m[8] * rate[2],
         )  # fmt: skip
+    return len(wind)
 
 
 def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]

@@ -22,18 +22,33 @@ def measured_imu(exact: Imu, settings: ImuSettings, seed: int) -> Imu:
     those that an Allan deviation shows (IEEE Std 952-1997): N/√τ for white noise N, K·√(τ/3) for a walk K.
     """
 
-    def read(true: Array, sensor: str, noise: float, walk: float, bias: float) -> Array:
-        step_s = float(exact.stamp_s[1] - exact.stamp_s[0])
-        white = noise / math.sqrt(step_s) * rng.stream(seed, sensor, "noise").standard_normal(true.shape)
-        steps = walk * math.sqrt(step_s) * rng.stream(seed, sensor, "walk").standard_normal(true.shape)
-        start = bias * rng.stream(seed, sensor, "bias").standard_normal(3)
-        return np.asarray(true + white + start + np.cumsum(steps, axis=0))
+    return ImuErrors(exact.stamp_s, settings, seed).read(exact)
 
-    s = settings
-    force = read(
-        exact.specific_force, "accelerometer", s.accelerometer_noise, s.accelerometer_walk, s.accelerometer_bias
-    )
-    return Imu(exact.stamp_s, force, read(exact.angular_rate, "gyro", s.gyro_noise, s.gyro_walk, s.gyro_bias))
+
+class ImuErrors:
+    """What `measured_imu` adds, drawn once for all of ``stamp_s (N,)``, for a flight that is under way."""
+
+    def __init__(self, stamp_s: Array, settings: ImuSettings, seed: int) -> None:
+        step_s, shape, s = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3), settings
+
+        def draw(sensor: str, noise: float, walk: float, bias: float) -> tuple[Array, Array, Array]:
+            white = noise / math.sqrt(step_s) * rng.stream(seed, sensor, "noise").standard_normal(shape)
+            steps = walk * math.sqrt(step_s) * rng.stream(seed, sensor, "walk").standard_normal(shape)
+            start = bias * rng.stream(seed, sensor, "bias").standard_normal(3)
+            return white, start, np.cumsum(steps, axis=0)
+
+        self._force = draw("accelerometer", s.accelerometer_noise, s.accelerometer_walk, s.accelerometer_bias)
+        self._rate = draw("gyro", s.gyro_noise, s.gyro_walk, s.gyro_bias)
+
+    def read(self, exact: Imu, first: int = 0) -> Imu:
+        """Readings of a piece that begins at sample ``first``."""
+        piece = slice(first, first + len(exact.stamp_s))
+
+        def add(true: Array, errors: tuple[Array, Array, Array]) -> Array:
+            white, start, walked = errors
+            return np.asarray(true + white[piece] + start + walked[piece])
+
+        return Imu(exact.stamp_s, add(exact.specific_force, self._force), add(exact.angular_rate, self._rate))
 
 
 def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
@@ -42,24 +57,40 @@ def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
     Madgwick's revised filter (S. O. H. Madgwick, thesis, Bristol 2014, chapter 7; library imufusion), begun with the
     true attitude. Position and heading stay: the error is a turn about a level axis. Raises `MissingExtraError`.
     """
-    with needs("sim"):
-        import imufusion
     step_s = float(imu.stamp_s[1] - imu.stamp_s[0])
-    attitude = imufusion.Ahrs()
-    attitude.set_settings(imufusion.AhrsSettings(sample_rate=1 / step_s, gain=FILTER_GAIN, gyroscope_range=0.0))
-    attitude.skip_startup()
-    attitude.set_quaternion(np.roll(Rotation.from_matrix(truth.T_world_drone[0, :3, :3]).as_quat(), 1))
-    up = np.empty((len(imu.stamp_s), 3))
-    up[0] = truth.T_world_drone[0, 2, :3]
-    for k, (rate, force) in enumerate(
-        zip(np.degrees(imu.angular_rate[1:]), imu.specific_force[1:] / GRAVITY, strict=True)
-    ):
-        attitude.update_no_magnetometer(rate, force)
-        up[k + 1] = attitude.get_gravity()
-    T_world_drone = truth.T_world_drone.copy()
-    seen = np.einsum("nij,nj->ni", T_world_drone[:, :3, :3], up)  # the filter's vertical, in the world
-    lean = np.hypot(seen[:, 0], seen[:, 1])
-    angle = np.arctan2(lean, seen[:, 2]) / np.maximum(lean, 1e-12)
-    back = Rotation.from_rotvec(angle[:, None] * np.column_stack([seen[:, 1], -seen[:, 0], np.zeros(len(seen))]))
-    T_world_drone[:, :3, :3] = back.as_matrix() @ T_world_drone[:, :3, :3]
-    return Trajectory(truth.stamp_s, T_world_drone)
+    return AttitudeFilter(truth.T_world_drone[0], step_s).update(truth, imu)
+
+
+class AttitudeFilter:
+    """`filtered_attitude` piece by piece, for a flight that is under way.
+
+    Begun with the true pose ``T_world_drone (4, 4)`` before the first piece; ``step_s``: time from reading to reading.
+    """
+
+    def __init__(self, T_world_drone: Array, step_s: float) -> None:
+        with needs("sim"):
+            import imufusion
+        self._filter = imufusion.Ahrs()
+        self._filter.set_settings(imufusion.AhrsSettings(sample_rate=1 / step_s, gain=FILTER_GAIN, gyroscope_range=0.0))
+        self._filter.skip_startup()
+        self._filter.set_quaternion(np.roll(Rotation.from_matrix(T_world_drone[:3, :3]).as_quat(), 1))
+        self._up = T_world_drone[2, :3]
+
+    def update(self, truth: Trajectory, imu: Imu) -> Trajectory:
+        """The poses of a piece with the filter's roll and pitch. Its first pose and reading are the last of the piece
+        before; no reading comes twice."""
+        up = np.empty((len(imu.stamp_s), 3))
+        up[0] = self._up
+        for k, (rate, force) in enumerate(
+            zip(np.degrees(imu.angular_rate[1:]), imu.specific_force[1:] / GRAVITY, strict=True)
+        ):
+            self._filter.update_no_magnetometer(rate, force)
+            up[k + 1] = self._filter.get_gravity()
+        self._up = up[-1]
+        T_world_drone = truth.T_world_drone.copy()
+        seen = np.einsum("nij,nj->ni", T_world_drone[:, :3, :3], up)  # the filter's vertical, in the world
+        lean = np.hypot(seen[:, 0], seen[:, 1])
+        angle = np.arctan2(lean, seen[:, 2]) / np.maximum(lean, 1e-12)
+        back = Rotation.from_rotvec(angle[:, None] * np.column_stack([seen[:, 1], -seen[:, 0], np.zeros(len(seen))]))
+        T_world_drone[:, :3, :3] = back.as_matrix() @ T_world_drone[:, :3, :3]
+        return Trajectory(truth.stamp_s, T_world_drone)

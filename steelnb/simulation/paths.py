@@ -12,13 +12,15 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
     """Corner points of the flight's path, ``(N, 3)`` metres in the world frame.
 
     ``vertical`` zigzags up in front of the face y < 0; ``orbit`` flies rectangular loops around the body. Both keep
-    ``standoff_m`` from the body at every height.
+    ``standoff_m`` from the body at every height. Of a ``planned`` flight it is the place of the start.
     """
     heights = np.linspace(flight.height_min_m, flight.height_max_m, flight.levels)
     points: list[tuple[float, float, float]] = []
     for level, z in enumerate(heights):
         half = half_width(tower, z)
         away = half + flight.standoff_m
+        if flight.trajectory == "planned":
+            return np.array([(0.0, -away, z)])
         if flight.trajectory == "vertical":
             side = 0.8 * half * (-1) ** level
             points += [(-side, -away, z), (side, -away, z)]

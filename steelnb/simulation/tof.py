@@ -83,11 +83,7 @@ class CastScans(Sequence[Scan]):
         """Of each scan measured and exact ranges ``(H, W)`` float32, the members hit, and ``T_world_sensor``."""
         exposures = self._exposures(make_scene(self._tower))
         for k, (seen, T) in enumerate(zip(exposures, self._T_world_sensor, strict=True)):
-            image = measured_ranges(
-                seen.range_m, self._settings, rng.stream(self._seed, "tof", k), as_far_as_m=seen.as_far_as_m
-            )
-            if any(first <= self.stamp_s[k] < last for first, last in self._settings.blind_s):
-                image[:] = np.nan
+            image = _scan_image(seen, self._settings, self._seed, k, float(self.stamp_s[k]))
             yield image, seen.exact_m, seen.member, T
 
     def _exposures(self, scene: Scene) -> Iterator[Exposure]:
@@ -101,6 +97,42 @@ class CastScans(Sequence[Scan]):
             exact, member = cast_rays(scene, self._T_world_sensor[begin : begin + SCANS_AT_ONCE], self.ray)
             for image, hit in zip(exact, member, strict=True):
                 yield Exposure(image, None, image, hit)
+
+
+class LiveCamera:
+    """The scans of `CastScans` one by one, on a flight that is not yet at its end: to the bit the same."""
+
+    def __init__(self, tower: Tower, settings: TofSettings, seed: int) -> None:
+        self._scene, self._settings, self._seed, self._ray = make_scene(tower), settings, seed, rays(settings)
+        self._faults = settings.faults
+        self._camera = draw_camera(self._faults, rng.stream(seed, "tof-camera")) if self._faults else None
+
+    @property
+    def latency_s(self) -> float:
+        """From the stamp of a scan to the end of its exposure."""
+        return self._faults.exposure_s * float(MOMENTS.max()) if self._faults else 0.0
+
+    def scan(self, k: int, stamp_s: float, around: Trajectory) -> Scan:
+        """Scan number k, taken at a stamp of the true poses ``around`` it, which cover its exposure."""
+        mount, faults = self._settings.T_drone_sensor, self._faults
+        T_world_sensor = around.at(np.array([stamp_s])).T_world_drone @ mount
+        if faults and self._camera:
+            T_exposed = np.broadcast_to(T_world_sensor, (len(MOMENTS), 4, 4))
+            if faults.exposure_s > 0:
+                T_exposed = around.between(stamp_s + faults.exposure_s * MOMENTS) @ mount
+            seen = expose(self._scene, self._settings, self._camera, T_exposed, rng.stream(self._seed, "tof-rays", k))
+        else:
+            exact, member = cast_rays(self._scene, T_world_sensor, self._ray)
+            seen = Exposure(exact[0], None, exact[0], member[0])
+        return Scan(stamp_s, _scan_image(seen, self._settings, self._seed, k, stamp_s)[..., None] * self._ray)
+
+
+def _scan_image(seen: Exposure, settings: TofSettings, seed: int, k: int, stamp_s: float) -> np.ndarray:
+    """Measured ranges ``(H, W)`` of exposure k, none in the intervals in which the sensor is blind."""
+    image = measured_ranges(seen.range_m, settings, rng.stream(seed, "tof", k), as_far_as_m=seen.as_far_as_m)
+    if any(first <= stamp_s < last for first, last in settings.blind_s):
+        image[:] = np.nan
+    return image
 
 
 def measured_ranges(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from steelnb import keys
 from steelnb.errors import FileMissingError, SettingsError
-from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
+from steelnb.settings import METHODS, SENSORS, ExperimentSettings
 from steelnb.study.plan import CODE, LIBRARIES, Block, by_flight, make_run, read_plan, software_digest
 
 ROOT = Path(__file__).parents[2]
@@ -51,13 +51,19 @@ def some(values, size=2):
 blocks = st.fixed_dictionaries(
     {
         "seeds": some(range(5)),
-        "trajectories": some(TRAJECTORIES),
+        "trajectories": some(["vertical", "orbit"]),
         "noises": some(NOISES),
         "sensors": some(SENSORS),
         "methods": some(METHODS),
         "overrides": some([{}, {"preprocess.crop_m": 1.4}, {"tof.range_max_m": 3.0}]),
     }
 )
+
+
+def test_a_planned_flight_is_that_of_its_noise_and_method(tmp_path):
+    block = {"seeds": [1], "trajectories": ["planned"], "noises": list(NOISES[:2]), "sensors": ["report"]}
+    runs = plan(tmp_path, {**block, "methods": ["best", "combined"], "overrides": [{}]})
+    assert len(by_flight(runs)) == len(runs) == 4
 
 
 @given(blocks, blocks)

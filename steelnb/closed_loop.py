@@ -1,0 +1,135 @@
+"""Flights in a closed loop: what the planner does follows from what the odometry believes.
+
+The true drone flies in `steelnb.simulation`; camera, IMU and drifting prior are made scan by scan, to the bit as
+`steelnb.experiment` makes them of a whole flight, and the planner has the odometry's estimate only.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from steelnb.errors import SettingsError
+from steelnb.noise import drift_errors, drifted
+from steelnb.odometry import make_odometry
+from steelnb.planning import Camera, Decision, Planner, Task
+from steelnb.points import preprocess_scan
+from steelnb.settings import ExperimentSettings, FlightSettings
+from steelnb.simulation.flight import STEP_S, Command
+from steelnb.simulation.imu import AttitudeFilter, ImuErrors
+from steelnb.simulation.tof import LiveCamera
+from steelnb.simulation.tower import Tower
+from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
+
+
+def task_of(flight: FlightSettings) -> Task:
+    """What the planner is to fly. Raises `SettingsError` for a flight that none steers."""
+    if flight.planner is None:
+        raise SettingsError(f"trajectory {flight.trajectory!r}: expected 'planned'")
+    f, p = flight, flight.planner
+    return Task(
+        p.goal, f.standoff_m, f.speed_m_s, f.height_min_m, f.height_max_m, f.levels, f.duration_s,
+        p.keep_view, p.keep_information,
+    )  # fmt: skip
+
+
+def camera_of(settings: ExperimentSettings) -> Camera:
+    """What the planner knows of its camera."""
+    t = settings.tof
+    reach_m = min(t.range_max_m, settings.odometry.preprocess.crop_m)
+    return Camera(
+        float(np.tan(t.fov_horizontal_rad / 2)), float(np.tan(t.fov_vertical_rad / 2)), t.rows * t.columns, reach_m,
+        t.sigma_floor_m, t.sigma_relative, t.T_drone_sensor,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One decision: time, estimated pose, and what was decided."""
+
+    stamp_s: float
+    T_world_drone: Array
+    decision: Decision
+
+
+class OnboardPilot:
+    """Camera, drifting prior, odometry and planner of a drone: a pilot for `steelnb.simulation.fly`.
+
+    ``steps`` are those of the odometry so far, ``moments`` the decisions. ``on_progress`` gets the share of the flight
+    that is done.
+    """
+
+    def __init__(
+        self, settings: ExperimentSettings, tower: Tower, on_progress: Callable[[float], None] | None = None
+    ) -> None:
+        self._on_progress = on_progress or (lambda share: None)
+        self.settings, steps = settings, round(settings.flight.duration_s / STEP_S)
+        stamp_s = np.arange(steps + 1, dtype=np.float64) * STEP_S
+        self._drift = drift_errors(stamp_s, settings.noise, settings.seed)
+        self._scan_step = np.round(np.arange(0, stamp_s[-1] + 1e-9, 1 / settings.tof.rate_hz) / STEP_S).astype(int)
+        self._camera = LiveCamera(tower, settings.tof, settings.seed)
+        # The odometry holds these arrays and reads them up to its last scan; they fill as the flight goes on.
+        self._imu = Imu(stamp_s, np.zeros((steps + 1, 3)), np.zeros((steps + 1, 3)))
+        self._true, self._prior = np.zeros((2, steps + 1, 4, 4))
+        self._imu_errors = ImuErrors(stamp_s, settings.imu, settings.seed) if settings.imu else None
+        self._filter: AttitudeFilter | None = None
+        self.odometry = make_odometry(settings.odometry, settings.tof.T_drone_sensor, self._imu)
+        self.planner = Planner(task_of(settings.flight), camera_of(settings))
+        self.steps: list[OdometryStep] = []
+        self.moments: list[Moment] = []
+
+    def __call__(self, truth: Trajectory, exact: Imu) -> Command | None:
+        """The command after a piece of the flight."""
+        first = round(truth.stamp_s[0] / STEP_S)
+        now = first + len(truth) - 1
+        self._read(truth, exact, first)
+        while len(self.steps) < len(self._scan_step):
+            step = int(self._scan_step[len(self.steps)])
+            if step * STEP_S + self._camera.latency_s > now * STEP_S + 1e-9:
+                break
+            self._scan(step, now)
+        # Dead reckoning since the last scan.
+        T = self._prior[now]
+        if self.steps:
+            last = self._prior[self._scan_step[len(self.steps) - 1]]
+            T = self.steps[-1].T_world_drone @ np.linalg.inv(last) @ T
+        self._on_progress(now / (len(self._prior) - 1))
+        decision = self.planner.decide(now * STEP_S, T)
+        self.moments.append(Moment(now * STEP_S, T, decision))
+        if decision.state == "end":
+            return None
+        forward, left, up = decision.velocity.tolist()
+        return Command((forward, left, up), decision.yaw_rate)
+
+    def estimate(self) -> tuple[Trajectory, IntArray]:
+        """The corrected poses of the scans so far, and the number of pairs of each."""
+        stamp_s = np.array([step.stamp_s for step in self.steps])
+        poses = np.array([step.T_world_drone for step in self.steps]).reshape(-1, 4, 4)
+        return Trajectory(stamp_s, poses), np.array([step.matches for step in self.steps], dtype=np.int64)
+
+    def _read(self, truth: Trajectory, exact: Imu, first: int) -> None:
+        """Readings and drifting poses of a piece of the flight that begins with the step ``first``."""
+        piece = slice(first, first + len(truth))
+        self._true[piece] = truth.T_world_drone
+        read, seen = exact, truth
+        if self._imu_errors:
+            read = self._imu_errors.read(exact, first)
+            self._filter = self._filter or AttitudeFilter(truth.T_world_drone[0], STEP_S)
+            seen = self._filter.update(truth, read)
+        self._imu.specific_force[piece], self._imu.angular_rate[piece] = read.specific_force, read.angular_rate
+        self._prior[piece] = drifted(seen, self._drift[piece]).T_world_drone
+
+    def _scan(self, step: int, now: int) -> None:
+        """Take a scan, register it, and show it to the planner."""
+        before = max(0, step - 25)
+        stamp_s = self._imu.stamp_s
+        around = Trajectory(stamp_s[before : now + 1], self._true[before : now + 1])
+        scan = self._camera.scan(len(self.steps), float(stamp_s[step]), around)
+        self.steps.append(self.odometry.update(scan, self._prior[step]))
+        T = self.steps[-1].T_world_drone
+        mount, preprocess = self.settings.tof.T_drone_sensor, self.settings.odometry.preprocess
+        points = preprocess_scan(scan, T, mount, preprocess)
+        at = T @ mount
+        height = scan.points @ at[2, :3] + at[2, 3]
+        near = np.linalg.norm(scan.points, axis=-1) <= preprocess.crop_m
+        self.planner.see(points, T, self.odometry.map_segments(), int((near & (height > preprocess.floor_m)).sum()))

@@ -1,0 +1,172 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steelnb.planning import Camera, Planner, Task
+from steelnb.planning.planner import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S
+from steelnb.types import Segments
+
+CAMERA = Camera(0.93, 1.32, 40_000, 6.0, 0.01, 0.01, np.eye(4))
+TASK = Task("around", 1.4, 0.75, 0.7, 7.0, 6, 200.0)
+FACE = Task("face", 1.2, 0.5, 0.7, 7.0, 4, 200.0)
+PERIOD_S = 0.1
+
+
+def pose(x: float, y: float, z: float, yaw: float) -> np.ndarray:
+    T, c, s = np.eye(4), np.cos(yaw), np.sin(yaw)
+    T[:2, :2], T[:3, 3] = [[c, -s], [s, c]], (x, y, z)
+    return T
+
+
+def column(x: float, y: float, half_m: float = 0.0) -> np.ndarray:
+    """Points of four uprights, 10 m high, at the corners of a square about a place; of one where it has no width."""
+    z = np.arange(0.3, 10.0, 0.05)
+    corners = [(-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m)] if half_m else [(0, 0)]
+    sides = [(0.03 * dx, 0.03 * dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    return np.concatenate(
+        [np.column_stack([np.full(len(z), x + cx + sx), np.full(len(z), y + cy + sy), z])
+         for cx, cy in corners for sx, sy in sides]
+    )  # fmt: skip
+
+
+def tower(half_m: float) -> np.ndarray:
+    """Four uprights with a ring of bars every 0.8 m."""
+    t = np.arange(-half_m, half_m, 0.05)
+    rings = []
+    for z in np.arange(0.8, 10.0, 0.8):
+        for side in (-half_m, half_m):
+            rings += [np.column_stack([t, np.full(len(t), side), np.full(len(t), z)]),
+                      np.column_stack([np.full(len(t), side), t, np.full(len(t), z)])]  # fmt: skip
+    return np.concatenate([column(0, 0, half_m), *rings])
+
+
+def visible(steel: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Points of the steel that the camera sees, drone frame."""
+    seen = (steel - T[:3, 3]) @ T[:3, :3]
+    ahead = np.maximum(seen[:, 0], 1e-6)
+    inside = (np.abs(seen[:, 1]) < CAMERA.tan_horizontal * ahead) & (np.abs(seen[:, 2]) < CAMERA.tan_vertical * ahead)
+    return seen[inside & (np.linalg.norm(seen, axis=1) < CAMERA.range_max_m)]
+
+
+def fly(planner: Planner, steel: np.ndarray, T: np.ndarray, seconds: float, blind=lambda stamp_s: False):
+    """A drone that does at once what it is told: its poses ``(K, 4, 4)`` and the decisions."""
+    poses, decisions = [], []
+    for k in range(round(seconds / PERIOD_S)):
+        if k % 2 == 0:
+            seen = np.zeros((0, 3)) if blind(k * PERIOD_S) else visible(steel, T)
+            planner.see(seen, T, Segments.empty(), len(seen))
+        decision = planner.decide(k * PERIOD_S, T)
+        yaw = np.arctan2(T[1, 0], T[0, 0]) + decision.yaw_rate * PERIOD_S
+        T = pose(*(T[:3, 3] + T[:3, :3] @ decision.velocity * PERIOD_S), yaw)
+        poses.append(T)
+        decisions.append(decision)
+        if decision.state == "end":
+            break
+    return np.array(poses), decisions
+
+
+def clearance(poses: np.ndarray, steel: np.ndarray) -> float:
+    return min(float(np.linalg.norm(steel - T[:3, 3], axis=1).min()) for T in poses)
+
+
+def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
+    steel = tower(half_m=1.0)
+    poses, decisions = fly(Planner(TASK, CAMERA), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
+    position = poses[:, :3, 3]
+    azimuth = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))
+    assert azimuth[-1] - azimuth[0] > 2.2 * np.pi
+    assert {each.state for each in decisions} == {"follow"}
+    to_axis = -position[:, :2] / np.linalg.norm(position[:, :2], axis=1)[:, None]
+    assert (poses[:, :2, 0] * to_axis).sum(axis=1).min() > np.cos(np.radians(40))
+    assert clearance(poses, steel) > 0.8
+    assert np.linalg.norm(position[:, :2], axis=1).max() < 4.5
+    np.testing.assert_allclose(position[-1, 2] - 0.7, 60 / 200 * 6.3, atol=0.15)
+
+
+def test_up_a_face_it_turns_back_at_both_edges_and_climbs():
+    steel = tower(half_m=1.5)
+    poses, _ = fly(Planner(FACE, CAMERA), steel, pose(0, -2.7, 0.7, np.pi / 2), 90.0)
+    position = poses[:, :3, 3]
+    assert position[:, 0].min() < -0.5
+    assert position[:, 0].max() > 0.5
+    assert np.abs(position[:, 0]).max() < 3.5
+    assert position[-1, 2] > 2.5
+    assert clearance(poses, steel) > 0.8
+    assert poses[:, 1, 0].min() > 0.95  # the heading of the start
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_it_hits_nothing_that_it_has_seen(seed):
+    random = np.random.default_rng(seed)
+    steel = np.concatenate([tower(half_m=1.0), *(column(*random.uniform(-4, 4, 2)) for _ in range(3))])
+    start = pose(*random.uniform(-5, 5, 2), 1.0, random.uniform(-np.pi, np.pi))
+    if clearance(start[None], steel) < 1.0:
+        return
+    planner, nearest = Planner(TASK, CAMERA), []
+    decide = planner.decide
+
+    def watched(stamp_s, T):
+        """The distances to what is mapped now, before this decision and after it."""
+        known, decision = planner.map.means(), decide(stamp_s, T)
+        then = T[:3, 3] + T[:3, :3] @ decision.velocity * PERIOD_S
+        nearest.append([np.linalg.norm(known - at, axis=1).min(initial=np.inf) for at in (T[:3, 3], then)])
+        return decision
+
+    planner.decide = watched
+    fly(planner, steel, start, 20.0)
+    before, after = np.array(nearest).T
+    # What comes into sight nearer than the clearance is at least not approached.
+    assert (after > np.minimum(CLEARANCE_M - 0.05, before - 0.02)).all()
+
+
+def test_what_a_scan_shows_for_the_first_time_counts_at_once():
+    planner, T = Planner(TASK, CAMERA), pose(0, -2.4, 1.0, np.pi / 2)
+    steel = tower(half_m=1.0)
+    fly(planner, steel, T, 1.0)
+    obstacle = np.array([[0.3, -0.2, 0.0]])  # nearer than the clearance, too little to be mapped
+    planner.see(obstacle, T, Segments.empty(), 1)
+    decision = planner.decide(1.1, T)
+    assert decision.velocity @ obstacle[0] < 0
+
+
+def test_with_nothing_in_sight_it_turns_once_and_ends():
+    poses, decisions = fly(Planner(TASK, CAMERA), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
+    assert decisions[-1].state == "end"
+    assert decisions[-1].reason == "no bar seen in a full turn"
+    assert {each.state for each in decisions[:-1]} == {"search"}
+    assert np.ptp(poses[:, :3, 3], axis=0).max() == 0
+    assert np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))[-1] == pytest.approx(2 * np.pi, abs=0.2)
+
+
+def test_before_the_first_scan_it_waits():
+    decision = Planner(TASK, CAMERA).decide(0.0, pose(0, 0, 1, 0))
+    assert decision.state == "wait"
+    assert not decision.velocity.any()
+    assert decision.yaw_rate == 0
+
+
+def test_a_structure_behind_it_is_found_by_turning():
+    steel = tower(half_m=1.0)
+    _, decisions = fly(Planner(TASK, CAMERA), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
+    states = [each.state for each in decisions]
+    assert states[0] == "search"
+    assert states[-1] == "follow"
+
+
+def test_when_sight_is_lost_it_stops_turns_and_goes_back_until_it_sees_again():
+    steel, planner = tower(half_m=1.0), Planner(TASK, CAMERA)
+    end = 5.0 + SEARCH_STOP_S + SEARCH_TURN_S + 3.0
+    poses, decisions = fly(
+        planner, steel, pose(0, -2.4, 0.7, np.pi / 2), end + 2.0, blind=lambda stamp_s: 5.0 <= stamp_s < end
+    )
+    states = [each.state for each in decisions]
+    assert [name for k, name in enumerate(states) if k == 0 or states[k - 1] != name] == [
+        "follow", "stop", "turn", "return", "follow",
+    ]  # fmt: skip
+    at = lambda stamp_s: poses[round(stamp_s / PERIOD_S), :3, 3]  # noqa: E731
+    assert np.linalg.norm(at(end - 3.1) - at(5.2)) < 0.05
+    was = poses[: round(5.0 / PERIOD_S), :3, 3]
+    assert np.linalg.norm(was - at(end - 0.1), axis=1).min() < 0.3
+    assert np.linalg.norm(at(end - 0.1) - at(5.2)) > 0.3

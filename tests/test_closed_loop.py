@@ -1,0 +1,120 @@
+"""Flights that react to what the odometry believes."""
+
+import numpy as np
+import pytest
+
+from steelnb import experiment
+from steelnb.closed_loop import OnboardPilot, task_of
+from steelnb.errors import CollisionError, SettingsError
+from steelnb.odometry import make_odometry, run
+from steelnb.settings import ExperimentSettings, FlightSettings
+from steelnb.simulation import Command, build_tower, fly
+
+NOISE = "random-walk+yaw-random-walk"
+
+
+@pytest.mark.parametrize("sensor", ["starling2", "starling2-honest"])
+def test_what_was_seen_on_the_way_is_to_the_bit_what_the_flight_holds_afterwards(sensor):
+    settings = ExperimentSettings.preset("planned", NOISE, "combined", sensor, seed=3, duration_s=2.0)
+    tower = build_tower(settings.tower)
+    pilot = OnboardPilot(settings, tower)
+    true, _ = fly(tower, settings.flight, settings.seed, pilot)
+    flight, truth = experiment.simulate(settings)
+    np.testing.assert_array_equal(true.T_world_drone, truth.trajectory.T_world_drone)
+    estimate = run(flight, make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu))
+    corrected, matches = pilot.estimate()
+    assert len(corrected) == len(flight) == 10
+    np.testing.assert_array_equal(corrected.stamp_s, flight.prior.stamp_s)
+    np.testing.assert_array_equal(corrected.T_world_drone, estimate.corrected.T_world_drone)
+    np.testing.assert_array_equal(matches, estimate.matches)
+
+
+@pytest.fixture(scope="module")
+def around():
+    """A quarter of the way around the tower: settings, pilot and true poses."""
+    settings = ExperimentSettings.preset("planned", "random-walk", "combined", seed=5, duration_s=12.0)
+    tower = build_tower(settings.tower)
+    pilot = OnboardPilot(settings, tower)
+    return settings, pilot, fly(tower, settings.flight, settings.seed, pilot)[0]
+
+
+def test_a_planned_flight_goes_around_the_tower_and_sees_it_in_every_scan(around):
+    _, pilot, true = around
+    azimuth = np.unwrap(np.arctan2(true.position[:, 1], true.position[:, 0]))
+    assert azimuth[-1] - azimuth[0] > np.pi / 2
+    assert {moment.decision.state for moment in pilot.moments} == {"follow"}
+    assert [step.reason for step in pilot.steps if not step.used] == ["first scan"]
+    corrected, _ = pilot.estimate()
+    assert np.linalg.norm(corrected.position - true.at(corrected.stamp_s).position, axis=1).max() < 0.1
+
+
+def test_the_drone_does_what_the_planner_decides(around):
+    _, pilot, true = around
+    speed = np.gradient(true.position, 0.008, axis=0)
+    asked, flown = [], []
+    for moment in pilot.moments[20:]:
+        T = true.at(np.array([moment.stamp_s])).T_world_drone[0]
+        yaw = np.arctan2(T[1, 0], T[0, 0])
+        forward, left, up = moment.decision.velocity
+        asked.append([np.cos(yaw) * forward - np.sin(yaw) * left, np.sin(yaw) * forward + np.cos(yaw) * left, up])
+        flown.append(speed[round(moment.stamp_s / 0.008)])
+    # The controller takes a few tenths of a second, and there are gusts.
+    assert np.sqrt((np.subtract(asked, flown) ** 2).sum(axis=1).mean()) < 0.35
+
+
+def test_a_pilot_who_believes_a_wrong_pose_flies_another_path(around):
+    settings, _, true = around
+    drifting = settings.replace(noise=settings.noise.replace(random_walk_m=0.02))
+    other, _ = fly(build_tower(settings.tower), drifting.flight, 5, OnboardPilot(drifting, build_tower(settings.tower)))
+    np.testing.assert_array_equal(other.position[0], true.position[0])
+    assert np.abs(other.position - true.position).max() > 0.02
+
+
+def test_the_same_seed_gives_the_same_flight():
+    settings = ExperimentSettings.preset("planned", "random-walk", "best", seed=2, duration_s=1.0)
+    a, b = (experiment.simulate(settings)[1].trajectory.T_world_drone for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_the_scans_of_a_recording_are_those_of_the_flight():
+    settings = ExperimentSettings.preset("planned", "random-walk", "best", seed=2, duration_s=1.0)
+    shares: list[float] = []
+    flight, true = experiment.simulate_anew(settings, shares.append)
+    other, truth = experiment.simulate(settings)
+    np.testing.assert_array_equal(true.T_world_drone, truth.trajectory.T_world_drone)
+    for a, b in zip(flight.scans, other.scans, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
+    assert shares == sorted(shares)
+    assert shares[-1] > 0.9
+
+
+def test_a_pilot_that_ends_the_flight_ends_it():
+    tower, calls = build_tower(), []
+
+    def pilot(true, imu):
+        calls.append(true.stamp_s[-1])
+        return None if len(calls) > 3 else Command((0.0, 0.0, 0.2), 0.0)
+
+    true, imu = fly(tower, FlightSettings.preset("planned", 5.0), 1, pilot)
+    assert len(true) == len(imu.stamp_s)
+    np.testing.assert_allclose(calls, [0.0, 0.104, 0.2, 0.304], atol=1e-9)
+    assert true.stamp_s[-1] == pytest.approx(0.304)
+    assert true.position[-1, 2] > true.position[0, 2]
+
+
+def test_a_pilot_that_flies_into_the_ground_is_told_where():
+    with pytest.raises(CollisionError, match=r"planned flight .* touches the structure or the ground at t = "):
+        fly(build_tower(), FlightSettings.preset("planned", 20.0), 1, lambda true, imu: Command((0.0, 0.0, -1.0), 0.0))
+
+
+def test_a_planner_belongs_to_planned_flights_alone():
+    with pytest.raises(SettingsError, match="trajectory 'orbit' with a table planner"):
+        ExperimentSettings.preset("orbit", overrides={"flight.planner": {"goal": "face"}})
+    with pytest.raises(SettingsError, match="trajectory 'planned' with no table planner"):
+        ExperimentSettings.preset("planned", overrides={"flight.planner": False})
+    with pytest.raises(SettingsError, match="goal = 'home'"):
+        ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
+    with pytest.raises(SettingsError, match="expected 'planned'"):
+        task_of(FlightSettings.preset("orbit"))
+    chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
+    assert task_of(chosen.flight).goal == "face"
