@@ -3,10 +3,20 @@
 ``HYPOTHESIS_PROFILE=random`` draws new ones: what they find becomes an ``@example``.
 """
 
+import math
 import os
 
+import pytest
 from hypothesis import settings
+
+from steelnb import cli_progress
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+@pytest.fixture(autouse=True)
+def no_lines_about_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However slow the machine, a command called in a test prints what it has to say and no stages."""
+    monkeypatch.setattr(cli_progress, "LINE_PERIOD_S", math.inf)

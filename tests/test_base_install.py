@@ -38,8 +38,8 @@ def test_segment_and_structure_need_no_extra(tmp_path: Path) -> None:
         assert len(json.loads((tmp_path / "bars" / "segments.json").read_text())["segments"]) > 20
         assert (tmp_path / "bars" / "segments.png").exists()
     shown = steelnb(tmp_path, "structure", "bars/structure.json", "bars/structure.json", "-o", "diff")
-    assert (shown.returncode, shown.stderr) == (0, "")
+    assert shown.returncode == 0, shown.stderr
     assert steelnb(tmp_path, "structure", "bars/structure.json", "--to", "a.csv").returncode == 0
     shown = steelnb(tmp_path, "structure", "bars/structure.json", "--to", "a.dxf")
     assert shown.returncode == 2
-    assert shown.stderr == "steelnb: error: ezdxf is not installed: pip install 'steelnb[io]'\n"
+    assert shown.stderr.splitlines()[-1] == "steelnb: error: ezdxf is not installed: pip install 'steelnb[io]'"

@@ -111,6 +111,7 @@ def test_where_there_is_no_terminal_a_stage_is_told_now_and_then(
 ) -> None:
     now_s = 100.0
     monkeypatch.setattr(cli_progress.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(cli_progress, "LINE_PERIOD_S", 10.0)
     with cli_progress.progress() as shown:
         for now_s in (101.0, 109.0, 111.0, 120.0, 122.0):
             shown.show("correcting", (now_s - 100.0) / 40)
@@ -151,8 +152,7 @@ def test_installed_command(project: Path) -> None:
     command = [sys.executable, "-m", "steelnb.cli", "segment", "nothing.ply"]
     shown = subprocess.run(command, cwd=project, capture_output=True, text=True, env=os.environ, check=False)
     assert shown.returncode == 2
-    assert shown.stderr.startswith("steelnb: error: nothing.ply")
-    assert shown.stderr.count("\n") == 1
+    assert shown.stderr.splitlines()[-1].startswith("steelnb: error: nothing.ply")
 
 
 @pytest.mark.parametrize("name", ["segments.csv", "structure.json"])
@@ -164,6 +164,7 @@ def test_a_folder_in_the_place_of_an_output_of_segment_keeps_the_earlier_ones(pr
     command = [sys.executable, "-m", "steelnb.cli", "segment", "tower.ply", "-o", "out"]
     shown = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False)
     assert (shown.returncode, shown.stdout) == (2, "")
-    assert shown.stderr == f"steelnb: error: out/{name}: exists already; expected a new name, or a file to replace\n"
+    error = shown.stderr.splitlines()[-1]  # on a slow machine, stages before it
+    assert error == f"steelnb: error: out/{name}: exists already; expected a new name, or a file to replace"
     assert files(project) == before
     assert (project / "out" / "segments.ply").read_text() == "earlier"

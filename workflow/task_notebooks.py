@@ -192,7 +192,8 @@ class Events:
 
         def tell() -> None:
             while not ended.wait(LINE_PERIOD_S):
-                self._tell("running " + ", ".join(f"{name} {self._fraction(name):.0%}" for name in [*self.begin_s]))
+                if running := [f"{name} {self._fraction(name):.0%}" for name in [*self.begin_s]]:
+                    self._tell("running " + ", ".join(running))
 
         threading.Thread(target=tell, daemon=True).start()
         try:

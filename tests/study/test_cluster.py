@@ -258,7 +258,7 @@ def test_a_study_killed_at_random_moments_ends_with_the_same_bytes(shared, study
         children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
         process.kill()
         process.communicate()
-        assert not psutil.wait_procs(children, timeout=20)[1]  # no worker goes on alone
+        assert not psutil.wait_procs(children, timeout=120)[1]  # no worker goes on alone
         stored = (out / ROWS).read_text().count("\n") if not (out / RUNS).exists() else 24
         if stored == 24:
             break
