@@ -56,12 +56,17 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     return Flight(scans, prior, settings.tof.T_drone_sensor, imu), Truth(trajectory, tower, visibility)
 
 
-def simulate_anew(settings: ExperimentSettings, on_progress: Progress | None = None) -> tuple[Flight, Trajectory]:
+def simulate_anew(
+    settings: ExperimentSettings, on_progress: Progress | None = None, steering: OnboardPilot | None = None
+) -> tuple[Flight, Trajectory]:
     """The flight of `simulate`, whose scans are cast whenever they are iterated over, and the true trajectory: a flight
-    of any length takes no more memory than its poses."""
+    of any length takes no more memory than its poses.
+
+    ``steering`` is the pilot of a planned flight, for who wants to hear of its decisions afterwards; default a new one.
+    """
     tower, mount = build_tower(settings.tower), settings.tof.T_drone_sensor
-    steering = pilot(settings, tower, on_progress)
-    trajectory, exact = fly(tower, settings.flight, settings.seed, steering() if steering else None)
+    make = pilot(settings, tower, on_progress)
+    trajectory, exact = fly(tower, settings.flight, settings.seed, steering or (make() if make else None))
     scans, imu = CastScans(tower, trajectory, mount, settings.tof, settings.seed), read_imu(settings, exact)
     return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu), trajectory
 

@@ -54,11 +54,20 @@ class Outlook(NamedTuple):
             return np.asarray(1 / np.sqrt(least))
 
 
-def outlook(points: Array, normal: Array, area_m2: float, T_world_drone: Array, camera: Camera) -> Outlook:
-    """Outlook from poses ``(K, 4, 4)`` on voxels ``points (M, 3)`` with unit ``normal (M, 3)``, each of one area."""
-    T = T_world_drone @ camera.T_drone_sensor
-    arm = points[None] - T[:, None, :3, 3]
-    x, y, z = np.einsum("kmi,kij->jkm", arm, T[:, :3, :3])
+class View(NamedTuple):
+    """M points from K poses: ``arm (K, M, 3)`` from the camera, world axes; depth ``ahead`` and ``distance``, metres;
+    and how far each is in view, ``inside``, from 0 to 1, ``(K, M)``."""
+
+    arm: Array
+    ahead: Array
+    distance: Array
+    inside: Array
+
+
+def into_view(points: Array, T_world_sensor: Array, camera: Camera) -> View:
+    """Where ``points (M, 3)`` are for a camera at ``T_world_sensor (K, 4, 4)``, whatever hides them."""
+    arm = points[None] - T_world_sensor[:, None, :3, 3]
+    x, y, z = np.einsum("kmi,kij->jkm", arm, T_world_sensor[:, :3, :3])
     distance = np.sqrt(x * x + y * y + z * z)
     ahead = np.maximum(x, 1e-3)
     inside = (
@@ -67,6 +76,13 @@ def outlook(points: Array, normal: Array, area_m2: float, T_world_drone: Array, 
         * _fade(1 - distance / camera.range_max_m)
         * (x > 0.1)
     )
+    return View(arm, ahead, distance, inside)
+
+
+def outlook(points: Array, normal: Array, area_m2: float, T_world_drone: Array, camera: Camera) -> Outlook:
+    """Outlook from poses ``(K, 4, 4)`` on voxels ``points (M, 3)`` with unit ``normal (M, 3)``, each of one area."""
+    T = T_world_drone @ camera.T_drone_sensor
+    arm, ahead, distance, inside = into_view(points, T, camera)
     slope = np.maximum(np.abs(np.einsum("kmi,mi->km", arm, normal)) / np.maximum(distance, 1e-9), SLOPE_MIN)
     plane = 4 * camera.tan_horizontal * camera.tan_vertical / camera.pixels
     returns = inside * np.minimum(area_m2 * slope * distance / (ahead**3 * plane), 1e4)

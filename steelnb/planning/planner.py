@@ -6,19 +6,19 @@ in view, and the information of the coming scan from falling far below what is u
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from steelnb.fusion.poses import yaw_of
 from steelnb.planning.barriers import Barrier, nearest_command
 from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
+from steelnb.planning.coverage import Coverage
 from steelnb.planning.outlook import ARM_M, STEP, Camera, Outlook, around, outlook
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import normals
+from steelnb.settings import PlannerGoal
 from steelnb.types import Array, Segments
 
-Goal = Literal["face", "around"]
 VOXEL_M = 0.1
 AREA_M2 = VOXEL_M**2 / 3
 """Steel in a voxel, until scans have told: bars are narrower than voxels and lie across several."""
@@ -45,9 +45,11 @@ WEIGHT = {"structure": 1e4, "height": 1e3, "sight": 30.0, "information": 30.0}
 """Of not keeping a barrier, beside 1 of a velocity that differs by 1 m/s from the wish."""
 GAIN_1_S = {"turn": 1.5, "distance": 0.8, "height": 0.5}
 """From an error to the wished rate."""
-COST = {"around": np.array([1.0, 1.0, 1.0, 0.3]), "face": np.array([1.0, 1.0, 1.0, 30.0])}
+COST = {goal: np.array([1.0, 1.0, 1.0, turn]) for goal, turn in (("around", 0.3), ("whole", 0.3), ("face", 30.0))}
 """Of changing the wished velocity and yaw rate: up a face the heading stays."""
 TURN_MAX_RAD_S = 1.0
+BRAKE_M = 0.5
+"""Way around the structure that is left to a viewpoint below which the drone slows down."""
 SEARCH_RAD_S = 0.5
 SEARCH_STOP_S, SEARCH_TURN_S = 1.0, 4.0
 """After sight is lost: stop, then turn to where the map is, then go back along the path."""
@@ -57,7 +59,7 @@ SEARCH_STOP_S, SEARCH_TURN_S = 1.0, 4.0
 class Task:
     """What to fly: ``goal``, distance to the structure, speed, heights and number of levels, and the time there is."""
 
-    goal: Goal
+    goal: PlannerGoal
     standoff_m: float
     speed_m_s: float
     height_min_m: float
@@ -106,6 +108,8 @@ class Planner:
         self._returns: list[float] = []
         self._path: list[Array] = []  # poses from which the structure was seen well
         self._side, self._blocked_s, self._climb_to = 1.0, 0.0, self.task.height_min_m
+        t = self.task
+        self.coverage = Coverage(self.camera, t.standoff_m, t.speed_m_s, (t.height_min_m, t.height_max_m))
 
     def see(self, points: Array, T_world_drone: Array, bars: Segments, returns: int) -> None:
         """Add the preprocessed points ``(N, 3)`` of a scan, drone frame, at its corrected pose; ``bars`` are those
@@ -115,7 +119,9 @@ class Planner:
         self._near = voxel_grid(world, VOXEL_M) if len(world) else world
         self._in_sight, self.bars = len(self._near), bars
         if self._in_sight >= SIGHT_MIN:
-            self.map.update_shapes(self.map.insert(world))
+            slots = self.map.insert(world)
+            self.map.update_shapes(slots)
+            self.coverage.add(self.map, slots, T_world_drone[:3, 3])
             foretold = outlook(*self._around(T_world_drone[:3, 3]), T_world_drone[None], self.camera).returns[0]
             if foretold > 0 and returns > 0:
                 self._area_m2 *= float(np.clip(returns / foretold, 0.2, 5.0)) ** AREA_GAIN
@@ -141,6 +147,8 @@ class Planner:
         position = T_world_drone[:3, 3]
         points, normal, area_m2 = self._around(position)
         seen = outlook(points, normal, area_m2, around(T_world_drone), self.camera)
+        if self.task.goal == "whole" and self._lost_s is None and not self.coverage.update(stamp_s, self.map, position):
+            return Decision(np.zeros(3), 0.0, "end", self.coverage.summary())
         wished, state = self._wish(stamp_s, position, yaw, points)
         barriers = [*self._structure(position), *self._heights(position)]
         if state == "follow":
@@ -171,18 +179,21 @@ class Planner:
             return self._recover(stamp_s - self._lost_s, position, yaw, points)
         assert self._begun is not None
         task, (begun_s, first_yaw) = self.task, self._begun
-        if task.goal == "around":
-            facing = towards_nearest(points, position)
-            along = np.array([facing[1], -facing[0]])
-            climb = (task.height_max_m - task.height_min_m) / task.duration_s
-            middle = middle_of(points, position)
-            rate = GAIN_1_S["turn"] * turn_to(np.arctan2(middle[1], middle[0]) - LEAD_RAD - yaw)
-            height = task.height_min_m + climb * (stamp_s - begun_s)
-            up = climb + GAIN_1_S["height"] * (height - position[2])
-        else:
+        target = self.coverage.target
+        if task.goal == "face":
             facing = np.array([np.cos(first_yaw), np.sin(first_yaw)])
             along = self._side * np.array([facing[1], -facing[0]])
             up, rate = GAIN_1_S["height"] * (self._climb_to - position[2]), GAIN_1_S["turn"] * turn_to(first_yaw - yaw)
+        else:
+            climb = (task.height_max_m - task.height_min_m) / task.duration_s
+            round_by, height = 1.0, task.height_min_m + climb * (stamp_s - begun_s)
+            if target:
+                left_m = target.turn(position) * float(np.hypot(*(position[:2] - target.middle)))
+                round_by, climb, height = float(np.clip(left_m / BRAKE_M, -1, 1)), 0.0, target.position[2]
+            facing, middle = towards_nearest(points, position), middle_of(points, position)
+            along = round_by * np.array([facing[1], -facing[0]])
+            ahead = np.arctan2(middle[1], middle[0]) - round_by * LEAD_RAD
+            rate, up = GAIN_1_S["turn"] * turn_to(ahead - yaw), climb + GAIN_1_S["height"] * (height - position[2])
         up = float(np.clip(up, -task.speed_m_s, task.speed_m_s))
         distance = distance_ahead(points, position, facing)
         inward = float(np.clip(GAIN_1_S["distance"] * (distance - task.standoff_m), -0.5, 0.5))

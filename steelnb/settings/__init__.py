@@ -25,6 +25,7 @@ from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
     NoiseSettings,
+    PlannerGoal,
     TofSettings,
     TowerSettings,
     TrajectoryName,
@@ -37,7 +38,7 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CloudSettings",
     "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings", "NoiseSettings",
-    "OdometrySettings", "Positive", "PreprocessSettings", "SegmentSettings", "SegmentationSettings", "Settings",
-    "StructureSettings", "TofFaultSettings", "TofSettings", "Tolerance", "TowerSettings", "TrajectoryName",
+    "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "SegmentSettings", "SegmentationSettings",
+    "Settings", "StructureSettings", "TofFaultSettings", "TofSettings", "Tolerance", "TowerSettings", "TrajectoryName",
     "method_names", "parse_parameter", "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip
