@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import steelnb
-from steelnb import cli_clouds, cli_recordings
+from steelnb import cli_clouds, cli_flights, cli_recordings
 from steelnb.cli_options import examples, output_option
 from steelnb.cli_progress import progress
 from steelnb.errors import SteelnbError
@@ -152,7 +152,7 @@ def study(
         raise typer.Exit(1)
 
 
-for part in (cli_recordings, cli_clouds):
+for part in (cli_flights, cli_recordings, cli_clouds):
     app.add_typer(part.app)
 
 if __name__ == "__main__":

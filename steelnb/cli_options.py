@@ -19,6 +19,7 @@ def _tables(name: str) -> tuple[str, ...]:
 PRESETS = Path(__file__).parent / "presets"
 METHODS = (*_tables("methods"), "segments")
 TRAJECTORIES = _tables("flights")
+GOALS = ("around", "face", "whole")
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 NOISES = ("none", "random-walk", "constant-drift", "constant-drift-per-axis", "yaw-random-walk", "tilt")
 
@@ -77,3 +78,13 @@ def examples(*lines: str, codes: str = "0 done; 2 bad input, nothing written; 13
 def output_option(about: str, default: str | bool = True) -> Any:
     """The folder that a command writes to, by one name everywhere; ``default`` says which where that is computed."""
     return typer.Option("-o", "--output", metavar="FOLDER", help=about, show_default=default)
+
+
+def overrides_of(changed: Iterable[str] | None) -> dict[str, Any]:
+    """Settings by name from the texts NAME=VALUE of ``--set``. Raises `SettingsError`."""
+    from steelnb.settings import parse_parameter
+
+    for text in changed or []:
+        if "=" not in text:
+            raise SettingsError(f"--set {text}: expected MODULE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
+    return dict(map(parse_parameter, changed or []))

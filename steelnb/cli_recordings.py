@@ -8,21 +8,18 @@ import typer
 
 from steelnb.cli_options import (
     METHODS,
-    TRAJECTORIES,
     examples,
     noise_option,
     one_of,
     output_option,
+    overrides_of,
     sensor_option,
 )
 from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
-from steelnb.report.words import counted
 
 if TYPE_CHECKING:
     from steelnb.settings import ExperimentSettings, StructureSettings
-
-DURATION_MIN_S = 1.0
 
 app = typer.Typer()
 Source = Annotated[
@@ -50,57 +47,6 @@ Gap = Annotated[
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
-
-
-@app.command(
-    epilog=examples(
-        "steelnb record flight.mcap --duration 30",
-        "steelnb record flight.bag --trajectory orbit --noise random-walk+yaw-random-walk --force",
-        "steelnb record around.mcap --trajectory planned --duration 120",
-    )
-)
-def record(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="FILE.bag, FILE.mcap, FILE.db3, or a new folder for ROS 2.")
-    ],
-    trajectory: Annotated[str, one_of(TRAJECTORIES, "{names}.")] = "vertical",
-    duration: Annotated[float, typer.Option(help="Seconds.")] = 60.0,
-    noise: Annotated[str, noise_option("How the recorded poses drift")] = "random-walk:0.002",
-    sensor: Sensor = "starling2",
-    seed: Seed = 1,
-    changed: Set = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite FILE and its truth.")] = False,
-) -> None:
-    """Simulate a flight and record it.
-
-    Sensor data and drifting poses go to FILE, the truth apart to NAME.truth.tum beside it. What exists is refused.
-    """
-    with progress() as shown:
-        from steelnb import experiment
-        from steelnb.io.bag_files import truth_path
-        from steelnb.io.bag_writer import check_target, write_flight
-        from steelnb.settings import ExperimentSettings
-        from steelnb.settings.base import DURATION_MAX_S
-
-        if not DURATION_MIN_S <= duration <= DURATION_MAX_S:
-            raise SettingsError(
-                f"duration = {duration:g}: expected at least {DURATION_MIN_S:g} s and at most {DURATION_MAX_S:g} s"
-            )
-        settings = ExperimentSettings.preset(
-            trajectory,  # type: ignore[arg-type]
-            noise,
-            method="combined",  # which steers a planned flight, and has no part in others
-            sensor=sensor,
-            seed=seed,
-            duration_s=duration,
-            overrides=_overrides(changed),
-        )
-        check_target(file, True, force)
-        shown.show(f"flying {duration:g} s")
-        flight, truth = experiment.simulate_anew(settings, lambda share: shown.show(f"flying {duration:g} s", share))
-        write_flight(file, flight, truth, lambda share: shown.show(f"writing {file.name}", share), overwrite=force)
-    scans = counted(len(flight), "scan")
-    print(f"{file} written: {scans} with drifting poses; the truth is {_short(truth_path(file))}")
 
 
 @app.command(
@@ -166,7 +112,7 @@ def run(
         if map_file is not None and (odometry or smooth):
             raise SettingsError("--map with --odometry or --smooth: expected one of them; the map is what corrects")
         known = None if map_file is None else read_structure(map_file)
-        overrides = _overrides(changed) | ({"smooth": True} if smooth else {})
+        overrides = overrides_of(changed) | ({"smooth": True} if smooth else {})
 
         def settings_for(scene: Scene | None = None) -> dict[str, "tuple[ExperimentSettings, StructureSettings]"]:
             given: dict[str, Any] = {"seed": seed, "range_max_m": range_max, "floor_m": floor, "overrides": overrides}
@@ -229,7 +175,7 @@ def calibrate(
         from steelnb.report.recording_settings import Scene, recording_settings
         from steelnb.report.recording_truth import part_of
 
-        overrides = _overrides(changed)
+        overrides = overrides_of(changed)
         recording_settings("calibrated", sensor, overrides=overrides)  # refused before a file is opened
         shown.show(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, settings=settings, gap_max_s=gap)
@@ -266,16 +212,3 @@ def info(
         true = read_truth(recording, truth=truth, settings=settings)
         lines = describe_flight(flight, true, path=recording, quick=quick)
     print("\n".join(lines))
-
-
-def _overrides(changed: list[str] | None) -> dict[str, Any]:
-    from steelnb.settings import parse_parameter
-
-    for text in changed or []:
-        if "=" not in text:
-            raise SettingsError(f"--set {text}: expected MODULE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
-    return dict(map(parse_parameter, changed or []))
-
-
-def _short(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -33,7 +34,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(command in shown for command in ("study", "structure", "segment"))
 
 
-@pytest.mark.parametrize("command", ["study", "record", "run", "calibrate", "info", "segment", "structure"])
+@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment", "structure"])
 def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -58,6 +59,7 @@ def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
 def test_the_names_of_options_are_those_of_the_settings() -> None:
     assert set(cli_options.METHODS) == {*settings.METHODS, "segments"}
     assert cli_options.SENSORS == settings.SENSORS
+    assert tuple(sorted(get_args(settings.PlannerGoal))) == cli_options.GOALS
     assert cli_options.TRAJECTORIES == settings.TRAJECTORIES
     assert set(cli_options.NOISES) == {*settings.REPORT_NOISE, "none"}
 

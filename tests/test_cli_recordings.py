@@ -247,6 +247,16 @@ def test_the_folder_of_a_run_has_the_name_that_its_help_says(bag, place, capfd):
     assert "[default: (NAME_run here)]" in " ".join(said(capfd, ["run", "--help"]).split())
 
 
+def test_a_flight_that_is_steered_is_recorded_for_run(place, capfd):
+    shown = said(capfd, ["fly", "a.mcap", *SMALL, "--sensor", "report", "--planner", "whole"]).splitlines()
+    assert shown[0].startswith("flown     ")
+    assert shown[-1].startswith("a.mcap written: ")
+    assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
+    assert said(capfd, ["info", "a.mcap"])
+    assert "exists already" in said(capfd, ["fly", "a.mcap", *SMALL], 2)
+    assert "did you mean 'whole'" in said(capfd, ["fly", "b.mcap", "--planner", "hole"], 2)
+
+
 @pytest.mark.parametrize("name", ["a.mcap", "folder"])
 def test_record_overwrites_only_where_it_is_told_to(place, capfd, name):
     said(capfd, ["record", name, *SMALL])

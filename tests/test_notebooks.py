@@ -64,7 +64,7 @@ def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numb
     assert code[-1].splitlines()[-1] == ")"
     assert "results.write_results(" in code[-1]
     if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit|honest)\.\w+\("
+        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit|honest|planned_flights)\.\w+\("
         assert re.search(sentence, code[-2], re.MULTILINE)
 
 
@@ -385,3 +385,17 @@ def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
     assert abs(metrics["mount pitch.found"] - metrics["mount pitch.true"]) < 4 * metrics["mount pitch.sigma"]
     for name in ("frame", "imu", "honest", "calibration"):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN
+
+
+def test_the_notebook_of_the_planner_keeps_sight_where_the_orbit_loses_it(smoke):
+    folder = smoke / "planner"
+    table = pd.read_csv(folder / "table.csv").set_index(["sensor", "flight"])
+    assert {flight for _, flight in table.index} == {"orbit", "planned", "whole"}
+    few = table["few_share"]["report"]
+    assert few["planned"] < few["orbit"]
+    assert few["whole"] < few["orbit"]
+    assert (table["clearance_m"] > 0.5).all()
+    assert (table["ate_rmse_m"]["starling2"] < 0.5 * table["raw_ate_rmse_m"]["starling2"]).all()
+    for sensor in ("report", "starling2"):
+        for name in ("paths", "time", "strip"):
+            assert coloured(folder / f"fig_{name}_{sensor}.png") > COLOURED_MIN

@@ -49,8 +49,10 @@ DETECTORS = {
 """Methods of segmentation, which no figure shows beside odometries."""
 KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
 """Members of the tower, and the flights around it."""
+PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK}
+"""Flights that a planner steers, which no figure shows beside odometries."""
 COLOURS = {
-    **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS,
+    **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
     "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "misses": "#f1e4dc", "refused": "#dddddd",
 }  # fmt: skip

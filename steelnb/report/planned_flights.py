@@ -1,0 +1,279 @@
+"""Notebook 16: flights that a planner steers beside those along waypoints: sight, information, error, coverage."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from scipy.spatial import cKDTree
+
+from steelnb import experiment
+from steelnb.closed_loop import OnboardPilot
+from steelnb.errors import SettingsError
+from steelnb.experiment import Result
+from steelnb.metrics import position_error_m, score_trajectory
+from steelnb.metrics.limit import gather, see
+from steelnb.report.batch import Progress, caption, share_of
+from steelnb.report.conclusions import bullets
+from steelnb.report.style import (
+    COLOURS,
+    Figure,
+    draw_bars,
+    draw_lines,
+    frame_perspective,
+    gather_legend,
+    project_perspective,
+    style,
+)
+from steelnb.settings import ExperimentSettings
+from steelnb.simulation.tower import Tower
+from steelnb.simulation.truth import SLICE_M
+from steelnb.types import Array, Flight, Trajectory
+
+FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "vertical": ("vertical", {}),
+    "orbit": ("orbit", {}),
+    "planned": ("planned", {}),
+    "view only": ("planned", {"flight.planner.keep_information": False}),
+    "information only": ("planned", {"flight.planner.keep_view": False}),
+    "whole": ("planned", {"flight.planner.goal": "whole", "flight.height_max_m": 15.0}),
+}
+"""Name → trajectory and overrides. `planned` goes around as far, as high and as fast as `orbit`; the next two are
+without one kind of barrier; `whole` flies from one viewpoint to the next, as high as `vertical`."""
+FEW = 300
+"""Returns from steel below which a scan has lost sight."""
+STEEL_M = 0.15
+"""A return counts for the slice of a member whose middle is so near."""
+EVERY = 5
+"""Of the returns, every fifth tells what was seen."""
+STRIP = 6
+"""Frames of a film strip."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight and what came of it: ``returns (K,)`` from steel, ``seen (K,)`` the share of the steel's length seen so
+    far, ``sigma (K,)`` the bound of a scan's pose along its worst direction, metres."""
+
+    flight: Flight
+    result: Result
+    returns: Array
+    seen: Array
+    sigma: Array
+
+
+def make_flights(
+    names: Sequence[str], noise: str, method: str, sensor: str, seed: int, duration_s: float,
+    overrides: Mapping[str, Any] | None = None,
+) -> dict[str, ExperimentSettings]:  # fmt: skip
+    """Settings of each flight of `FLIGHTS`, by name. Raises `SettingsError`."""
+    if unknown := [name for name in names if name not in FLIGHTS]:
+        raise SettingsError(f"flights: unknown {unknown[0]!r}; expected some of {', '.join(map(repr, FLIGHTS))}")
+    return {
+        name: ExperimentSettings.preset(
+            FLIGHTS[name][0], noise, method, sensor, seed, duration_s, {**FLIGHTS[name][1], **(overrides or {})}
+        )
+        for name in names
+    }
+
+
+def fly_all(cases: Mapping[str, ExperimentSettings], on_progress: Progress | None = None) -> dict[str, Flown]:
+    """Simulate and estimate each flight, and look at what it saw. Raises `CollisionError`."""
+    found = {}
+    for k, (name, settings) in enumerate(cases.items()):
+        flight, truth = experiment.simulate(settings, share_of(on_progress, 2 * k, 2 * len(cases)))
+        within = share_of(on_progress, 2 * k + 1, 2 * len(cases))
+        result = experiment.estimate(settings, flight, truth, within)
+        at = truth.trajectory.at(result.corrected.stamp_s).T_world_drone
+        found[name] = Flown(flight, result, *sight(truth.tower, at, settings))
+    return found
+
+
+def sight(tower: Tower, T_world_drone: Array, settings: ExperimentSettings) -> tuple[Array, Array, Array]:
+    """Returns from steel, share of the steel seen so far, and the bound, of scans from true poses ``(K, 4, 4)``."""
+    tree = cKDTree(_slices(tower.axes))
+    seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
+
+    def counted() -> Iterable[Any]:
+        for scan in see(tower, T_world_drone, settings.tof):
+            near = tree.query(scan.points[::EVERY], distance_upper_bound=STEEL_M)[1]
+            seen[near[near < tree.n]] = True
+            returns.append(len(scan.points))
+            shares.append(seen.mean())
+            yield scan
+
+    least = np.linalg.eigvalsh(gather(counted()).pose)[:, 0]
+    return np.array(returns), np.array(shares), 1 / np.sqrt(np.maximum(least, 1e-9))
+
+
+def _slices(axes: Array) -> Array:
+    """Middles ``(S, 3)`` of the slices of all members ``(M, 2, 3)``."""
+    middles = []
+    for begin, end in axes:
+        count = max(1, round(float(np.linalg.norm(end - begin)) / SLICE_M))
+        middles.append(begin + (np.arange(count)[:, None] + 0.5) / count * (end - begin))
+    return np.concatenate(middles)
+
+
+def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
+    """A row a flight; lengths in metres, ``few_share`` of the scans with fewer than `FEW` returns from steel,
+    ``no_pair_share`` of those without a pair, ``bound_ratio`` of the worst scan's bound to the median, ``recall`` of
+    the bars seen well enough, ``members_seen`` of all."""
+    rows = []
+    for name, each in flown.items():
+        result, settings = each.result, each.result.settings
+        rows.append(
+            {
+                "flight": name,
+                "noise": settings.noise_name,
+                "method": settings.odometry.method,
+                "sensor": settings.sensor,
+                "seed": settings.seed,
+                "flown_s": float(result.corrected.stamp_s[-1]),
+                "few_share": float((each.returns < FEW).mean()),
+                "no_pair_share": float((result.matches[1:] == 0).mean()),
+                "ate_rmse_m": result.metrics["ate_rmse_m"],
+                "raw_ate_rmse_m": result.metrics["raw_ate_rmse_m"],
+                "bound_median_m": float(np.median(each.sigma)),
+                "bound_ratio": float(each.sigma.max() / np.median(each.sigma)),
+                "seen_share": float(each.seen[-1]),
+                "members_seen": float(result.truth.visibility.observed().mean()),
+                "recall": result.metrics.get("segment_recall", 0.0),
+                "clearance_m": clearance_m(result),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def clearance_m(result: Result) -> float:
+    """Least true distance of the drone's middle from the middle of a member."""
+    slices = cKDTree(_slices(result.truth.tower.axes))
+    return float(slices.query(result.truth.trajectory.position)[0].min())
+
+
+def flight_sentences(table: pd.DataFrame) -> str:
+    """Sentences on `flight_table`: sight, error beside the orbit's, what was seen, and which barrier matters."""
+    row: dict[Any, dict[Any, Any]] = table.set_index("flight").to_dict("index")
+    few = [f"{name} {each['few_share']:.1%}" for name, each in row.items()]
+    lines = [f"**Sight.** Scans with fewer than {FEW} returns from steel: {', '.join(few)}."]
+    orbit = row.get("orbit")
+    for name in ("planned", "whole"):
+        if orbit and name in row:
+            times = row[name]["ate_rmse_m"] / orbit["ate_rmse_m"]
+            word = "no more than half of" if times <= 0.5 else "less than" if times < 1 else "no less than"
+            lines.append(
+                f"**Error.** {name} errs by {1e3 * row[name]['ate_rmse_m']:.0f} mm, the orbit by "
+                f"{1e3 * orbit['ate_rmse_m']:.0f} mm: {times:.2f} times, {word} the orbit's."
+            )
+    most = max(row, key=lambda name: row[name]["seen_share"])
+    seen = ", ".join(f"{name} {each['seen_share']:.1%}" for name, each in row.items())
+    lines.append(f"**Coverage.** Of the steel's length were seen: {seen}; most by {most}.")
+    single = {name: row[name]["ate_rmse_m"] for name in ("view only", "information only") if name in row}
+    if len(single) == 2 and "planned" in row:
+        better = min(single, key=lambda name: single[name])
+        alone = ", ".join(f"{name} {1e3 * error_m:.0f} mm" for name, error_m in single.items())
+        lines.append(
+            f"**Barriers.** With one kind alone: {alone}; "
+            f"with both {1e3 * row['planned']['ate_rmse_m']:.0f} mm; the smaller error of the two has {better}."
+        )
+    return bullets(lines)
+
+
+@style()
+def figure_paths(flown: Mapping[str, Flown]) -> Figure:
+    """The true path of each flight about the tower, from its start (dark) to its end (light)."""
+    columns = min(len(flown), 3)
+    rows = -(-len(flown) // columns)
+    figure = Figure(figsize=(3.6 * columns, 4.6 * rows))
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel in panels[len(flown) :]:
+        panel.set_axis_off()
+    for panel, (name, each) in zip(panels, flown.items(), strict=False):
+        truth = each.result.truth
+        _draw_path(panel, truth.tower, truth.trajectory.position[::25])
+        panel.set_title(f"{name}: {1e3 * each.result.metrics['ate_rmse_m']:.0f} mm", fontsize=12)
+    figure.suptitle(_caption(flown), fontsize=12)
+    return figure
+
+
+def _draw_path(panel: Axes, tower: Tower, position: Array) -> None:
+    around = np.concatenate([tower.axes.reshape(-1, 3), [[-4.5, -4.5, 0.0], [4.5, 4.5, 0.0]]])
+    draw_bars(panel, tower.axes, around, colors=COLOURS["member"], linewidths=0.6)
+    flat = project_perspective(position, around)
+    time = np.linspace(0, 1, len(flat) - 1)
+    draw_lines(panel, np.stack([flat[:-1], flat[1:]], axis=1), array=time, cmap="viridis", linewidths=1.4)
+    frame_perspective(panel, around)
+
+
+@style()
+def figure_time(flown: Mapping[str, Flown]) -> Figure:
+    """Returns from steel, error and coverage of each flight over time."""
+    figure = Figure(figsize=(9.0, 8.0))
+    returns, errors, seen = figure.subplots(3, 1, sharex=True)
+    for name, each in flown.items():
+        stamp_s, look = each.result.corrected.stamp_s, {"color": COLOURS[name], "lw": 1.2, "label": name}
+        returns.plot(stamp_s, np.maximum(each.returns, 1), **look)
+        errors.plot(stamp_s, 1e3 * position_error_m(each.result.corrected, each.result.truth.trajectory), **look)
+        seen.plot(stamp_s, 100 * each.seen, **look)
+    returns.axhline(FEW, color=COLOURS["report"], lw=1.0, ls=":")
+    returns.set(yscale="log", ylabel="returns from steel")
+    returns.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    returns.yaxis.set_minor_formatter(lambda value, _: "")
+    errors.set(ylabel="error of the position (mm)", ylim=(0, None))
+    seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
+    gather_legend(figure, ncols=min(len(flown), 6), fontsize=11)
+    figure.suptitle(_caption(flown), fontsize=12)
+    return figure
+
+
+@style()
+def figure_strip(name: str, each: Flown) -> Figure:
+    """Six moments of a flight: what the camera sees, by range, above where the drone is and has been."""
+    figure = Figure(figsize=(11.0, 5.4))
+    panels = figure.subplots(2, STRIP, height_ratios=[1.0, 1.6])
+    truth, stamps = each.result.truth, each.result.corrected.stamp_s
+    moments = np.linspace(0.02, 0.98, STRIP) * stamps[-1]
+    scans = [each.flight.scans[int(k)] for k in np.searchsorted(stamps, moments)]
+    for (view, path), scan, stamp_s in zip(panels.T, scans, moments, strict=True):
+        range_m = np.linalg.norm(scan.points, axis=-1)
+        shown = view.imshow(range_m, cmap="viridis_r", vmin=0, vmax=each.result.settings.tof.range_max_m)
+        view.set(title=f"{stamp_s:.0f} s", xticks=[], yticks=[])
+        view.set_axis_off()
+        at = truth.trajectory.stamp_s <= stamp_s
+        _draw_path(path, truth.tower, truth.trajectory.position[at][::25])
+    figure.colorbar(shown, ax=list(panels[0]), label="range (m)", shrink=0.9)
+    figure.suptitle(f"{name}, {_caption({name: each})}", fontsize=12)
+    return figure
+
+
+def _caption(flown: Mapping[str, Flown]) -> str:
+    cases = pd.DataFrame([each.result.settings.model_dump(include={"seed"}) for each in flown.values()])
+    first = next(iter(flown.values())).result.settings
+    cases = cases.assign(noise=first.noise_name, sensor=first.sensor)
+    return f"{caption(cases)}, {first.odometry.method}"
+
+
+def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:
+    """What a planned flight came to, in lines: how long, the planner's states, the error that it was steered by, and
+    what it saw."""
+    states = Counter(moment.decision.state for moment in pilot.moments)
+    shares = ", ".join(f"{state} {count / len(pilot.moments):.0%}" for state, count in states.most_common())
+    corrected, matches = pilot.estimate()
+    error_mm, raw_mm = (1e3 * score_trajectory(poses, truth)["ate_rmse_m"] for poses in (corrected, flight.prior))
+    last = pilot.moments[-1]
+    ended = f"; {last.decision.reason}" if last.decision.state == "end" else ""
+    return [
+        f"flown     {truth.stamp_s[-1]:.1f} of {pilot.settings.flight.duration_s:g} s{ended}",
+        f"planner   {shares}",
+        f"odometry  {pilot.settings.odometry.method}: {error_mm:.0f} mm off (ATE), {raw_mm:.0f} uncorrected; "
+        f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
+        f"seen      {pilot.planner.coverage.summary()}",
+    ]
+
+
+def provenance(flown: Mapping[str, Flown]) -> dict[str, Any]:
+    """The settings of each flight, for the provenance of results."""
+    return {name: each.result.settings.model_dump(mode="json") for name, each in flown.items()}

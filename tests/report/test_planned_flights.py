@@ -1,0 +1,101 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb import experiment
+from steelnb.closed_loop import OnboardPilot
+from steelnb.errors import SettingsError
+from steelnb.report import planned_flights
+from steelnb.simulation import build_tower
+
+SMALL = {"tof.rows": 24, "tof.columns": 24}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    cases = planned_flights.make_flights(["orbit", "whole"], "random-walk", "combined", "report", 3, 4.0, SMALL)
+    return planned_flights.fly_all(cases)
+
+
+def test_each_flight_is_of_its_kind(flown):
+    orbit, whole = (flown[name].result.settings.flight for name in ("orbit", "whole"))
+    assert (orbit.trajectory, orbit.planner) == ("orbit", None)
+    assert whole.planner.goal == "whole"
+    assert whole.height_max_m == 15.0
+    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'vertical', 'orbit'"):
+        planned_flights.make_flights(["hole"], "none", "combined", "report", 1, 4.0)
+
+
+def test_sight_is_that_of_the_true_poses(flown):
+    for each in flown.values():
+        count = len(each.result.corrected)
+        assert len(each.returns) == len(each.seen) == len(each.sigma) == count == 20
+        assert (np.diff(each.seen) >= 0).all()
+        assert 0.0 < each.seen[-1] < 0.5
+        assert (each.returns > 0).all()
+        assert (each.returns <= 24 * 24).all()
+        assert (each.sigma > 1e-4).all()
+
+
+def test_what_was_seen_agrees_with_the_members_that_were(flown):
+    tower = build_tower(flown["orbit"].result.settings.tower)
+    slices = planned_flights._slices(tower.axes)
+    length_m = np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1).sum()
+    assert len(slices) == pytest.approx(length_m / planned_flights.SLICE_M, rel=0.05)
+    for each in flown.values():
+        counted = np.concatenate(each.result.truth.visibility.slices)
+        assert each.seen[-1] == pytest.approx((counted > 0).mean(), abs=0.05)
+
+
+def test_the_table_has_a_row_a_flight(flown):
+    table = planned_flights.flight_table(flown)
+    assert table["flight"].tolist() == ["orbit", "whole"]
+    assert table.notna().all(axis=None)
+    assert (table["clearance_m"] > 0.3).all()
+    assert (table["bound_ratio"] >= 1).all()
+    assert table["few_share"].tolist() == [
+        float((flown[name].returns < planned_flights.FEW).mean()) for name in ("orbit", "whole")
+    ]
+
+
+def row(flight: str, ate_m: float, few: float, seen: float) -> dict[str, object]:
+    return {"flight": flight, "ate_rmse_m": ate_m, "few_share": few, "seen_share": seen}
+
+
+def test_the_sentences_follow_from_the_table():
+    rows = [row("orbit", 0.1, 0.06, 0.6), row("planned", 0.12, 0.0, 0.7), row("whole", 0.05, 0.0, 0.98)]
+    rows += [row("view only", 0.15, 0.0, 0.7), row("information only", 0.09, 0.0, 0.7)]
+    sight, first, second, seen, barriers = planned_flights.flight_sentences(pd.DataFrame(rows)).splitlines()
+    assert "orbit 6.0%, planned 0.0%" in sight
+    assert first.endswith("planned errs by 120 mm, the orbit by 100 mm: 1.20 times, no less than the orbit's.")
+    assert second.endswith("0.50 times, no more than half of the orbit's.")
+    assert seen.endswith("most by whole.")
+    assert barriers.endswith("with both 120 mm; the smaller error of the two has information only.")
+
+
+def test_without_an_orbit_there_is_nothing_to_compare():
+    lines = planned_flights.flight_sentences(pd.DataFrame([row("planned", 0.12, 0.0, 0.7)])).splitlines()
+    assert len(lines) == 2
+
+
+def test_the_figures_show_every_flight(flown):
+    for figure, panels in (
+        (planned_flights.figure_paths(flown), 2),
+        (planned_flights.figure_time(flown), 3),
+        (planned_flights.figure_strip("whole", flown["whole"]), 2 * planned_flights.STRIP + 1),
+    ):
+        assert len(figure.axes) == panels
+    errors = planned_flights.figure_time(flown).axes[1]
+    assert {line.get_label() for line in errors.get_lines()} == {"orbit", "whole"}
+
+
+def test_a_pilot_tells_how_it_flew():
+    cases = planned_flights.make_flights(["planned"], "random-walk", "combined", "report", 3, 2.0, SMALL)
+    pilot = OnboardPilot(cases["planned"], build_tower(cases["planned"].tower))
+    flight, truth = experiment.simulate_anew(cases["planned"], steering=pilot)
+    flown, planner, odometry, seen = planned_flights.pilot_summary(pilot, flight, truth)
+    assert flown == "flown     2.0 of 2 s"
+    assert "follow" in planner
+    assert odometry.startswith("odometry  combined: ")
+    assert "of 10 scans without a pair" in odometry
+    assert "seen from two sides" in seen
