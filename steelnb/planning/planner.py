@@ -32,8 +32,6 @@ HIDDEN_M = 0.5
 """A mapped bar may go on behind the edge of the map by this much."""
 BEARING_SHARE = 0.5
 """Largest bearing of the middle of the structure in sight, as a share of half the field of view."""
-LEAD_RAD = np.radians(15.0)
-"""Around a structure the camera looks this much ahead of its mapped middle, so that it sees what comes."""
 SIGHT_MIN = 60
 """Voxels of a scan below which sight is lost."""
 SHARE_MIN = 0.5
@@ -192,8 +190,8 @@ class Planner:
                 round_by, climb, height = float(np.clip(left_m / BRAKE_M, -1, 1)), 0.0, target.position[2]
             facing, middle = towards_nearest(points, position), middle_of(points, position)
             along = round_by * np.array([facing[1], -facing[0]])
-            ahead = np.arctan2(middle[1], middle[0]) - round_by * LEAD_RAD
-            rate, up = GAIN_1_S["turn"] * turn_to(ahead - yaw), climb + GAIN_1_S["height"] * (height - position[2])
+            rate = GAIN_1_S["turn"] * turn_to(np.arctan2(middle[1], middle[0]) - yaw)
+            up = climb + GAIN_1_S["height"] * (height - position[2])
         up = float(np.clip(up, -task.speed_m_s, task.speed_m_s))
         distance = distance_ahead(points, position, facing)
         inward = float(np.clip(GAIN_1_S["distance"] * (distance - task.standoff_m), -0.5, 0.5))
