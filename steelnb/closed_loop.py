@@ -4,6 +4,7 @@ The true drone flies in `steelnb.simulation`; camera, IMU and drifting prior are
 `steelnb.experiment` makes them of a whole flight, and the planner has the odometry's estimate only.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -45,11 +46,12 @@ def camera_of(settings: ExperimentSettings) -> Camera:
 
 @dataclass(frozen=True)
 class Moment:
-    """One decision: time, estimated pose, and what was decided."""
+    """One decision: time, estimated pose, what was decided, and the seconds that it took."""
 
     stamp_s: float
     T_world_drone: Array
     decision: Decision
+    seconds: float
 
 
 class OnboardPilot:
@@ -94,8 +96,9 @@ class OnboardPilot:
             last = self._prior[self._scan_step[len(self.steps) - 1]]
             T = self.steps[-1].T_world_drone @ np.linalg.inv(last) @ T
         self._on_progress(now / (len(self._prior) - 1))
+        began = time.perf_counter()
         decision = self.planner.decide(now * STEP_S, T)
-        self.moments.append(Moment(now * STEP_S, T, decision))
+        self.moments.append(Moment(now * STEP_S, T, decision, time.perf_counter() - began))
         if decision.state == "end":
             return None
         forward, left, up = decision.velocity.tolist()

@@ -263,11 +263,12 @@ def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> lis
     shares = ", ".join(f"{state} {count / len(pilot.moments):.0%}" for state, count in states.most_common())
     corrected, matches = pilot.estimate()
     error_mm, raw_mm = (1e3 * score_trajectory(poses, truth)["ate_rmse_m"] for poses in (corrected, flight.prior))
+    middle_ms, slow_ms = np.percentile([1e3 * moment.seconds for moment in pilot.moments], [50, 99])
     last = pilot.moments[-1]
     ended = f"; {last.decision.reason}" if last.decision.state == "end" else ""
     return [
         f"flown     {truth.stamp_s[-1]:.1f} of {pilot.settings.flight.duration_s:g} s{ended}",
-        f"planner   {shares}",
+        f"planner   {shares}; a decision took {middle_ms:.1f} ms (median), {slow_ms:.1f} ms (99 %)",
         f"odometry  {pilot.settings.odometry.method}: {error_mm:.0f} mm off (ATE), {raw_mm:.0f} uncorrected; "
         f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
         f"seen      {pilot.planner.coverage.summary()}",
