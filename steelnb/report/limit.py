@@ -148,7 +148,7 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     curve, whole = figure.subplots(1, 2, sharey=True, width_ratios=[4.2, 1.0])
     for result in runs:
         method = result.settings.odometry.method
-        rms_mm = _running_rms_mm(result)
+        rms_mm = running_rms_mm(result)
         curve.plot(result.corrected.stamp_s, rms_mm, color=COLOURS[method], label=LABELS[method])
     stamp_s = runs[0].corrected.stamp_s
     for name, look in BOUNDS.items():
@@ -169,7 +169,8 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     return figure
 
 
-def _running_rms_mm(result: Result) -> pd.Series:
+def running_rms_mm(result: Result) -> pd.Series:
+    """Position error of each scan ``(K,)`` as a root mean square over `SMOOTHED_S` around it, millimetres."""
     square = pd.Series((1e3 * position_error_m(result.corrected, result.truth.trajectory)) ** 2)
     window = max(1, round(SMOOTHED_S * result.settings.tof.rate_hz))
     return np.sqrt(square.rolling(window, center=True, min_periods=1).mean())

@@ -14,10 +14,11 @@ from steelnb import experiment
 from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import SettingsError
 from steelnb.experiment import Result
-from steelnb.metrics import position_error_m, score_trajectory
+from steelnb.metrics import score_trajectory
 from steelnb.metrics.limit import gather, see
 from steelnb.report.batch import Progress, caption, share_of
 from steelnb.report.conclusions import bullets
+from steelnb.report.limit import SMOOTHED_S, running_rms_mm
 from steelnb.report.style import (
     COLOURS,
     Figure,
@@ -216,13 +217,13 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
     for name, each in flown.items():
         stamp_s, look = each.result.corrected.stamp_s, {"color": COLOURS[name], "lw": 1.2, "label": name}
         returns.plot(stamp_s, np.maximum(each.returns, 1), **look)
-        errors.plot(stamp_s, 1e3 * position_error_m(each.result.corrected, each.result.truth.trajectory), **look)
+        errors.plot(stamp_s, running_rms_mm(each.result), **look)
         seen.plot(stamp_s, 100 * each.seen, **look)
     returns.axhline(FEW, color=COLOURS["report"], lw=1.0, ls=":")
     returns.set(yscale="log", ylabel="returns from steel")
     returns.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     returns.yaxis.set_minor_formatter(lambda value, _: "")
-    errors.set(ylabel="error of the position (mm)", ylim=(0, None))
+    errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s", ylim=(0, None))
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
     gather_legend(figure, ncols=min(len(flown), 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)

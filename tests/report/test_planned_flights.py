@@ -96,6 +96,7 @@ def test_a_pilot_tells_how_it_flew():
     flown, planner, odometry, seen = planned_flights.pilot_summary(pilot, flight, truth)
     assert flown == "flown     2.0 of 2 s"
     assert "follow" in planner
+    assert " ms (median), " in planner
     assert odometry.startswith("odometry  combined: ")
     assert "of 10 scans without a pair" in odometry
     assert "seen from two sides" in seen
