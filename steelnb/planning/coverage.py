@@ -131,8 +131,9 @@ class Coverage:
             if len(some):
                 gain = self._gain(points, sides, places[some], azimuth[some], usual)
                 took_s = way_m[some] / self._speed_m_s + SETTLE_S
-                k = int(np.argmax(gain / took_s))
-                if gain[k] > GAIN_MIN * usual:
+                rate = np.where(gain > GAIN_MIN * usual, gain / took_s, 0.0)
+                k = int(np.argmax(rate))
+                if rate[k] > 0:
                     return Viewpoint(places[some[k]], float(azimuth[some[k]]), middle)
         return None
 
