@@ -16,7 +16,7 @@ from steelnb.errors import SettingsError
 from steelnb.experiment import Result
 from steelnb.metrics import score_trajectory
 from steelnb.metrics.limit import gather, see
-from steelnb.report.batch import Progress, caption, share_of
+from steelnb.report.batch import Progress, caption, case_of, share_of
 from steelnb.report.conclusions import bullets
 from steelnb.report.limit import SMOOTHED_S, running_rms_mm
 from steelnb.report.style import (
@@ -50,6 +50,8 @@ STEEL_M = 0.15
 """A return counts for the slice of a member whose middle is so near."""
 EVERY = 5
 """Of the returns, every fifth tells what was seen."""
+EVERY_STEP = 25
+"""Of a path at 125 Hz, what is drawn."""
 STRIP = 6
 """Frames of a film strip."""
 
@@ -125,14 +127,11 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
     the bars seen well enough, ``members_seen`` of all."""
     rows = []
     for name, each in flown.items():
-        result, settings = each.result, each.result.settings
+        result = each.result
         rows.append(
             {
                 "flight": name,
-                "noise": settings.noise_name,
-                "method": settings.odometry.method,
-                "sensor": settings.sensor,
-                "seed": settings.seed,
+                **_case(each),
                 "flown_s": float(result.corrected.stamp_s[-1]),
                 "few_share": float((each.returns < FEW).mean()),
                 "no_pair_share": float((result.matches[1:] == 0).mean()),
@@ -194,7 +193,7 @@ def figure_paths(flown: Mapping[str, Flown]) -> Figure:
         panel.set_axis_off()
     for panel, (name, each) in zip(panels, flown.items(), strict=False):
         truth = each.result.truth
-        _draw_path(panel, truth.tower, truth.trajectory.position[::25])
+        _draw_path(panel, truth.tower, truth.trajectory.position)
         panel.set_title(f"{name}: {1e3 * each.result.metrics['ate_rmse_m']:.0f} mm", fontsize=12)
     figure.suptitle(_caption(flown), fontsize=12)
     return figure
@@ -203,7 +202,7 @@ def figure_paths(flown: Mapping[str, Flown]) -> Figure:
 def _draw_path(panel: Axes, tower: Tower, position: Array) -> None:
     around = np.concatenate([tower.axes.reshape(-1, 3), [[-4.5, -4.5, 0.0], [4.5, 4.5, 0.0]]])
     draw_bars(panel, tower.axes, around, colors=COLOURS["member"], linewidths=0.6)
-    flat = project_perspective(position, around)
+    flat = project_perspective(position[::EVERY_STEP], around)
     time = np.linspace(0, 1, len(flat) - 1)
     draw_lines(panel, np.stack([flat[:-1], flat[1:]], axis=1), array=time, cmap="viridis", linewidths=1.4)
     frame_perspective(panel, around)
@@ -241,20 +240,23 @@ def figure_strip(name: str, each: Flown) -> Figure:
     for (view, path), scan, stamp_s in zip(panels.T, scans, moments, strict=True):
         range_m = np.linalg.norm(scan.points, axis=-1)
         shown = view.imshow(range_m, cmap="viridis_r", vmin=0, vmax=each.result.settings.tof.range_max_m)
-        view.set(title=f"{stamp_s:.0f} s", xticks=[], yticks=[])
+        view.set_title(f"{stamp_s:.0f} s")
         view.set_axis_off()
         at = truth.trajectory.stamp_s <= stamp_s
-        _draw_path(path, truth.tower, truth.trajectory.position[at][::25])
+        _draw_path(path, truth.tower, truth.trajectory.position[at])
     figure.colorbar(shown, ax=list(panels[0]), label="range (m)", shrink=0.9)
     figure.suptitle(f"{name}, {_caption({name: each})}", fontsize=12)
     return figure
 
 
+def _case(each: Flown) -> dict[str, Any]:
+    """What `case_of` names of a flight, without the trajectory, for which the flight's own name stands."""
+    return {column: value for column, value in case_of(each.result.settings).items() if column != "trajectory"}
+
+
 def _caption(flown: Mapping[str, Flown]) -> str:
-    cases = pd.DataFrame([each.result.settings.model_dump(include={"seed"}) for each in flown.values()])
-    first = next(iter(flown.values())).result.settings
-    cases = cases.assign(noise=first.noise_name, sensor=first.sensor)
-    return f"{caption(cases)}, {first.odometry.method}"
+    cases = pd.DataFrame(map(_case, flown.values()))
+    return f"{caption(cases)}, {cases['method'].iloc[0]}"
 
 
 def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:
