@@ -36,14 +36,16 @@ from steelnb.types import Array, Flight, Trajectory
 
 FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "vertical": ("vertical", {}),
+    "wide orbit": ("orbit", {"flight.standoff_m": 2.4}),
     "orbit": ("orbit", {}),
     "planned": ("planned", {}),
     "view only": ("planned", {"flight.planner.keep_information": False}),
     "information only": ("planned", {"flight.planner.keep_view": False}),
     "whole": ("planned", {"flight.planner.goal": "whole", "flight.height_max_m": 15.0}),
 }
-"""Name → trajectory and overrides. `planned` goes around as far, as high and as fast as `orbit`; the next two are
-without one kind of barrier; `whole` flies from one viewpoint to the next, as high as `vertical`."""
+"""Name → trajectory and overrides. `wide orbit` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
+the tower's axis; `planned` goes around as far, as high and as fast as `orbit`; the next two are without one kind of
+barrier; `whole` flies from one viewpoint to the next, as high as `vertical`."""
 FEW = 300
 """Returns from steel below which a scan has lost sight."""
 STEEL_M = 0.15
@@ -185,7 +187,7 @@ def flight_sentences(table: pd.DataFrame) -> str:
 @style()
 def figure_paths(flown: Mapping[str, Flown]) -> Figure:
     """The true path of each flight about the tower, from its start (dark) to its end (light)."""
-    columns = min(len(flown), 3)
+    columns = min(len(flown), 4 if len(flown) > 6 else 3)
     rows = -(-len(flown) // columns)
     figure = Figure(figsize=(3.6 * columns, 4.6 * rows))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()

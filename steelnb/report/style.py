@@ -49,8 +49,8 @@ DETECTORS = {
 """Methods of segmentation, which no figure shows beside odometries."""
 KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
 """Members of the tower, and the flights around it."""
-PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK}
-"""Flights that a planner steers, which no figure shows beside odometries."""
+PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK, "wide orbit": OLIVE}
+"""Flights that a planner steers and those beside them, which no figure shows beside odometries."""
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
