@@ -1,5 +1,6 @@
 """Notebook 16: flights that a planner steers beside those along waypoints: sight, information, error, coverage."""
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -161,14 +162,13 @@ def flight_sentences(table: pd.DataFrame) -> str:
     row: dict[Any, dict[Any, Any]] = table.set_index("flight").to_dict("index")
     few = [f"{name} {each['few_share']:.1%}" for name, each in row.items()]
     lines = [f"**Sight.** Scans with fewer than {FEW} returns from steel: {', '.join(few)}."]
-    orbit = row.get("orbit")
-    for name in ("planned", "whole"):
-        if orbit and name in row:
-            times = row[name]["ate_rmse_m"] / orbit["ate_rmse_m"]
+    for name, orbit in itertools.product(("planned", "whole"), ("wide orbit", "orbit")):
+        if orbit in row and name in row:
+            times = row[name]["ate_rmse_m"] / row[orbit]["ate_rmse_m"]
             word = "no more than half of" if times <= 0.5 else "less than" if times < 1 else "no less than"
             lines.append(
-                f"**Error.** {name} errs by {1e3 * row[name]['ate_rmse_m']:.0f} mm, the orbit by "
-                f"{1e3 * orbit['ate_rmse_m']:.0f} mm: {times:.2f} times, {word} the orbit's."
+                f"**Error.** {name} errs by {1e3 * row[name]['ate_rmse_m']:.0f} mm, the {orbit} by "
+                f"{1e3 * row[orbit]['ate_rmse_m']:.0f} mm: {times:.2f} times, {word} the {orbit}'s."
             )
     most = max(row, key=lambda name: row[name]["seen_share"])
     seen = ", ".join(f"{name} {each['seen_share']:.1%}" for name, each in row.items())
@@ -221,12 +221,14 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
         errors.plot(stamp_s, running_rms_mm(each.result), **look)
         seen.plot(stamp_s, 100 * each.seen, **look)
     returns.axhline(FEW, color=COLOURS["report"], lw=1.0, ls=":")
-    returns.set(yscale="log", ylabel="returns from steel")
-    returns.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    returns.yaxis.set_minor_formatter(lambda value, _: "")
-    errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s", ylim=(0, None))
+    returns.set(ylabel="returns from steel")
+    errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s")
+    for panel in (returns, errors):
+        panel.set(yscale="log")
+        panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panel.yaxis.set_minor_formatter(lambda value, _: "")
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
-    gather_legend(figure, ncols=min(len(flown), 6), fontsize=11)
+    gather_legend(figure, ncols=min(len(flown), 4 if len(flown) > 6 else 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)
     return figure
 

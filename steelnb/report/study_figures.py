@@ -178,6 +178,9 @@ def _draw_claim(panel: Axes, verdict: Verdict) -> None:
     farthest = float(np.abs(verdict.cells[["low", "high"]].to_numpy() - first).max())
     reach = 1.1 * max(min(farthest, 2 * nearest), 1.2 * (last - first)) or 1.0
     right = first - reach if claim.comparison == "below" else first + reach
+    left = 2 * first - right
+    if claim.form == "ratio":  # of lengths and shares: not below 0
+        left, right = max(left, 0.0), max(right, 0.0)
     end = last if claim.comparison == "between" else right
     panel.axvspan(first, end, color=COLOURS["right"], alpha=0.1, linewidth=0)
     panel.axvline(first, color=GREY, linewidth=0.9, zorder=0)
@@ -187,7 +190,7 @@ def _draw_claim(panel: Axes, verdict: Verdict) -> None:
         panel.plot(cell["estimate"], y, mark, color=COLOURS[name], markersize=5.5)
     numbers = [f"{interval_text(cell['estimate'], cell['low'], cell['high'])} {claim.unit}".rstrip() for cell in rows]
     names = [cell_name(cell[name] for name in claim.by) for cell in rows]
-    panel.set(xlim=(2 * first - right, right), ylim=(len(rows) - 0.5, -0.5))
+    panel.set(xlim=(left, right), ylim=(len(rows) - 0.5, -0.5))
     panel.tick_params(axis="x", labelsize=8)
     panel.set_yticks(range(len(rows)), names, fontsize=8.5)
     panel.secondary_yaxis("right").set_yticks(range(len(rows)), numbers, fontsize=8.5)

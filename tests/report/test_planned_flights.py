@@ -22,7 +22,7 @@ def test_each_flight_is_of_its_kind(flown):
     assert (orbit.trajectory, orbit.planner) == ("orbit", None)
     assert whole.planner.goal == "whole"
     assert whole.height_max_m == 15.0
-    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'vertical', 'orbit'"):
+    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'vertical', 'wide orbit'"):
         planned_flights.make_flights(["hole"], "none", "combined", "report", 1, 4.0)
 
 
@@ -64,9 +64,16 @@ def row(flight: str, ate_m: float, few: float, seen: float) -> dict[str, object]
 
 def test_the_sentences_follow_from_the_table():
     rows = [row("orbit", 0.1, 0.06, 0.6), row("planned", 0.12, 0.0, 0.7), row("whole", 0.05, 0.0, 0.98)]
-    rows += [row("view only", 0.15, 0.0, 0.7), row("information only", 0.09, 0.0, 0.7)]
-    sight, first, second, seen, barriers = planned_flights.flight_sentences(pd.DataFrame(rows)).splitlines()
+    rows += [
+        row("view only", 0.15, 0.0, 0.7),
+        row("information only", 0.09, 0.0, 0.7),
+        row("wide orbit", 0.3, 0.9, 0.5),
+    ]
+    sight, wide, first, _, second, seen, barriers = planned_flights.flight_sentences(pd.DataFrame(rows)).splitlines()
     assert "orbit 6.0%, planned 0.0%" in sight
+    assert wide.endswith(
+        "planned errs by 120 mm, the wide orbit by 300 mm: 0.40 times, no more than half of the wide orbit's."
+    )
     assert first.endswith("planned errs by 120 mm, the orbit by 100 mm: 1.20 times, no less than the orbit's.")
     assert second.endswith("0.50 times, no more than half of the orbit's.")
     assert seen.endswith("most by whole.")

@@ -1,5 +1,6 @@
 """Figures of studies and claims, from made-up verdicts and runs."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -57,6 +58,19 @@ def test_what_is_as_claimed_lies_right_of_the_line_whatever_the_claim():
         assert [label.get_text() for label in panel.get_yticklabels()] == ["vertical", "orbit"]
         assert heading(panel).startswith("INCONCLUSIVE · one is better (3.3; error_mean_m")
         assert heading(panel).endswith("30 seeds, sensor report)")
+
+
+def test_the_scale_of_a_ratio_ends_at_0():
+    ratio = Claim(
+        section="4", claim="half", metric="error_mean_m", form="ratio", comparison="below", threshold=[0.5],
+        a={"method": "one"}, b={"method": "two"}, by=["trajectory"],
+    )  # fmt: skip
+    cells = [("orbit", 6.0, 5.0, 7.0, False)]
+    (panel,) = figure_claims([dataclasses.replace(verdict(FAILS, cells), claim=ratio)]).axes
+    first, last = panel.get_xlim()
+    assert last == 0
+    assert first > 7
+    assert across(panel, place(panel, "X")) < across(panel, 0.5)
 
 
 def test_a_range_is_shaded_between_its_ends():
