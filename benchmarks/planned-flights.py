@@ -26,11 +26,11 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.errors import CollisionError
-from steelnb.metrics.reconstruction import score_structure
+from steelnb.fusion.reconstruct import reconstruct
+from steelnb.metrics.reconstruction import reference, score_structure
 from steelnb.report.intervals import mean_over_seeds, share_of_seeds
 from steelnb.report.planned_flights import FEW, FLIGHTS, clearance_m, sight
-from steelnb.report.structure_tables import fly_tower, rebuild
-from steelnb.settings import ExperimentSettings, TowerSettings
+from steelnb.settings import ExperimentSettings, OdometrySettings, TowerSettings
 
 CASE = ("flight", "sensor", "tower", "seed")
 SCALES = {
@@ -96,15 +96,15 @@ def row(duration_s: float, gust_m_s: float, rebuilt: bool, case: tuple[str, str,
         "seen_share": float(seen[-1]),
     }
     if rebuilt:
-        smoothed = fly_tower(
-            trajectory, sensor, "random-walk", "smoothed", seed, duration_s, tower, overrides
-        )  # fmt: skip
-        built = rebuild(smoothed, ["final"], ["corrected"])[0]
-        score = score_structure(built.structure, smoothed.reference)
+        smoothed = experiment.estimate(
+            settings.replace(odometry=OdometrySettings.preset("smoothed", sensor)), flight, truth
+        )
+        structure = reconstruct(flight.scans, smoothed.corrected.T_world_drone, flight.T_drone_sensor)
+        score = score_structure(structure, reference(truth.tower, truth.visibility)).metrics
         found |= {
-            "smoothed_ate_m": smoothed.result.metrics["ate_rmse_m"],
-            "recall": score.metrics["recall"],
-            "edge_recall": score.metrics["edge_recall"],
+            "smoothed_ate_m": smoothed.metrics["ate_rmse_m"],
+            "recall": score["recall"],
+            "edge_recall": score["edge_recall"],
             "members_seen": float(truth.visibility.observed().mean()),
         }
     return found
