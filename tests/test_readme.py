@@ -18,11 +18,11 @@ LINK = re.compile(r"""\]\(([^)#:\s]+)[^):]*\)|src="([^"]+)\"""")
 @pytest.fixture(scope="module")
 def committed(tmp_path_factory) -> Path:
     """Tables and results as committed: `make reproduce` on another kind of processor writes results of other digits
-    into the tree."""
-    names = ("README.md", "results", "scripts")
+    into the tree. The tree itself where there is no git, as for `workflow.check.read_committed`."""
+    names = ("README.md", "scripts", "results/*.csv", "results/*.json", "results/*.md")
     kept = subprocess.run(["git", "archive", "HEAD", *names], cwd=ROOT, capture_output=True, check=False)
     if kept.returncode:
-        pytest.skip(f"no commit to compare with: {kept.stderr.decode().strip()}")
+        return ROOT
     folder = tmp_path_factory.mktemp("committed")
     with tarfile.open(fileobj=io.BytesIO(kept.stdout)) as archive:
         archive.extractall(folder, filter="data")
@@ -70,7 +70,9 @@ def test_every_claim_stands_in_its_table_with_its_verdict(committed):
 
 
 def test_a_table_that_is_not_that_of_the_results_is_told(committed, tmp_path):
-    shutil.copytree(committed, tmp_path, dirs_exist_ok=True)
+    for name in ("scripts", "results"):
+        shutil.copytree(committed / name, tmp_path / name, ignore=shutil.ignore_patterns("parts", "*.png", "*.glb"))
+    shutil.copy(committed / "README.md", tmp_path)
     script = [sys.executable, tmp_path / "scripts/readme-table"]
     table = tmp_path / "results/claims/table.csv"
     table.write_text(table.read_text(encoding="utf-8").replace("does not hold", "holds", 1), encoding="utf-8")
