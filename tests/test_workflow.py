@@ -22,7 +22,7 @@ from steelnb.errors import FileMissingError
 from steelnb.keys import find_root
 from workflow.__main__ import main, make_plans
 from workflow.check import CheckSettings, differences, read_committed, read_results
-from workflow.experiments import make_parts, read_experiments
+from workflow.experiments import read_experiments
 from workflow.merge import merge
 
 ROOT = Path(__file__).parents[1]
@@ -280,28 +280,6 @@ def test_parameters_of_ones_own_want_a_folder_and_leave_the_results_alone(
     assert main(given) == main(["reproduce"]) == 0
     assert capsys.readouterr().out == "everything is up to date\n" * 2
     assert contents(project / "results") == before
-
-
-def test_a_combination_left_out_of_the_matrix_runs_where_its_axis_is_named(project: Path) -> None:
-    edit(
-        project / "notebooks" / "experiments.toml",
-        'matrix = { trajectory = ["vertical", "orbit"] }',
-        'matrix = { trajectory = ["vertical", "orbit"], count = [1, 2] }\n'
-        'without = [{ trajectory = "orbit", count = 2 }]',
-    )
-    pair = read_experiments(project)["pair"]
-    assert [part.name for part in make_parts(project, pair, "full", {})] == ["vertical-1", "vertical-2", "orbit-1"]
-    assert [part.name for part in make_parts(project, pair, "full", {"count": 2})] == ["vertical", "orbit"]
-
-
-@pytest.mark.parametrize("left_out", ['trajectori = "orbit"', 'trajectory = "orbits"', "count = 2"])
-def test_what_is_left_out_of_a_matrix_must_be_in_it(
-    project: Path, capsys: pytest.CaptureFixture, left_out: str
-) -> None:
-    matrix = 'matrix = { trajectory = ["vertical", "orbit"] }'
-    edit(project / "notebooks" / "experiments.toml", matrix, f"{matrix}\nwithout = [{{ {left_out} }}]")
-    assert main(["reproduce"]) == 2
-    assert f"without: {left_out.replace(chr(34), chr(39))}: expected" in capsys.readouterr().err
 
 
 def test_failing_notebooks_are_named_and_the_others_finish(project: Path, capsys: pytest.CaptureFixture) -> None:

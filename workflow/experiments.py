@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from steelnb.errors import OutputError, SettingsError, UnknownExperimentError
 from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
@@ -22,8 +22,7 @@ FOLDERS = {"full": "results", "smoke": "results-smoke"}
 
 
 class Experiment(Settings):
-    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts, from which
-    the combinations ``without`` are left out.
+    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
 
     ``inputs`` are files of the project that the notebook reads: when one changes, it runs again. One that is ``apart``
     is too long for every day: at the full budget it runs only when it is named. ``title``, ``about`` and ``figures``
@@ -36,21 +35,10 @@ class Experiment(Settings):
     about: str = ""
     figures: str = ""
     matrix: dict[str, list[Any]] = Field(default_factory=dict)
-    without: list[dict[str, Any]] = Field(default_factory=list)
     full: dict[str, Any]
     smoke: dict[str, Any]
     inputs: list[str] = Field(default_factory=list)
     apart: bool = False
-
-    @model_validator(mode="after")
-    def _left_out_of_the_matrix(self) -> Self:
-        for each in self.without:
-            for axis, value in each.items():
-                if value not in self.matrix.get(axis, []):
-                    raise ValueError(
-                        f"without: {axis} = {value!r}: expected an axis of the matrix and one of its values"
-                    )
-        return self
 
 
 @dataclass(frozen=True)
@@ -134,8 +122,6 @@ def make_parts(root: Path, experiment: Experiment, budget: str, given: Mapping[s
     parts = []
     for combination in itertools.product(*axes.values()):
         named = dict(zip(axes, combination, strict=True))
-        if any(each.items() <= named.items() for each in experiment.without):
-            continue
         values = fit_parameters(experiment.id, {**chosen, **named}, defaults)
         check_settings(experiment.id, {**defaults, **values})
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)

@@ -196,7 +196,7 @@ def figure_frame(errors: dict[str, Array], frame: int = -1) -> Figure:
         right.plot(np.maximum(np.percentile(size_mm, share), 0.1), share, color=colour, ls=kind, label=name)
     right.set(xscale="log", xlabel="size of the range error (mm)", ylabel="share of the returns below (%)")
     right.set(xlim=(0.1, 1000), ylim=(0, 100.5))
-    right.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    right.xaxis.set_major_formatter("{x:g}")
     gather_legend(figure, ncols=4, fontsize=10)
     return figure
 
@@ -233,7 +233,7 @@ def figure_honest(runs: pd.DataFrame) -> Figure:
         panel.set(title=f"{trajectory} flight", yscale="log", xlim=(-0.6, len(methods) - 0.4))
         panel.grid(axis="x", visible=False)
     figure.axes[0].set_ylabel("ATE, root mean square (cm)")
-    figure.axes[0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    figure.axes[0].yaxis.set_major_formatter("{x:g}")
     for label, (marker, filled) in MARKERS.items():
         figure.axes[0].plot([], [], marker, color=GREY, mfc=GREY if filled else "white", ms=7, label=f"sensor: {label}")
     gather_legend(figure, ncols=4)

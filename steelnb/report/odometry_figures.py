@@ -289,7 +289,7 @@ def figure_bend(bends: Mapping[str, Bend], axis: Array, result: Result) -> Figur
     panels[2].set(xlabel="offset (m)", xscale="log")
     for panel in panels:
         panel.minorticks_off()
-        panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panel.xaxis.set_major_formatter("{x:g}")
         if panel.get_xscale() == "log":  # beyond three decades the labels of every half would run into each other
             wide = np.ptp(np.log10(panel.get_xlim())) > 3
             panel.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 3.0)))

@@ -225,8 +225,8 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
     errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s")
     for panel in (returns, errors):
         panel.set(yscale="log")
-        panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        panel.yaxis.set_minor_formatter(lambda value, _: "")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
     gather_legend(figure, ncols=min(len(flown), 4 if len(flown) > 6 else 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)

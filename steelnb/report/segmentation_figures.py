@@ -236,8 +236,8 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
         panel.grid(axis="y", visible=False)
     panels[2].set(xlabel="time a frame (ms)", xscale="log")
     panels[2].autoscale(axis="x")
-    panels[2].xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    panels[2].xaxis.set_minor_formatter(lambda value, _: "")
+    panels[2].xaxis.set_major_formatter("{x:g}")
+    panels[2].xaxis.set_minor_formatter("")
     panels[0].set_yticks(range(len(methods)), [MARKS[name][1] for name in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     dot: dict[str, Any] = {"color": GREY, "marker": "o", "ls": "", "ms": 4}

@@ -98,7 +98,7 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
                 panel.set_title(f"{trajectory}\n{noise.replace('+yaw-random-walk', ' + yaw')}", fontsize=11)
     grid[0, 0].set_yscale("log")
     lowest_m = grid[0, 0].get_ylim()[0]
-    grid[0, 0].yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    grid[0, 0].yaxis.set_major_formatter("{x:g}")
     for (row, column), panel in np.ndenumerate(grid):
         of_report |= _draw_report(panel, *cases[column], methods[row], lowest_m)
     keys: dict[str, dict[str, Any]] = {LABELS["none"]: {"color": COLOURS["none"], "ls": "--"}}

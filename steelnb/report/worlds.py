@@ -104,7 +104,7 @@ def figure_worlds(runs: pd.DataFrame) -> Figure:
                 place = row + 0.8 / len(methods) * (k - 0.5 * (len(methods) - 1))
                 draw_sample(panel, place, ate, COLOURS[method], width=0.6 / len(methods), across=True, markersize=5)
     panel.set_xscale("log")
-    panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.xaxis.set_major_formatter("{x:g}")
     panel.set_yticks(range(len(worlds)), worlds)
     panel.set(xlabel="ATE, root mean square (cm)", ylim=(len(worlds) - 0.4, -0.6))
     keys: dict[str, dict[str, Any]] = {
