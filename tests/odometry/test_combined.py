@@ -67,3 +67,16 @@ def test_the_defaults_run():
     assert odometry.bars == SegmentSettings(robust_scale_m=0.03, sightings_min=2)
     step = odometry.update(np.full((4, 4, 3), np.nan), np.eye(4))
     assert not step.used
+
+
+def test_bars_do_not_turn_the_map_of_a_coarse_sensor():
+    settings = ExperimentSettings.preset("orbit", "random-walk", "combined", "report", seed=11, duration_s=25.0)
+    flight, truth = experiment.simulate(settings)
+    as_points = {"clouds.bars_weight": 1.0, "clouds.sigma_filter_px": 0, "prior_sigma": (0.05, 0.02)}
+    preset, heavy = (
+        run(flight, make_odometry(settings.odometry.override(changes), flight.T_drone_sensor))
+        for changes in ({}, as_points)
+    )
+    ours, others = (score_trajectory(each.corrected, truth.trajectory)["ate_rmse_m"] for each in (preset, heavy))
+    assert ours < 0.5 * others
+    assert ours < 0.5 * score_trajectory(flight.prior, truth.trajectory)["ate_rmse_m"]
