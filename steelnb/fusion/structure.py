@@ -2,11 +2,14 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 
 from steelnb.types import Array, IntArray, Segments
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 @dataclass(frozen=True)
@@ -46,11 +49,13 @@ class Structure:
         """The same structure with ``by (3,)``, metres, added to its coordinates."""
         return replace(self, segments=self.segments.moved(by), joint=self.joint + by)
 
-    def graph(self) -> nx.Graph:
+    def graph(self) -> "nx.Graph":
         """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``bar``, ``length_m``).
 
         A bar with fewer than two joints gives no edge.
         """
+        import networkx as nx  # half a second, and seldom wanted
+
         graph = nx.Graph()
         graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joint.tolist()))
         for bar in range(len(self)):
