@@ -56,8 +56,16 @@ def test_each_method_is_held_against_the_bound_of_what_it_has_seen(flown):
     assert table["noise_free_mm"]["best"] == pytest.approx(1e3 * exact[0].metrics["ate_rmse_m"])
     assert table["noise_free_mm"].isna().sum() == 4
     assert table["times_bound"]["best"] == pytest.approx(table["ate_mm"]["best"] / table["ate_mm"]["causal"])
-    assert table["times_bound"]["best"] > 1
     assert (limit.against("combined"), limit.against("smoothed")) == ("causal", "batch")
+
+
+def test_over_several_flights_best_does_not_err_by_less_than_the_bound(flown):
+    *_, bounds = flown
+    given = (["vertical"], "report", ["random-walk"], ["best"])
+    runs = [run for seed in range(11, 17) for run in batch.run_all(batch.make_cases(*given, seed, 4.0))]
+    error_mm = 1e3 * np.sqrt(np.mean([run.metrics["ate_rmse_m"] ** 2 for run in runs]))
+    # One flight can have the luck to err by less; seed 1 does.
+    assert limit.ate_mm(bounds["causal"]) < error_mm < 2 * limit.ate_mm(bounds["causal"])
 
 
 def test_the_sentences_name_the_bounds_the_nearest_methods_and_the_bias():
