@@ -22,6 +22,8 @@ if TYPE_CHECKING:
         CombinedOdometry,
         FaceOdometry,
         KnownStructureOdometry,
+        LoamOdometry,
+        OrbOdometry,
         SegmentOdometry,
         make_odometry,
     )
@@ -46,6 +48,8 @@ _MODULES = {
         "CombinedOdometry",
         "FaceOdometry",
         "KnownStructureOdometry",
+        "LoamOdometry",
+        "OrbOdometry",
         "SegmentOdometry",
         "make_odometry",
     ),
@@ -57,11 +61,11 @@ _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Changes", "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "FaceOdometry", "Flight",
-    "KnownStructureOdometry", "Lines", "MissingExtraError", "OdometrySettings", "OdometryStep", "RegistrationResult",
-    "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
-    "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
-    "read_flight", "read_structure", "read_truth", "reconstruct", "reconstruct_cloud", "register", "run", "smooth",
-    "write_flight", "write_structure",
+    "KnownStructureOdometry", "Lines", "LoamOdometry", "MissingExtraError", "OdometrySettings", "OdometryStep",
+    "OrbOdometry", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments",
+    "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
+    "detect_segments", "find_changes", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth",
+    "reconstruct", "reconstruct_cloud", "register", "run", "smooth", "write_flight", "write_structure",
 ]  # fmt: skip
 
 

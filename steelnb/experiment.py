@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from steelnb.closed_loop import OnboardPilot
+from steelnb.images import CameraImages
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
@@ -20,6 +21,7 @@ from steelnb.simulation import (
     fly,
     fly_and_scan,
     measured_imu,
+    photograph,
 )
 from steelnb.types import Array, Estimate, Flight, Imu, Trajectory
 
@@ -51,9 +53,10 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     steering = pilot(settings, tower, on_progress)
     depends_on = (settings.model_dump(mode="json"), OnboardPilot.__module__) if steering else None
     trajectory, exact, scans, visibility = fly_and_scan(tower, *given, steering, depends_on)
-    imu = read_imu(settings, exact)
+    imu, images = read_imu(settings, exact), take_images(settings, tower, trajectory)
     prior = drift(settings, trajectory, imu, scans.stamp_s)
-    return Flight(scans, prior, settings.tof.T_drone_sensor, imu), Truth(trajectory, tower, visibility)
+    flight = Flight(scans, prior, settings.tof.T_drone_sensor, imu, images=images)
+    return flight, Truth(trajectory, tower, visibility)
 
 
 def simulate_anew(
@@ -68,7 +71,8 @@ def simulate_anew(
     make = pilot(settings, tower, on_progress)
     trajectory, exact = fly(tower, settings.flight, settings.seed, steering or (make() if make else None))
     scans, imu = CastScans(tower, trajectory, mount, settings.tof, settings.seed), read_imu(settings, exact)
-    return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu), trajectory
+    images = take_images(settings, tower, trajectory)
+    return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu, images=images), trajectory
 
 
 def pilot(
@@ -83,6 +87,11 @@ def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
     return measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
 
 
+def take_images(settings: ExperimentSettings, tower: Tower, trajectory: Trajectory) -> CameraImages | None:
+    """The images of the settings' camera, none of which is rendered before it is asked for; None without a camera."""
+    return photograph(tower, trajectory, settings.camera, settings.seed) if settings.camera else None
+
+
 def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stamp_s: Array) -> Trajectory:
     """The drifting poses at the scans; with an IMU in the settings, roll and pitch are those of a filter on it."""
     if settings.imu and imu:
@@ -91,14 +100,17 @@ def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stam
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
-    """The same flight and scans under the noise of other settings: what a comparison of noises needs."""
-    return replace(flight, prior=drift(settings, truth.trajectory, flight.imu, flight.prior.stamp_s))
+    """The same flight and scans under the noise of other settings, and with the images of their camera: what a
+    comparison of noises or methods needs."""
+    prior = drift(settings, truth.trajectory, flight.imu, flight.prior.stamp_s)
+    return replace(flight, prior=prior, images=take_images(settings, truth.tower, truth.trajectory))
 
 
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
-    found = run_kept(flight, make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu), on_step)
+    odometry = make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
+    found = run_kept(flight, odometry, on_step)
     if on_progress:
         on_progress(1.0)  # an estimate that was kept makes no steps
     return Result(**vars(found), settings=settings, truth=truth, metrics=measure(settings, found, truth))

@@ -11,6 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.images import CameraImages
+
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -113,9 +115,9 @@ class Flight:
     """The input of every estimator, from a simulation, a bag or a folder of scans. It holds no truth.
 
     ``scans``: K scans in the sensor frame, in memory or read one by one as they are iterated over; ``prior``: the
-    drifting poses of the drone at their stamps; ``T_drone_sensor (4, 4)``: the mount of the sensor; ``imu``: None where
-    there is none. ``name`` is for titles and file names; ``facts`` say where the parts of a recording come from;
-    ``skipped`` counts what was left out when it was opened, by reason.
+    drifting poses of the drone at their stamps; ``T_drone_sensor (4, 4)``: the mount of the sensor; ``imu`` and
+    ``images`` of a camera: None where there are none. ``name`` is for titles and file names; ``facts`` say where the
+    parts of a recording come from; ``skipped`` counts what was left out when it was opened, by reason.
     """
 
     scans: Sequence[Scan]
@@ -125,6 +127,7 @@ class Flight:
     name: str = "flight"
     facts: Mapping[str, str] = field(default_factory=dict)
     skipped: Mapping[str, int] = field(default_factory=dict)
+    images: CameraImages | None = None
 
     def __len__(self) -> int:
         return len(self.prior)
@@ -189,10 +192,8 @@ class Segments:
 
     def transformed(self, T_target_source: Array) -> "Segments":
         """The same segments in another frame."""
-        rotation, translation = T_target_source[:3, :3], T_target_source[:3, 3]
-        return Segments(
-            self.start @ rotation.T + translation, self.end @ rotation.T + translation, self.count, self.radius
-        )
+        R, t = T_target_source[:3, :3], T_target_source[:3, 3]
+        return Segments(self.start @ R.T + t, self.end @ R.T + t, self.count, self.radius)
 
     def moved(self, by: Array) -> "Segments":
         """The same segments with ``by (3,)``, metres, added to their ends."""

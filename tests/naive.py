@@ -181,3 +181,74 @@ def mixed(range_m, light, detour, detour_light, ambiguity_m=7.5):
     strongest = range_m[np.argmax(light)]
     periods = round((strongest - np.angle(total) / (2 * np.pi) * ambiguity_m) / ambiguity_m)
     return (np.angle(total) / (2 * np.pi) + periods) * ambiguity_m, 1 / np.sqrt(abs(total) / len(range_m))
+
+
+def loam_features(image, edges, planes, side=5, regions=4, smooth=5e-3, grazing=4.0, step_m=0.15):
+    """(point, plane, rank) of LOAM's features, line by line, by its published rules."""
+    found = []
+    for row in image:
+        columns = np.flatnonzero(np.isfinite(row).all(axis=1))
+        p, n = row[columns], len(columns)
+        if n < 2 * side + regions:
+            continue
+        distance = np.linalg.norm(p, axis=1)
+        smoothness = {
+            k: np.linalg.norm((p[k] - p[k - side : k + side + 1]).sum(axis=0)) / (2 * side * distance[k])
+            for k in range(side, n - side)
+        }
+        closed = set(range(side)) | set(range(n - side, n))
+        for k in range(1, n - 1):
+            if columns[k + 1] - columns[k] <= side and distance[k] - distance[k + 1] > step_m:
+                closed |= set(range(max(k - side, 0), k + 1))
+            if columns[k + 1] - columns[k] <= side and distance[k + 1] - distance[k] > step_m:
+                closed |= set(range(k + 1, min(k + 2 + side, n)))
+            along = [abs(distance[k] - distance[j]) for j in (k - 1, k + 1)]
+            apart = [np.linalg.norm(p[k] - p[j]) for j in (k - 1, k + 1)]
+            if all(a > grazing * np.sqrt(d**2 - a**2) for a, d in zip(along, apart, strict=True)):
+                closed.add(k)
+        for region in range(regions):
+            bounds = [side + (n - 2 * side) * (region + i) // regions for i in (0, 1)]
+            order = sorted(range(*bounds), key=smoothness.get)
+            for plane, most, candidates in ((0, edges, order[::-1]), (1, planes, order)):
+                chosen = 0
+                for k in candidates:
+                    if chosen == most or (smoothness[k] >= smooth) == bool(plane):
+                        break
+                    if k in closed:
+                        continue
+                    found.append((p[k], plane, chosen))
+                    chosen += 1
+                    closed.add(k)
+                    for way in (-1, 1):
+                        for j in range(k + way, k + way * (side + 1), way):
+                            if not 0 <= j < n or np.linalg.norm(p[j] - p[j - way]) > step_m:
+                                break
+                            closed.add(j)
+    return found
+
+
+def match_features(
+    pixel, octave, descriptor, depth, expected, expected_octave, expected_depth, wanted, search_px, hamming_max, ratio
+):
+    """The rule of `steelnb.odometry.features.match` from whole tables."""
+    bits = np.unpackbits((wanted[:, None] ^ descriptor[None]).view(np.uint8), axis=2).sum(axis=2).astype(float)
+    with np.errstate(invalid="ignore"):
+        other_depth = np.abs(expected_depth[:, None] - depth) > 5 * np.maximum(0.01, 0.01 * depth)
+    far = np.linalg.norm(expected[:, None] - pixel, axis=2) > search_px
+    bits[far | other_depth | (np.abs(expected_octave[:, None] - octave) > 1)] = 257
+    best, second = np.sort(bits, axis=1)[:, :2].T
+    found = np.where((best <= hamming_max) & (best <= ratio * second), bits.argmin(axis=1), -1)
+    for m in np.flatnonzero(found >= 0):
+        rivals = np.flatnonzero(found == found[m])
+        found[rivals[rivals != rivals[np.argmin(best[rivals])]]] = -1
+    return found
+
+
+def plane_depth(pixel, depth, place, radius):
+    """Depths at places by `np.linalg.lstsq` of the inverse depths around."""
+    result = []
+    for at in place:
+        near = np.linalg.norm(pixel - at, axis=1) <= radius
+        A = np.column_stack([np.ones(near.sum()), pixel[near] - at])
+        result.append(1 / np.linalg.lstsq(A, 1 / depth[near], rcond=None)[0][0])
+    return np.array(result)

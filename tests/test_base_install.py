@@ -12,7 +12,7 @@ from steelnb.io.clouds import write_ply
 from tests.lattice import lattice, scanned
 
 EXTRAS = (
-    "ahrs", "dask", "distributed", "evo", "ezdxf", "gtsam", "ifcopenshell", "imufusion", "ipykernel", "IPython",
+    "ahrs", "cv2", "dask", "distributed", "evo", "ezdxf", "gtsam", "ifcopenshell", "imufusion", "ipykernel", "IPython",
     "ipywidgets", "jupyterlab", "nbclient", "nbconvert", "nbformat", "open3d", "papermill", "plotly", "psutil",
     "pyarrow", "pybullet", "rerun", "rosbags", "sklearn", "small_gicp", "trimesh",
 )  # fmt: skip

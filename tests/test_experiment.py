@@ -44,7 +44,7 @@ def test_a_comparison_is_its_single_runs(runs):
 
 def test_the_flight_holds_no_truth():
     assert {field.name for field in dataclasses.fields(Flight)} == {
-        "scans", "prior", "imu", "T_drone_sensor", "name", "facts", "skipped"
+        "scans", "prior", "imu", "T_drone_sensor", "name", "facts", "skipped", "images"
     }  # fmt: skip
     settings = ExperimentSettings.preset(duration_s=2.0)
     flight, truth = experiment.simulate(settings)

@@ -399,3 +399,16 @@ def test_the_notebook_of_the_planner_keeps_sight_where_the_orbit_loses_it(smoke)
     for sensor in ("report", "starling2"):
         for name in ("paths", "time", "strip"):
             assert coloured(folder / f"fig_{name}_{sensor}.png") > COLOURED_MIN
+
+
+def test_the_notebook_of_the_literature_has_loam_far_off_and_midlines_beside_the_best(smoke):
+    folder = smoke / "literature"
+    table = pd.read_csv(folder / "table.csv")
+    ideal = table[(table["sensor"] == "starling2") & (table["noise"] == "random-walk")]
+    error = ideal.set_index(["trajectory", "method"])["ate_mean_m"]
+    for flight in ("vertical", "orbit"):
+        assert error[flight, "loam"] > 2 * error[flight, "best"]
+        assert error[flight, "loam-midlines"] < error[flight, "best"]
+        assert error[flight, "orb"] < 0.1
+    for name in ("2_1", "features", "error"):
+        assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN

@@ -48,6 +48,9 @@ BOTH = ("combined", "faces", "smoothed", "calibrated")
         ({"overrides": {"tof.faults": {"blur_px": 1.0}}}, "blur_px = 1.0"),
         ({"overrides": {"tof.faults.exposure_s": 0.01}}, "unknown setting 'tof.faults.exposure_s'"),
         ({"overrides": {"imu": 3}}, "imu = 3"),
+        ({"overrides": {"camera": {"samples": 0}}}, "samples = 0"),
+        ({"method": "orb", "overrides": {"camera.rate_hz": 0.0}}, "rate_hz = 0"),
+        ({"trajectory": "planned", "method": "orb"}, "'orb': a planned flight has no images"),
         ({"sensor": "starling2-honest", "overrides": {"tof.faults.exposure_s": -0.01}}, "exposure_s = -0.01"),
         ({"sensor": "starling2-honest", "overrides": {"tof.faults.sigma_max_m": 0.0}}, "sigma_max_m = 0.0"),
         ({"sensor": "starling2-honest", "overrides": {"tof.faults.exposure": 0}}, "mean 'tof.faults.exposure_s'"),
@@ -138,7 +141,8 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    assert (settings.clouds is None) == (method in SEGMENT_METHODS)
+    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb"))
+    assert (settings.orb is None) == (method != "orb")
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.gain" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):
@@ -155,9 +159,9 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_113_settings():
+def test_there_are_at_most_133_settings():
     """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
-    sigma filter, and how well five errors of a sensor are known."""
+    sigma filter, how well five errors of a sensor are known, eleven of a camera, and nine of image features."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -165,7 +169,7 @@ def test_there_are_at_most_113_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 113
+    assert len(leaves) <= 133
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:

@@ -1,11 +1,14 @@
 """Scans and a drifting trajectory → the corrected trajectory and a map."""
 
+from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.known_structure import KnownStructureOdometry
+from steelnb.odometry.loam import LoamOdometry
+from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry, shared_segments
 from steelnb.settings import OdometrySettings
@@ -13,18 +16,22 @@ from steelnb.types import Array, Imu
 
 
 def make_odometry(
-    settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None
-) -> CloudOdometry | FaceOdometry | SegmentOdometry:
-    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor, and
-    readings of the ``imu`` are used where the settings have a table ``inertial``."""
+    settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
+) -> CloudOdometry | FaceOdometry | SegmentOdometry | OrbOdometry:
+    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
+    Readings of the ``imu`` are used where the settings have a table ``inertial``, and ``images`` by ``orb``."""
+    if settings.orb is not None:
+        return OrbOdometry(settings, T_drone_sensor, images)
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
+    if settings.clouds.by_features:
+        return LoamOdometry(settings, T_drone_sensor, imu)
     if settings.refit_s is not None:
         return FaceOdometry(settings, T_drone_sensor, imu)
     return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor, imu)
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "Odometry", "SegmentOdometry",
-    "make_odometry", "run", "run_kept", "shared_segments",
+    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "LoamOdometry", "Odometry",
+    "OrbOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import Target, Term, VoxelTarget, align, free_directions, prior_term, voxel_target
+from steelnb.registration import AnyTarget, Target, Term, align, free_directions, prior_term, voxel_target
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
@@ -25,7 +25,7 @@ SIGMA_FLOOR_M = 0.01
 SIGMA_RELATIVE = 0.01
 """Range noise along a ray: the larger of both, of a Starling 2's sensor."""
 INLIER_SHARE_MIN = 0.3
-"""With fewer of a scan's points paired, the scan corrects nothing."""
+"""With fewer of a scan's points paired, the scan corrects nothing. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
 """Whether the prediction has a stated uncertainty → the number of points below which a scan says too little. Eight by
 eight pixels never say enough: they sample a surface more coarsely than the map's voxels."""
@@ -59,6 +59,8 @@ class CloudOdometry:
     imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
     """
 
+    BY_FEATURES = False
+
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
@@ -66,6 +68,9 @@ class CloudOdometry:
         if self.settings.clouds is None:
             raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
         self.clouds = self.settings.clouds
+        if self.clouds.by_features != self.BY_FEATURES:
+            given = f"method {self.settings.method!r}: clouds.shape = {self.clouds.shape!r}"
+            raise SettingsError(f"{given}: expected {'one' if self.BY_FEATURES else 'none'} of features or midlines")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad
@@ -136,7 +141,7 @@ class CloudOdometry:
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
         return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.settings.near_side else points
 
-    def _prepare(self, points: Array, T_init: Array) -> tuple[Target | VoxelTarget | None, Array | None]:
+    def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
         s = self.clouds
         if not len(points) or not len(self.map):
             return None, None
@@ -170,13 +175,12 @@ class CloudOdometry:
              extra * z * z + across], axis=1,
         )  # fmt: skip
 
-    def _register(
-        self, points: Array, covariance: Array | None, target: Target | VoxelTarget | None, T_init: Array
-    ) -> Registered:
+    def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
         s, known = self.clouds, self.inertial is not None or self.information is not None
-        if len(points) < POINTS_MIN[known]:
+        whole, inliers_min = not s.by_features, 0.0 if s.shape == "features" else INLIER_SHARE_MIN * len(points)
+        if len(points) < POINTS_MIN[known and whole]:
             return Registered(T_init, "too few points")
-        if not len(self.map):
+        if not self.mapped:
             return Registered(T_init, "first scan")
         if target is None:
             return Registered(T_init, "no map in sight")
@@ -185,10 +189,10 @@ class CloudOdometry:
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
             "geman_mcclure" if s.robust_scale else "none", s.robust_scale or 1.0, s.iterations_max,
             rotation_epsilon_rad, translation_epsilon_m, s.fast, self._terms(points, T_init),
-            NORMALS_MIN if known and s.error == "gicp" else 0.0,
+            NORMALS_MIN if known and whole and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
-        if result.inliers < INLIER_SHARE_MIN * len(points):
+        if result.inliers < inliers_min:
             return Registered(T_init, "too little overlap", result.inliers)
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
             return Registered(T_init, result.reason, result.inliers)
@@ -210,6 +214,11 @@ class CloudOdometry:
         touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
         if self.clouds.shape != "neighbours":
             self.map.update_shapes(touched)
+
+    @property
+    def mapped(self) -> bool:
+        """Whether there is anything in the map."""
+        return len(self.map) > 0
 
     def map_points(self) -> Array:
         """Means of the map's voxels, ``(N, 3)`` in the world frame."""

@@ -17,6 +17,7 @@ scans show. No tower enters. Without thickness it would be 0.045, for a round tu
 import numpy as np
 from numba import njit
 
+from steelnb.points.ranges import ranges_ahead
 from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
@@ -62,12 +63,7 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
     direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.
     """
     rows, columns = image.shape[0], image.shape[1]
-    distance = np.empty((rows, columns))
-    for r in range(rows):
-        for c in range(columns):
-            x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
-            # What is not before the sensor has no slope to it: zeros, by which many drivers mark no return, too.
-            distance[r, c] = np.sqrt(x * x + y * y + z * z) if x > 0.0 else np.nan
+    distance = ranges_ahead(image)  # what is not before the sensor has no slope to it
     along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
     measure_runs(image, distance, 1, along_row)
     measure_runs(image.transpose(1, 0, 2), distance.T, 2, along_column.T)

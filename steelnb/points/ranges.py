@@ -19,6 +19,19 @@ def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
     return max(SIGMA_M, SIGMA_SHARE * range_m)
 
 
+@njit(cache=True)
+def ranges_ahead(image):  # type: ignore[no-untyped-def]
+    """Ranges ``(H, W)`` of an organised scan ``(H, W, 3)``, sensor frame; NaN for no return and for what is not before
+    the sensor, such as zeros, by which many drivers mark no return."""
+    rows, columns = image.shape[0], image.shape[1]
+    distance = np.empty((rows, columns))
+    for r in range(rows):
+        for c in range(columns):
+            x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
+            distance[r, c] = np.sqrt(x * x + y * y + z * z) if x > 0.0 else np.nan
+    return distance
+
+
 def true_points(points: Array, offset_m: float, scale: float) -> Array:
     """Points ``(…, 3)`` of the sensor's frame whose ranges have an offset, metres, and a relative scale, without."""
     range_m = np.linalg.norm(points, axis=-1, keepdims=True)

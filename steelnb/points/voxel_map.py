@@ -81,9 +81,9 @@ class VoxelMap:
         """Means ``(M, 3)`` in metres of all voxels, or of the slots ``chosen``."""
         return self._mean[: self._size].copy() if chosen is None else self._mean[chosen]
 
-    def weights(self) -> Array:
-        """Total weights ``(M,)`` of all voxels."""
-        return self._moment[: self._size, 0].copy()
+    def weights(self, chosen: IntArray | None = None) -> Array:
+        """Total weights ``(M,)`` of all voxels, or of the slots ``chosen``."""
+        return self._moment[: self._size, 0].copy() if chosen is None else self._moment[chosen, 0]
 
     def near(self, centre: Array, radius_m: float) -> IntArray:
         """Slots of the voxels that overlap the cube of half-width ``radius_m`` about ``centre (3,)``, metres."""

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
 from steelnb.registration import normal_equations as kernels
+from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
 from steelnb.registration.result import BLIND, Normal, RegistrationResult, judge, middle_and_length, scaled_basis
 from steelnb.registration.target import Target, VoxelTarget
@@ -23,6 +24,7 @@ ROBUST = {
 DOFS = ("xyz", "xyz_yaw", "se3")
 
 
+AnyTarget = Target | VoxelTarget | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
 """A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
 
@@ -47,7 +49,7 @@ def free_directions(dof: str, gravity: Array | None = None) -> Array:
 
 def align(
     source: Array,
-    target: Target | VoxelTarget,
+    target: AnyTarget,
     error: str,
     free: Array,
     T_init: Array,
@@ -182,7 +184,7 @@ class _Problem:
 
     source: Array
     covariance: Array
-    target: Target | VoxelTarget
+    target: AnyTarget
     error: str
     robust: str
     robust_scale: float

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import odometry
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, SettingsError
+from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, RecordingError, SettingsError
 from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.changes import KINDS, Changes, find_changes
 from steelnb.fusion.reconstruct import reconstruct
@@ -248,7 +248,9 @@ def _figures(
 
 def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
     if known is None:
-        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu)
+        if settings.odometry.orb and flight.images is None:
+            raise RecordingError(f"{flight.name}: no images; expected some for method {settings.odometry.method!r}")
+        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
     chosen = settings.odometry
     return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, chosen.preprocess, chosen.tilt_sigma_rad)
 

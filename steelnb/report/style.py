@@ -33,15 +33,19 @@ METHODS = {
     "gicp": ("GICP", PINK),
     "gicp-4dof": ("4-DoF GICP", WINE),
     "vgicp": ("VGICP", "#F4C2DA"),
+    "loam": ("LOAM", "#775511"),
+    "loam-midlines": ("LOAM by midlines", "#CC9966"),
     "best": ("best", MAGENTA),
     "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
     "combined": ("combined", INDIGO),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
     "calibrated": ("smoothed and calibrated", "#8490FC"),
+    "orb": ("ORB features", "#DD0044"),
     "map": ("known structure", "#3000F0"),
 }
-"""Odometries: by segments olive to yellow, by ICP blue to green, by GICP pink to wine, by several violet."""
+"""Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
+by images red."""
 DETECTORS = {
     "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
     "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,

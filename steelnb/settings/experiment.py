@@ -1,8 +1,11 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
+
+from pydantic import model_validator
 
 from steelnb.settings.base import Seed, Settings, overridden, table
+from steelnb.settings.camera import CameraSettings
 from steelnb.settings.odometry import OdometrySettings
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
@@ -11,7 +14,8 @@ from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, T
 class ExperimentSettings(Settings):
     """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower.
 
-    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them.
+    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them. ``camera``:
+    None where no images are taken.
     """
 
     sensor: str
@@ -21,8 +25,16 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
+    camera: Annotated[CameraSettings | None, table(CameraSettings)] = None
     noise: NoiseSettings
     odometry: OdometrySettings
+
+    @model_validator(mode="after")
+    def _pilot_without_images(self) -> Self:
+        if self.flight.planner is not None and self.odometry.orb is not None:
+            raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images on the way; expected "
+                             "an odometry by clouds or segments")  # fmt: skip
+        return self
 
     @classmethod
     def preset(
@@ -38,12 +50,13 @@ class ExperimentSettings(Settings):
         """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
 
         ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
-        `SettingsError`.
+        `SettingsError`. A method by image features has the forward camera.
 
         >>> settings = ExperimentSettings.preset("orbit", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.clouds.dof
         (10.0, 'xyz_yaw')
         """
+        odometry = OdometrySettings.preset(method, sensor)
         settings = cls(
             sensor=sensor,
             noise_name=noise,
@@ -51,16 +64,18 @@ class ExperimentSettings(Settings):
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             imu=ImuSettings.preset(sensor),
+            camera=CameraSettings.preset() if odometry.orb else None,
             noise=NoiseSettings.parse(noise),
-            odometry=OdometrySettings.preset(method, sensor),
+            odometry=odometry,
         )
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
         """A copy with single settings changed, each named ``table.setting``. Raises `SettingsError`.
 
-        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``, ``noise``) and of the odometry
-        (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, and ``odometry`` for its own).
+        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``, ``camera``, ``noise``) and of the
+        odometry (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, ``orb``, and ``odometry`` for
+        its own).
         """
         settings = self
         for path, value in overrides.items():

@@ -5,11 +5,12 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted, table
+from steelnb.settings.features import OrbSettings
 from steelnb.settings.presets import method_names, method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
-"""Odometries by segments alone; all other methods are by clouds, ``combined`` and those based on it by both."""
+"""Odometries by segments alone; all others but ``orb`` are by clouds, ``combined`` and those based on it by both."""
 
 
 class PreprocessSettings(Settings):
@@ -68,12 +69,13 @@ class CloudSettings(Settings):
 
     ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``shape`` is
     the source of the covariances of GICP: the nearest neighbours, regularised to planes (``neighbours``), or the points
-    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``; ``voxels``
-    pairs points with voxels without a search tree). ``accumulate`` keeps count-weighted means in the map; without it
-    the map is voxelised anew with every scan, as the original does. ``fast`` extrapolates the solver's steps (Besl and
-    McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm. ``drop_rotation`` is the original's
-    fault: it solves for six degrees of freedom, keeps the translation, and inserts the rotated cloud. ``bars_weight``
-    is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused. With
+    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``; ``voxels`` pairs
+    points with voxels without a search tree), or lines and planes of LOAM's ``features`` or of ``midlines`` of bars,
+    which then are all that takes part (`steelnb.odometry.loam`). ``accumulate`` keeps count-weighted means in the map;
+    without it the map is voxelised anew with every scan, as the original does. ``fast`` extrapolates the solver's steps
+    (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm. ``drop_rotation`` is the
+    original's fault: it solves for six degrees of freedom, keeps the translation, and inserts the rotated cloud.
+    ``bars_weight`` is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused. With
     ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of its surface that many
     pixels around (`steelnb.points.smooth_ranges`).
     """
@@ -85,12 +87,22 @@ class CloudSettings(Settings):
     iterations_max: Annotated[int, Field(ge=1)] = 150
     map_voxel_m: Positive = 0.1
     accumulate: bool = False
-    shape: Literal["neighbours", "measured", "voxels"] = "neighbours"
+    shape: Literal["neighbours", "measured", "voxels", "features", "midlines"] = "neighbours"
     fast: bool = False
     drop_rotation: bool = False
     bars_weight: NotNegative = 0.0
     jump_max_m: Positive = 1.0
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
+
+    @property
+    def by_features(self) -> bool:
+        """Whether only features of a scan take part."""
+        return self.shape in ("features", "midlines")
+
+    @property
+    def by_bars(self) -> bool:
+        """Whether bars take part, as segments or as midlines."""
+        return self.bars_weight > 0 or self.shape == "midlines"
 
 
 class CalibrationSettings(Settings):
@@ -134,6 +146,7 @@ class OdometrySettings(Settings):
     fusion: FusionSettings | None = None
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
+    orb: OrbSettings | None = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
@@ -141,19 +154,27 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        if (self.clouds is None) != (self.method in SEGMENT_METHODS):
+        if self.orb is not None and (self.clouds is not None or self.segments is not None or self.smooth):
+            raise ValueError(f"method {self.method!r}: a table orb: expected no tables clouds and segments, no smooth")
+        if (self.clouds is None and self.orb is None) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
-        by_bars = self.clouds is None or self.clouds.bars_weight > 0
+        by_bars = self.orb is None and (self.clouds is None or self.clouds.bars_weight > 0)
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
-        if self.tilt_sigma_rad and (self.clouds is None or self.prior_sigma is None):
+        if self.orb is not None and self.prior_sigma is None:
+            raise ValueError(f"method {self.method!r}: a table orb: expected prior_sigma")
+        by_points = self.clouds is not None or self.orb is not None
+        if self.tilt_sigma_rad and (not by_points or self.prior_sigma is None):
             given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
             raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
+        if self.clouds and self.clouds.by_features and (self.clouds.error != "gicp" or by_bars or self.refit_s):
+            given = f"clouds.shape = {self.clouds.shape!r}"
+            raise ValueError(f"method {self.method!r}: {given}: expected error = 'gicp', no bars_weight and no refit_s")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
         if self.calibration is not None and not self.smooth:
             raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
-        if self.inertial is not None and (self.clouds is None or not self.clouds.bars_weight):
+        if self.inertial is not None and (self.clouds is None or not self.clouds.by_bars):
             raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars")
         if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
             raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
@@ -167,11 +188,12 @@ class OdometrySettings(Settings):
         bars uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        if tables.get("clouds", {}).get("bars_weight") and "imu" in of_sensor:
-            tables["inertial"] = of_sensor["imu"]
-        by_clouds, by_segments = "clouds" in tables, "segments" in tables
-        kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
+        by_clouds, by_segments = "clouds" in tables or "orb" in tables, "segments" in tables
+        kinds = {"segments": SegmentSettings, "clouds": CloudSettings, "orb": OrbSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
+        clouds = built.get("clouds")
+        if isinstance(clouds, CloudSettings) and clouds.by_bars and "imu" in of_sensor:
+            tables["inertial"] = of_sensor["imu"]
         crops = of_sensor.get("preprocess", {}).get("clouds" if by_clouds else "segments", {})
         if by_segments:
             built |= {"hough": HoughSettings(**of_sensor.get("hough", {})), "fusion": FusionSettings.preset(sensor)}

@@ -75,6 +75,11 @@ def tower_preset(tower: str) -> dict[str, Any]:
     return _entry("towers", "tower", tower)
 
 
+def camera_preset(camera: str) -> dict[str, Any]:
+    """The settings of a camera that differ from the forward camera's. Raises `SettingsError`."""
+    return _entry("cameras", "camera", camera)
+
+
 def method_names() -> tuple[str, ...]:
     """The methods that have a preset."""
     return tuple(_preset("methods"))

@@ -1,6 +1,7 @@
 """Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
 
 from steelnb.simulation.cache import fly_and_scan
+from steelnb.simulation.cameras import Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.tof import CastScans, scan_flight
@@ -8,6 +9,6 @@ from steelnb.simulation.tower import Member, Tower, build_tower, changed_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "CastScans", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower", "changed_tower",
-    "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "scan_flight",
+    "Camera", "CastScans", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower", "changed_tower",
+    "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "photograph", "scan_flight",
 ]  # fmt: skip

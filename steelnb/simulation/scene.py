@@ -1,18 +1,30 @@
 """Viewing rays, and what they hit: ray casting against a tower's mesh (Open3D, Embree) on one thread."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from steelnb.libraries import import_open3d
-from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
 GROUND_M = 60.0
 
 
-def rays(settings: TofSettings) -> Array:
+class Pinhole(Protocol):
+    """Settings of a camera: the size of its image and its fields of view."""
+
+    @property
+    def columns(self) -> int: ...
+    @property
+    def rows(self) -> int: ...
+    @property
+    def fov_horizontal_rad(self) -> float: ...
+    @property
+    def fov_vertical_rad(self) -> float: ...
+
+
+def rays(settings: Pinhole) -> Array:
     """Unit viewing rays ``(rows, columns, 3)`` in the sensor frame: x along the optical axis, y left, z up."""
     u = (np.arange(settings.columns) + 0.5) / settings.columns * 2 - 1
     v = (np.arange(settings.rows) + 0.5) / settings.rows * 2 - 1

@@ -1,0 +1,122 @@
+"""Figures of images of a flight and their ORB features: the report's Figure 2.1, and depths beside the scan."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from steelnb.errors import RecordingError
+from steelnb.images import CameraImages, GreyImage, project, unproject
+from steelnb.odometry.features import DepthImage, Features, find_features, match
+from steelnb.report.style import COLOURS, Figure, draw_legend, draw_lines, style
+from steelnb.types import Array, Flight, Trajectory
+
+FEATURES = 400
+RATIO, HAMMING_MAX = 0.8, 60
+RIGHT_PX = 4.0
+"""A match is right if the depth of its first feature and the motion of the camera put it this near."""
+GAP_PX = 12
+
+
+@style()
+def figure_matches(
+    flight: Flight, first: int, second: int, corrected: Trajectory | None = None, count: int = FEATURES
+) -> Figure:
+    """Matches of ORB features between the images of two scans of a flight, by their descriptors alone.
+
+    A match is the best of all features of the other image, if it is better than the second best (Lowe's ratio test),
+    and if no other feature has a better claim. Where the sensor saw the first feature's depth, ``corrected`` poses of
+    the flight, by default its prior, tell right from wrong matches. Raises `RecordingError` for scans without an image.
+    """
+    (image_a, a), (image_b, b) = (seen_features(flight, scan, count) for scan in (first, second))
+    found = match(
+        b.pixel, b.octave, b.descriptor, b.depth, a.pixel, a.octave, np.full(len(a.pixel), np.nan), a.descriptor,
+        np.inf, HAMMING_MAX, RATIO,
+    )  # fmt: skip
+    pairs = np.flatnonzero(found >= 0)
+    poses = (corrected or flight.prior).T_world_drone[[first, second]] @ _images(flight).T_drone_camera
+    apart = _apart_px(poses, _images(flight).K, a, b.pixel[found])[pairs]
+    right = apart <= RIGHT_PX
+    figure = Figure(figsize=(11.0, 5.0))
+    panel = figure.subplots()
+    shift = np.array([image_a.shape[1] + GAP_PX, 0])
+    white = np.full((image_a.shape[0], GAP_PX), 255, np.uint8)
+    _show(panel, np.hstack([image_a, white, image_b]))
+    lines = np.stack([a.pixel[pairs], b.pixel[found[pairs]] + shift], axis=1)
+    keys = {}
+    for name, chosen, colour in (
+        ("depth unknown", np.isnan(apart), COLOURS["undecided"]),
+        ("right", right, COLOURS["right"]),
+        ("wrong", np.isfinite(apart) & ~right, COLOURS["wrong"]),
+    ):
+        draw_lines(panel, lines[chosen], colors=colour, linewidths=0.9, alpha=0.9)
+        ends = lines[chosen].reshape(-1, 2)
+        panel.plot(ends[:, 0], ends[:, 1], "o", mfc="none", mec=colour, ms=4.5, mew=1.0)
+        keys[f"{name}: {np.count_nonzero(chosen)}"] = {"color": colour, "marker": "o", "mfc": "none", "lw": 1.2}
+    draw_legend(figure, keys)
+    times = " and ".join(f"{flight.prior.stamp_s[scan]:.1f} s" for scan in (first, second))
+    panel.set_title(f"{len(pairs)} matches of {len(a.pixel)} and {len(b.pixel)} ORB features, images at {times}")
+    return figure
+
+
+@style()
+def figure_feature_depths(flight: Flight, scan: int, count: int = FEATURES) -> Figure:
+    """The features of the image of a scan, coloured by depth, beside the scan itself in the same colours.
+
+    Features are sought where the sensor has returns; those with no smooth surface around them have no depth. Raises
+    `RecordingError` for a scan without an image or one that is no range image.
+    """
+    image, features = seen_features(flight, scan, count)
+    points = flight.scans[scan].points
+    if points.ndim != 3:
+        raise RecordingError(f"{flight.name}: scan {scan} has shape {points.shape}; expected a range image (H, W, 3)")
+    known = np.isfinite(features.depth)
+    depth = points[..., 0]
+    low, high = np.nanpercentile(depth, [1, 99]) if np.isfinite(depth).any() else (0.0, 1.0)
+    look = {"cmap": "viridis", "vmin": low, "vmax": high}
+    ratios = [image.shape[1] / image.shape[0], 1.25 * depth.shape[1] / depth.shape[0]]
+    figure = Figure(figsize=(11.0, 4.6))
+    left, right = figure.subplots(1, 2, width_ratios=ratios)
+    _show(left, image)
+    u, v = features.pixel[~known].T
+    left.plot(u, v, "o", mfc="none", mec=COLOURS["missed"], ms=5, mew=0.8)
+    u, v = features.pixel[known].T
+    dots = left.scatter(u, v, c=features.depth[known], s=26, edgecolors="black", linewidths=0.5, zorder=3, **look)
+    left.set_title(f"{np.count_nonzero(known)} of {len(known)} ORB features with depth (open: without)")
+    right.imshow(depth, **look)
+    right.set_axis_off()
+    right.set_title(f"Time-of-Flight sensor, {depth.shape[1]} × {depth.shape[0]}")
+    figure.colorbar(dots, ax=[left, right], label="depth (m)", shrink=0.9)
+    return figure
+
+
+def seen_features(flight: Flight, scan: int, count: int = FEATURES) -> tuple[GreyImage, Features]:
+    """The image ``(H, W)`` of a scan, and its ORB features with depths from the scan. Raises `RecordingError` where
+    there is none."""
+    images, stamp_s = _images(flight), float(flight.prior.stamp_s[scan])
+    number = images.at(stamp_s)
+    if number is None:
+        raise RecordingError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
+    image = images.images[number]
+    T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ flight.T_drone_sensor
+    depth = DepthImage(flight.scans[scan].points, T_camera_sensor, images.K, image.shape)
+    features = find_features(image, count, depth.mask())
+    return image, features._replace(depth=depth.depth_at(features.pixel))
+
+
+def _images(flight: Flight) -> CameraImages:
+    if flight.images is None:
+        raise RecordingError(f"{flight.name}: no images; expected a flight with a camera")
+    return flight.images
+
+
+def _apart_px(T_world_camera: Array, K: Array, a: Features, shown: Array) -> Array:
+    """Distances ``(N,)`` in pixels of the places ``shown (N, 2)`` in a second image from where the depths of the
+    features of the first and both poses ``T_world_camera (2, 4, 4)`` put them; NaN without a depth."""
+    T = np.linalg.inv(T_world_camera[1]) @ T_world_camera[0]
+    points = (a.depth[:, None] * unproject(a.pixel, K)) @ T[:3, :3].T + T[:3, 3]
+    return np.asarray(np.linalg.norm(shown - project(points, K), axis=1))
+
+
+def _show(panel: Axes, image: NDArray[np.uint8]) -> None:
+    panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    panel.set_axis_off()

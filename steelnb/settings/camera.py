@@ -1,0 +1,64 @@
+"""Settings of a grey camera beside the Time-of-Flight sensor. Lengths in metres, angles in radians, times in s."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from steelnb.settings.base import NotNegative, Settings
+from steelnb.settings.presets import camera_preset
+from steelnb.types import Array
+
+
+class CameraSettings(Settings):
+    """A global-shutter pinhole camera with square pixels, optical axis along the camera's x axis, y left, z up.
+
+    ``samples`` rays are cast through a pixel, spread over its area and over ``exposure_s``, which is centred on the
+    stamp: that smooths edges and blurs what moves. The variance of a pixel is ``read_noise² + gain · grey``, in grey
+    levels of 255, where ``gain`` is the number of levels that one photoelectron makes (EMVA Standard 1288). In the
+    intervals ``blind_s`` (from, to) images are black. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the
+    drone's axes) place the camera on the drone.
+    """
+
+    columns: Annotated[int, Field(ge=8, le=4096)] = 422
+    rows: Annotated[int, Field(ge=8, le=4096)] = 320
+    fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 1.74
+    rate_hz: Annotated[float, Field(gt=0, le=125)] = 10.0
+    exposure_s: Annotated[float, Field(ge=0, le=1)] = 0.002
+    samples: Annotated[int, Field(ge=1, le=64)] = 4
+    read_noise: NotNegative = 1.0
+    gain: NotNegative = 0.03
+    blind_s: tuple[tuple[float, float], ...] = ()
+    mount_m: tuple[float, float, float] = (0.06, 0.0, 0.02)
+    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels, the same along both axes."""
+        return self.columns / (2 * math.tan(self.fov_horizontal_rad / 2))
+
+    @property
+    def fov_vertical_rad(self) -> float:
+        """Vertical field of view, which follows from square pixels."""
+        return 2 * math.atan(self.rows / (2 * self.focal_px))
+
+    @property
+    def K(self) -> Array:
+        """Intrinsics ``(3, 3)`` as `steelnb.images.CameraImages` has them."""
+        f = self.focal_px
+        return np.array([[f, 0, (self.columns - 1) / 2], [0, f, (self.rows - 1) / 2], [0, 0, 1]])
+
+    @property
+    def T_drone_camera(self) -> Array:
+        """The mount of the camera, ``(4, 4)``."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
+        T[:3, 3] = self.mount_m
+        return T
+
+    @classmethod
+    def preset(cls, camera: str = "forward") -> "CameraSettings":
+        """A camera of ``presets/cameras.toml`` by name: ``forward`` or ``tracking``. Raises `SettingsError`."""
+        return cls(**camera_preset(camera))

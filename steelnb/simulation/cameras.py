@@ -1,0 +1,138 @@
+"""Grey cameras on a flight: images by ray casting, with texture, motion blur and noise."""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb import rng
+from steelnb.images import CameraImages, GreyImage
+from steelnb.settings import CameraSettings
+from steelnb.simulation.scene import Hits, Scene, cast_bundle, make_scene, rays
+from steelnb.simulation.texture import Floats, Texture, make_texture, shade
+from steelnb.simulation.tower import Tower
+from steelnb.types import Array, IntArray, Trajectory
+
+SPREAD_PX = 0.35
+"""Distance of the rays of a pixel from the one in its middle."""
+BLUR_PX = 0.5
+"""With more motion during the exposure, every pixel has all of its rays."""
+EDGE = 0.03
+"""Relative difference of neighbouring ranges that makes an edge of a member."""
+
+
+class Rendered(NamedTuple):
+    """Images ``(H, W)``: ``grey`` float32 without noise, and of the ray in the middle of each pixel ``range_m`` along
+    it, infinite for no hit, and the ``member`` hit, −1 for the ground and for none."""
+
+    grey: Floats
+    range_m: Floats
+    member: IntArray
+
+
+def photograph(tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: int) -> CameraImages:
+    """Images along a true trajectory, each rendered when it is asked for.
+
+    ``trajectory``: true poses of the drone, world frame, the first at t = 0. The noise of image k comes from the stream
+    ``("camera", k)`` of the seed, so that an image does not depend on which others are asked for.
+    """
+    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])  # stamps are those of poses, as those of scans are
+    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
+    stamp_s = trajectory.stamp_s[index]
+    images = _Images(tower, trajectory, settings, seed, stamp_s)
+    return CameraImages(stamp_s, images, settings.K, settings.T_drone_camera)
+
+
+class Camera:
+    """A camera that can be held anywhere around a tower."""
+
+    def __init__(self, tower: Tower, settings: CameraSettings) -> None:
+        self.settings = settings
+        self._scene: Scene = make_scene(tower)
+        self._texture: Texture = make_texture(tower)
+        ray, count = rays(settings), settings.samples - 1
+        plane = (ray / ray[..., :1]).reshape(-1, 3)
+        angle = 2 * np.pi * np.arange(count) / max(count, 1) + 0.3
+        place = np.zeros((count + 1, 3))  # the first ray in the middle of the pixel, the others around it
+        place[1:, 1:] = SPREAD_PX / settings.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
+        direction = plane + place[:, None]
+        self._direction = (direction / np.linalg.norm(direction, axis=2)[..., None]).astype(np.float32)
+        self.moments_s = settings.exposure_s * np.append(0.0, np.linspace(-0.5, 0.5, count))
+
+    def render(self, T_world_camera: Array) -> Rendered:
+        """An image without noise from the poses ``T_world_camera (S, 4, 4)`` at `moments_s` after its stamp.
+
+        All rays of a pixel are cast where the image is blurred, or changes from one surface to another.
+        """
+        shape = self.settings.rows, self.settings.columns
+        grey, hit = self._cast(T_world_camera[:1], self._direction[:1])
+        range_m, member = hit.range_m.reshape(shape), hit.member.reshape(shape)
+        if len(T_world_camera) > 1:
+            blurred = self._motion_px(T_world_camera) > BLUR_PX
+            chosen = np.arange(grey.size) if blurred else np.flatnonzero(_edges(range_m, member))
+            more, _ = self._cast(T_world_camera[1:], self._direction[1:, chosen])
+            grey[0, chosen] = (grey[0, chosen] + more.sum(axis=0)) / len(T_world_camera)
+        return Rendered(grey.reshape(shape), range_m, member)
+
+    def _cast(self, T_world_camera: Array, direction: Floats) -> tuple[Floats, Hits]:
+        """Grey levels ``(S, N)`` and hits of rays ``(S, N, 3)``, one pose for each S."""
+        bundle = np.empty((*direction.shape[:2], 6), dtype=np.float32)
+        bundle[:, :, :3] = T_world_camera[:, None, :3, 3]
+        for sample, ray, T in zip(bundle, direction, T_world_camera, strict=True):
+            np.matmul(ray, T[:3, :3].T.astype(np.float32), out=sample[:, 3:])
+        hit = cast_bundle(self._scene, bundle)
+        grey = shade(self._texture, bundle.reshape(-1, 6), hit, 1 / self.settings.focal_px)
+        return grey.reshape(direction.shape[:2]), hit
+
+    def _motion_px(self, T_world_camera: Array) -> float:
+        """Motion of the image of a surface 1 m away during the exposure, in pixels."""
+        first, last = T_world_camera[1], T_world_camera[-1]
+        turned = 0.5 * np.linalg.norm(first[:3, :3] - last[:3, :3])
+        return float(self.settings.focal_px * (turned + np.linalg.norm(first[:3, 3] - last[:3, 3])))
+
+    def exposed(self, grey: Floats, noise: np.random.Generator) -> GreyImage:
+        """An image ``(H, W)`` as read from the sensor, with noise."""
+        sigma = np.sqrt(np.float32(self.settings.read_noise**2) + np.float32(self.settings.gain) * grey)
+        read = grey + sigma * noise.standard_normal(grey.shape, dtype=np.float32)
+        return np.clip(np.rint(read), 0, 255).astype(np.uint8)
+
+
+def _edges(range_m: Floats, member: IntArray) -> NDArray[np.bool_]:
+    """Pixels ``(H, W)`` beside one that shows another member, or a range further away than on a surface."""
+    edge = np.zeros(range_m.shape, dtype=bool)
+    inverse = 1 / range_m  # of no hit: 0
+    for this, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        apart = np.abs(inverse[this] - inverse[other]) > EDGE * inverse[this]
+        differs = (member[this] != member[other]) | apart & (member[this] >= 0)
+        edge[this] |= differs
+        edge[other] |= differs
+    return edge
+
+
+class _Images(Sequence[GreyImage]):
+    """The images of `photograph`."""
+
+    def __init__(
+        self, tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: int, stamp_s: Array
+    ) -> None:
+        self._tower, self._trajectory, self._settings, self._seed = tower, trajectory, settings, seed
+        self._stamp_s = stamp_s
+
+    @functools.cached_property
+    def _camera(self) -> Camera:
+        return Camera(self._tower, self._settings)
+
+    def __len__(self) -> int:
+        return len(self._stamp_s)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        k = range(len(self))[index]
+        noise, stamp_s, camera = rng.stream(self._seed, "camera", k), float(self._stamp_s[k]), self._camera
+        if any(first <= stamp_s < last for first, last in self._settings.blind_s):
+            return camera.exposed(np.zeros((self._settings.rows, self._settings.columns), np.float32), noise)
+        T_world_drone = self._trajectory.between(stamp_s + camera.moments_s)
+        return camera.exposed(camera.render(T_world_drone @ self._settings.T_drone_camera).grey, noise)

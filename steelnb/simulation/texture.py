@@ -1,0 +1,144 @@
+"""Grey of the surfaces of a scene: each member of a tower has a texture of its own, the ground another one.
+
+One tile of periodic noise serves all: a member has a place in it for each of its flanges, and its own brightness. It is
+looked up in a pyramid of halved images, between the two whose texels are the nearest to what a ray sees (Williams,
+"Pyramidal parametrics", SIGGRAPH 1983), so that textures far away do not flicker. No part of it depends on a seed.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from steelnb import rng
+from steelnb.simulation.scene import Hits
+from steelnb.simulation.tower import Tower
+from steelnb.types import Array
+
+Floats = NDArray[np.float32]
+
+SIZE = 1024
+TEXEL_M = 0.004
+GROUND_TEXEL_M = 0.016
+ROUGHNESS_M = (0.012, 0.25)
+"""Shortest and longest period of the texture of steel, between which octaves are equally strong."""
+SUN = np.array([0.36, -0.48, 0.8])
+AMBIENT = 0.55
+STEEL, GROUND = (95.0, 140.0), 130.0
+"""Grey levels in the sun: members lie between both."""
+STEEL_CONTRAST, GROUND_CONTRAST = 0.38, 0.15
+
+
+class Texture(NamedTuple):
+    """``pyramid``: the tile at all sizes, one after the other, −1 to 1; and of each of the M members its ``frame
+    (M, 3, 3)``, rows along axis and flanges, its ``origin (M, 3)``, the ``place (M, 2)`` of its texture in the tile,
+    texels, and its ``grey (M,)``."""
+
+    pyramid: Floats
+    frame: Array
+    origin: Array
+    place: Array
+    grey: Array
+
+
+def make_texture(tower: Tower) -> Texture:
+    """The texture of a tower, the same whenever it is made."""
+    axes, random = tower.axes, rng.stream(0, "texture-members")
+    along = axes[:, 1] - axes[:, 0]
+    along = along / np.linalg.norm(along, axis=1)[:, None]
+    flanges = np.array([(member.flange_a, member.flange_b) for member in tower.members])
+    frame = np.concatenate([along[:, None], flanges], axis=1)
+    place = random.uniform(0, SIZE, (len(axes), 2))
+    return Texture(_pyramid(), frame, axes[:, 0], place, random.uniform(*STEEL, len(axes)))
+
+
+@functools.cache
+def _pyramid() -> Floats:
+    frequency = np.hypot(np.fft.fftfreq(SIZE)[:, None], np.fft.rfftfreq(SIZE)) / TEXEL_M
+    low, high = (1 / length for length in reversed(ROUGHNESS_M))
+    with np.errstate(divide="ignore"):
+        band = np.where((frequency >= low) & (frequency <= high), 1 / frequency, 0.0)
+    white = np.fft.rfft2(rng.stream(0, "texture").standard_normal((SIZE, SIZE)))
+    noise = np.fft.irfft2(band * white, s=(SIZE, SIZE))
+    tile = np.tanh(1.5 * noise / noise.std())  # blotches with borders, as of rust and paint
+    levels = [tile]
+    while len(tile) > 1:
+        tile = tile.reshape(len(tile) // 2, 2, len(tile) // 2, 2).mean(axis=(1, 3))
+        levels.append(tile)
+    return np.concatenate([level.ravel() for level in levels]).astype(np.float32)
+
+
+def shade(texture: Texture, bundle: Floats, hit: Hits, pixel_rad: float) -> Floats:
+    """Grey levels ``(N,)`` that rays ``bundle (N, 6)``, which are ``pixel_rad`` apart, see where they ``hit``."""
+    grey = np.empty(len(bundle), dtype=np.float32)
+    _shade(*texture, bundle, hit.range_m.ravel(), hit.member.ravel(), hit.normal.reshape(-1, 3), pixel_rad, grey)
+    return grey
+
+
+@njit(cache=True)
+def _shade(pyramid, frame, origin, place, grey, bundle, range_m, member, normal, pixel_rad, out):
+    local = np.empty(3)
+    for n in range(len(out)):
+        if not np.isfinite(range_m[n]):
+            out[n] = 190.0 + 50.0 * max(bundle[n, 5], 0.0)  # the sky, brighter above
+            continue
+        slope, light = 0.0, 0.0
+        for i in range(3):
+            slope += normal[n, i] * bundle[n, 3 + i]
+            light += normal[n, i] * SUN[i]
+        # Seen at a slant, a pixel's patch is longer than wide: the mean of both in octaves.
+        patch_m = range_m[n] * pixel_rad / math.sqrt(max(abs(slope), 0.05))
+        m = member[n]
+        if m < 0:
+            x = bundle[n, 0] + range_m[n] * bundle[n, 3]
+            y = bundle[n, 1] + range_m[n] * bundle[n, 4]
+            value = _look_up(pyramid, x / GROUND_TEXEL_M, y / GROUND_TEXEL_M, patch_m / GROUND_TEXEL_M)
+            base, contrast = GROUND, GROUND_CONTRAST
+        else:
+            facing, most = 0, 0.0
+            for j in range(3):
+                local[j], along = 0.0, 0.0
+                for i in range(3):
+                    local[j] += frame[m, j, i] * (bundle[n, i] + range_m[n] * bundle[n, 3 + i] - origin[m, i])
+                    along += frame[m, j, i] * normal[n, i]
+                if abs(along) > most:
+                    facing, most = j, abs(along)
+            first, second = (1, 2) if facing == 0 else (0, 3 - facing)
+            u = place[m, 0] + local[first] / TEXEL_M
+            v = place[m, 1] + local[second] / TEXEL_M + 331.0 * facing
+            value = _look_up(pyramid, u, v, patch_m / TEXEL_M)
+            base, contrast = grey[m], STEEL_CONTRAST
+        out[n] = base * (AMBIENT + (1 - AMBIENT) * abs(light)) * (1 + contrast * value)
+
+
+@njit(cache=True)
+def _look_up(pyramid, u, v, patch):
+    """Value of the tile at a place in texels, averaged over about ``patch`` texels."""
+    level = min(max(math.log2(max(patch, 1e-6)), 0.0), math.log2(SIZE) - 1.0)
+    low = int(level)
+    share = level - low
+    begin, size = 0, SIZE
+    for _ in range(low):
+        begin += size * size
+        size //= 2
+    scale = 1.0 / (1 << low)
+    value = _bilinear(pyramid, begin, size, u * scale, v * scale)
+    if share > 0:
+        coarse = _bilinear(pyramid, begin + size * size, size // 2, 0.5 * u * scale, 0.5 * v * scale)
+        value += share * (coarse - value)
+    return value
+
+
+@njit(cache=True)
+def _bilinear(pyramid, begin, size, u, v):
+    u, v = u - 0.5, v - 0.5
+    column, row = math.floor(u), math.floor(v)
+    right, below = u - column, v - row
+    a, b = int(column) % size, int(row) % size
+    c, d = (a + 1) % size, (b + 1) % size
+    upper = (1 - right) * pyramid[begin + b * size + a] + right * pyramid[begin + b * size + c]
+    lower = (1 - right) * pyramid[begin + d * size + a] + right * pyramid[begin + d * size + c]
+    return (1 - below) * upper + below * lower

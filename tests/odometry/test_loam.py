@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.metrics import position_error_m
+from steelnb.odometry import CloudOdometry, LoamOdometry, make_odometry
+from steelnb.settings import ExperimentSettings, OdometrySettings
+from steelnb.types import Trajectory
+
+
+@pytest.fixture(scope="module")
+def world():
+    settings = ExperimentSettings.preset("orbit", sensor="starling2", seed=13, duration_s=12.0, method="loam-midlines")
+    return experiment.simulate(settings)
+
+
+def flown(flight, method, **changes):
+    odometry = make_odometry(OdometrySettings.preset(method, overrides=changes), flight.T_drone_sensor)
+    steps = [odometry.update(s, T) for s, T in zip(flight.scans, flight.prior.T_world_drone, strict=True)]
+    return odometry, steps, Trajectory(flight.prior.stamp_s, np.array([step.T_world_drone for step in steps]))
+
+
+def test_midlines_keep_a_turn_around_the_tower_within_four_centimetres_and_smoothness_does_not(world):
+    flight, truth = world
+    error = {m: position_error_m(flown(flight, m)[2], truth.trajectory).max() for m in ("loam", "loam-midlines")}
+    raw = position_error_m(flight.prior, truth.trajectory).max()
+    assert raw > 0.1
+    assert error["loam-midlines"] < 0.04
+    assert error["loam-midlines"] < error["loam"] < raw
+
+
+def test_roll_and_pitch_are_the_prior_s_by_midlines_and_free_in_loam(world):
+    flight, _ = world
+    for method, same in (("loam-midlines", True), ("loam", False)):
+        steps = flown(flight.first(12), method)[1]
+        up = np.array([step.T_world_drone[2, :3] for step in steps])
+        assert np.allclose(up, flight.prior.T_world_drone[:12, 2, :3], atol=1e-9) == same
+
+
+def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the_prior(world):
+    flight, _ = world
+    for method in ("loam", "loam-midlines"):
+        odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
+        scans, prior = flight.scans[:3], flight.prior.T_world_drone
+        assert odometry.update(scans[0], prior[0]).reason == "first scan"
+        assert len(odometry.map_points()) > 100
+        assert not len(odometry.map_segments())
+        empty = odometry.update(np.full((240, 180, 3), np.nan), prior[1])
+        assert not empty.used
+        assert empty.reason == "too few points"
+        np.testing.assert_allclose(empty.T_world_drone, prior[1], atol=1e-12)
+        assert odometry.update(scans[2], prior[2]).used
+
+
+def test_a_wall_is_followed_by_loam_across_itself_alone():
+    """Planes say nothing along themselves: there the pose stays where the prior has it."""
+    ray = np.ones((40, 60, 3))
+    ray[..., 1], ray[..., 2] = np.meshgrid(np.linspace(0.6, -0.6, 60), np.linspace(0.4, -0.4, 40))
+    noise, prior = np.random.default_rng(1), np.tile(np.eye(4), (6, 1, 1))
+    prior[:, 2, 3] = 3.0
+    prior[:, :3, 3] += np.arange(6)[:, None] * [0.02, 0.01, 0.0]
+    settings = OdometrySettings.preset("loam", overrides={"clouds.dof": "xyz"})
+    odometry = LoamOdometry(settings)
+    for T in prior:
+        depth = 2.0 + noise.normal(0, 0.002, (40, 60, 1))  # the drone stands still, and the prior drifts
+        found = odometry.update(depth * ray, T).T_world_drone
+    assert abs(found[0, 3]) < 0.01
+    assert found[1, 3] == pytest.approx(0.05, abs=0.04)
+
+
+def test_clouds_of_a_spinning_lidar_are_sorted_into_their_lines():
+    """A room seen by sixteen lasers from two places, its points in any order."""
+    noise = np.random.default_rng(1)
+    elevation, azimuth = np.meshgrid(np.radians(np.arange(-15, 16, 2.0)), np.radians(np.arange(0, 360, 0.5)))
+    ray = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    ).reshape(-1, 3)
+    half = np.array([4.0, 3.0, 0.8])
+    odometry = LoamOdometry(OdometrySettings.preset("loam", overrides={"preprocess.floor_m": -9.0}))
+    for place in ([0.0, 0.0, 0.0], [0.1, -0.06, 0.04]):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = ((np.sign(ray) * half - place) / ray).min(axis=1)
+        points = ray * (reach + noise.normal(0, 0.003, len(ray)))[:, None]
+        step = odometry.update(points[noise.permutation(len(points))], np.eye(4))
+    assert step.used
+    np.testing.assert_allclose(step.T_world_drone[:3, 3], [0.1, -0.06, 0.04], atol=0.02)
+
+
+def test_the_same_scans_give_the_same_poses_and_later_ones_change_none(world):
+    flight, _ = world
+    short, longer = (flown(flight.first(n), "loam-midlines")[2].T_world_drone for n in (10, 14))
+    np.testing.assert_array_equal(short, longer[:10])
+
+
+def test_methods_by_features_and_by_all_points_are_told_apart():
+    with pytest.raises(SettingsError, match="expected one of features or midlines"):
+        LoamOdometry(OdometrySettings.preset("best"))
+    with pytest.raises(SettingsError, match="expected none of features or midlines"):
+        CloudOdometry(OdometrySettings.preset("loam"))
+    for changes in ({"clouds.error": "point"}, {"clouds.bars_weight": 1.0}, {"refit_s": 10.0}):
+        with pytest.raises(SettingsError, match="loam-midlines"):
+            OdometrySettings.preset("loam-midlines", overrides=changes)

@@ -1,0 +1,300 @@
+"""Visual odometry: features and depths, the pose of sightings, and a short flight."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment
+from steelnb.errors import MissingExtraError, SettingsError
+from steelnb.images import CameraImages, project
+from steelnb.odometry import OrbOdometry, make_odometry, run
+from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match, near_any
+from steelnb.odometry.landmarks import LandmarkMap
+from steelnb.odometry.reprojection import Sighting, solve_pose
+from steelnb.registration import free_directions
+from steelnb.settings import CameraSettings, ExperimentSettings, OdometrySettings, TofSettings
+from steelnb.simulation.scene import rays
+from tests import naive
+
+BLIND_S = (4.0, 4.5)
+K = CameraSettings.preset().K
+SHAPE = (320, 422)
+TOF = TofSettings.preset("starling2")
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Six seconds of an orbit whose camera sees nothing for half of one; rendered images are kept."""
+    overrides = {"camera.blind_s": (BLIND_S,), "camera.samples": 2}
+    settings = ExperimentSettings.preset("orbit", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
+        overrides
+    )
+    flight, truth = experiment.simulate(settings)
+    number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
+    images = [flight.images.images[k] for k in number]
+    return settings, replace(flight, images=replace(flight.images, stamp_s=flight.prior.stamp_s, images=images)), truth
+
+
+@pytest.fixture(scope="module")
+def estimate(world):
+    settings, flight, _ = world
+    return run(flight, make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
+
+
+def test_a_short_flight_stays_within_twelve_millimetres(world, estimate):
+    _, flight, truth = world
+    lit, after = flight.prior.stamp_s < BLIND_S[0], flight.prior.stamp_s >= BLIND_S[1]
+    error, raw = (
+        np.linalg.norm(path.position - truth.trajectory.at(path.stamp_s).position, axis=1)
+        for path in (estimate.corrected, flight.prior)
+    )
+    assert np.sqrt(np.mean(error[lit] ** 2)) < 0.012
+    assert np.sqrt(np.mean(raw[lit] ** 2)) > 0.05
+    assert error[after].max() < 0.06  # the map is found again
+    assert raw[after].min() > 0.06
+    assert np.median(estimate.matches[1:][lit[1:]]) > 40
+    assert len(estimate.points) > 500
+    assert len(estimate.segments) == 0
+
+
+def test_roll_and_pitch_stay_the_prior_s(world, estimate):
+    up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, world[1].prior)]
+    np.testing.assert_allclose(*up, atol=1e-9)
+
+
+def test_a_tilted_prior_is_set_upright(world):
+    """Roll and pitch, off by 1° from the second scan on, are found where they are said to be uncertain."""
+    settings, flight, truth = world
+    prior = flight.first(8).prior
+    off = Rotation.from_rotvec(np.radians([1.0, -1.0, 0.0])).as_matrix()
+    T = prior.T_world_drone.copy()
+    T[1:, :3, :3] = off @ T[1:, :3, :3]
+    tilted = replace(flight.first(8), prior=replace(prior, T_world_drone=T))
+    true = truth.trajectory.at(prior.stamp_s).T_world_drone
+    angle = {}
+    for sigma_rad in (0.0, 0.0175):
+        chosen = settings.odometry.override({"tilt_sigma_rad": sigma_rad})
+        found = run(tilted, make_odometry(chosen, flight.T_drone_sensor, images=flight.images)).corrected
+        apart = found.T_world_drone[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)
+        angle[sigma_rad] = Rotation.from_matrix(apart[2:]).as_rotvec()[:, :2]
+    assert np.abs(angle[0.0]).min() > np.radians(0.9)
+    assert np.abs(angle[0.0175]).max() < np.radians(0.4)
+
+
+def test_black_images_are_named_and_the_prior_is_followed(world, estimate):
+    _, flight, _ = world
+    stamp_s = flight.prior.stamp_s
+    dark = (stamp_s >= BLIND_S[0]) & (stamp_s < BLIND_S[1])
+    assert dark.sum() == 3
+    assert {reason for reason, is_dark in zip(estimate.reason, dark, strict=True) if is_dark} == {"too few features"}
+    assert estimate.reason[0] == "first scan"
+    assert not any(reason for reason in estimate.reason[23:])
+    moved, prior = (np.diff(path.position[dark][1:], axis=0) for path in (estimate.corrected, flight.prior))
+    np.testing.assert_allclose(moved, prior, atol=1e-9)
+
+
+def test_without_images_the_prior_is_followed(world):
+    settings, flight, _ = world
+    estimate = run(flight.first(5), make_odometry(settings.odometry, flight.T_drone_sensor))
+    np.testing.assert_array_equal(estimate.corrected.T_world_drone, flight.prior.T_world_drone[:5])
+    assert set(estimate.reason) == {"no image"}
+
+
+def test_no_image_after_the_scan_is_used(world):
+    settings, flight, _ = world
+
+    class Watched(Sequence):
+        def __len__(self):
+            return len(flight.images)
+
+        def __getitem__(self, k):
+            asked.append(k)
+            return flight.images.images[k]
+
+    asked: list[int] = []
+    watched = Watched()
+    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, replace(flight.images, images=watched))
+    for k in (0, 1, 2):
+        odometry.update(flight.scans[k], flight.prior.T_world_drone[k])
+    assert asked == [0, 1, 2]
+    late = CameraImages(flight.images.stamp_s + 0.01, watched, flight.images.K, flight.images.T_drone_camera)
+    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, late)
+    assert odometry.update(flight.scans[3], flight.prior.T_world_drone[3]).reason == "no image"
+    assert asked == [0, 1, 2]
+
+
+def test_the_same_images_give_the_same_estimate(world, estimate):
+    settings, flight, _ = world
+    again = run(flight.first(12), make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
+    np.testing.assert_array_equal(again.corrected.T_world_drone, estimate.corrected.T_world_drone[:12])
+
+
+def wall(edge_m=None):
+    """Points of a wall 2 m ahead that leans, the right half of it ``edge_m`` further away."""
+    ray = rays(TOF)
+    depth = 2.0 / (1.0 - 0.15 * ray[..., 1] / ray[..., 0])
+    if edge_m:
+        depth = np.where(ray[..., 1] < 0, depth + edge_m, depth)
+    random = np.random.default_rng(2)
+    noisy = depth + 0.01 * random.standard_normal(depth.shape)
+    return noisy[..., None] * ray / ray[..., :1]
+
+
+def test_depths_are_those_of_smooth_surfaces_alone():
+    place = np.random.default_rng(3).uniform([120, 60], [300, 260], (400, 2))
+    flat = DepthImage(wall(), np.eye(4), K, SHAPE)
+    exact = 2.0 / (1.0 + 0.15 * (place[:, 0] - K[0, 2]) / K[0, 0])
+    depth = flat.depth_at(place)
+    known = np.isfinite(depth)
+    assert known.mean() > 0.85
+    assert np.abs(depth - exact)[known].max() < 0.03
+    assert flat.mask()[160, 211] == 255
+    assert flat.mask()[160, 5] == 0
+    edge = DepthImage(wall(0.3), np.eye(4), K, SHAPE)
+    depth, away_px = edge.depth_at(place), np.abs(place[:, 0] - K[0, 2])
+    assert not np.isfinite(depth[away_px < 1.5]).any()
+    assert np.isfinite(depth[away_px > 8]).mean() > 0.85
+
+
+def test_fits_of_depths_are_those_of_least_squares():
+    place = np.random.default_rng(4).uniform([120, 60], [300, 260], (40, 2))
+    image = DepthImage(wall(), np.eye(4), K, SHAPE)
+    depth = image.depth_at(place)
+    flat = wall().reshape(-1, 3)
+    expected = naive.plane_depth(project(flat, K), flat[:, 0], place, image._radius_px)
+    np.testing.assert_allclose(depth[np.isfinite(depth)], expected[np.isfinite(depth)], rtol=1e-9)
+
+
+def test_a_match_is_the_nearest_descriptor_of_the_features_near_by():
+    random = np.random.default_rng(5)
+    pixel, expected = random.uniform(0, 60, (80, 2)), random.uniform(0, 60, (50, 2))
+    octave, wanted_octave = random.integers(0, 3, 80), random.integers(0, 3, 50)
+    depth, wanted_depth = random.uniform(1, 1.2, 80), random.uniform(1, 1.2, 50)
+    depth[::3] = np.nan
+    words = random.integers(0, 2**63, (12, 4)).astype(np.uint64)
+    descriptor, wanted = words[random.integers(0, 12, 80)], words[random.integers(0, 12, 50)]
+    flips = np.uint64(1) << random.integers(0, 40, (80, 4)).astype(np.uint64)
+    arguments = (
+        pixel, octave, descriptor ^ flips, depth, expected, wanted_octave, wanted_depth, wanted, 15.0, 60, 0.9,
+    )  # fmt: skip
+    found = match(*arguments)
+    np.testing.assert_array_equal(found, naive.match_features(*arguments))
+    assert 3 < np.count_nonzero(found >= 0) < 50
+    assert len(set(found[found >= 0])) == np.count_nonzero(found >= 0)
+    assert near_any(np.array([[1.0, 1.0], [9.0, 1.0]]), np.array([[3.0, 2.0]]), 2.5).tolist() == [True, False]
+
+
+def sightings(T_world_drone, T_drone_camera, outliers=0.0, seed=6):
+    """Landmarks before a camera as it sees them, half with depth, some with the place of another."""
+    random = np.random.default_rng(seed)
+    T = T_world_drone @ T_drone_camera
+    point = random.uniform([1.0, -0.8, -0.6], [4.0, 0.8, 0.6], (120, 3)) * [1, 1.5, 1.5]
+    pixel = project(point, K)
+    wrong = random.random(120) < outliers
+    pixel[wrong] += random.uniform(4, 8, (wrong.sum(), 2)) * random.choice([-1, 1], (wrong.sum(), 2))
+    depth = np.where(random.random(120) < 0.5, point[:, 0], np.nan)
+    world = point @ T[:3, :3].T + T[:3, 3]
+    return Sighting(world, pixel, np.ones(120), depth, np.full(120, 0.02)), wrong
+
+
+def no_term(T, centre):
+    return np.zeros((6, 6)), np.zeros(6), 0.0
+
+
+@pytest.mark.parametrize(("dof", "turn"), [("se3", (0.02, -0.03, 0.04)), ("xyz_yaw", (0.0, 0.0, 0.04))])
+def test_the_pose_of_exact_sightings_is_found(dof, turn):
+    true, mount = np.eye(4), CameraSettings.preset("tracking").T_drone_camera
+    true[:3, :3] = Rotation.from_euler("ZYX", [1.0, 0.1, -0.05]).as_matrix()
+    true[:3, 3] = 3, -2, 5
+    off = true.copy()
+    off[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ true[:3, :3]
+    off[:3, 3] += (0.05, -0.04, 0.03)
+    for outliers in (0.0, 0.25):
+        seen, wrong = sightings(true, mount, outliers)
+        middle = np.array([2.0, 0.1, -1.0])
+        found = solve_pose(seen, K, mount, off, free_directions(dof), no_term, middle, 2.0 + 20 * (not outliers))
+        if outliers:  # from nearer by, as after a first solve
+            found = solve_pose(seen, K, mount, found.T_world_drone, free_directions(dof), no_term, middle, 2.0)
+            assert found.weight[wrong].max() < 0.1
+        assert found.determined
+        np.testing.assert_allclose(found.T_world_drone, true, atol=2e-4)
+        assert found.weight[~wrong].min() > 0.99
+
+
+def test_nothing_seen_determines_no_pose():
+    seen = Sighting(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+    found = solve_pose(seen, K, np.eye(4), np.eye(4), np.eye(6), no_term, np.zeros(3), 2.0)
+    assert not found.determined
+    np.testing.assert_array_equal(found.T_world_drone, np.eye(4))
+
+
+def test_a_map_keeps_the_landmarks_seen_last_and_drops_those_never_found_again():
+    landmarks = LandmarkMap(50)
+    random = np.random.default_rng(7)
+    for now in range(4):
+        features = Features(np.zeros((20, 2)), np.zeros(20, np.int64), np.zeros((20, 4), np.uint64), np.ones(20))
+        landmarks.insert(random.uniform(1, 2, (20, 3)), features, np.zeros(3), now)
+    assert len(landmarks) == 50
+    assert np.bincount(landmarks.last).tolist() == [0, 10, 20, 20]
+    landmarks.missed[:5] = 12
+    landmarks.insert(np.ones((1, 3)), features.take(np.array([0])), np.zeros(3), 4)
+    assert len(landmarks) == 46
+    mean = landmarks.point[0].copy()
+    landmarks.update(
+        np.array([0, 1]), np.array([mean + 0.2, [np.nan] * 3]), features.take(np.arange(2)), np.arange(2, 4), 5
+    )
+    np.testing.assert_allclose(landmarks.point[0], mean + 0.1)
+    assert np.isfinite(landmarks.point).all()
+    assert landmarks.missed[:4].tolist() == [0, 0, 1, 1]
+
+
+def test_a_landmark_is_expected_from_the_side_it_was_seen_from():
+    landmarks = LandmarkMap(50)
+    features = Features(np.zeros((1, 2)), np.zeros(1, np.int64), np.zeros((1, 4), np.uint64), np.ones(1))
+    landmarks.insert(np.array([[2.0, 0, 0]]), features, np.zeros(3), 0)
+    seen = landmarks.expected(np.eye(4), K, SHAPE, 6.0)
+    np.testing.assert_allclose(seen.pixel, [[K[0, 2], K[1, 2]]])
+    np.testing.assert_allclose(seen.depth, [2.0])
+    behind = np.diag([-1.0, -1.0, 1.0, 1.0])
+    behind[0, 3] = 4.0
+    assert len(landmarks.expected(behind, K, SHAPE, 6.0).number) == 0
+    assert len(landmarks.expected(np.eye(4), K, SHAPE, 1.5).number) == 0
+
+
+def test_features_of_a_coarser_level_are_where_the_finest_has_them():
+    """Symmetric about its middle, an image has the features of each level symmetric about it, too."""
+    random = np.random.default_rng(8)
+    quarter = np.kron(random.integers(0, 2, (40, 53)), np.full((4, 4), 200.0)).astype(np.uint8)[:160, :211]
+    quarter = import_opencv().blur(quarter, (3, 3))
+    image = np.block([[quarter, quarter[:, ::-1]], [quarter[::-1], quarter[::-1, ::-1]]])
+    found = find_features(image, 1000)
+    assert set(found.octave) == {0, 1, 2}
+    for level in range(3):
+        of_level = found.pixel[found.octave == level]
+        mirrored = [422, 320] - np.array([1, 1]) - of_level
+        apart = np.linalg.norm(mirrored[:, None] - of_level, axis=2).min(axis=1)
+        assert np.median(apart) < 0.05, level
+    assert len(find_features(np.zeros(SHAPE, np.uint8), 400).pixel) == 0
+
+
+def test_a_missing_opencv_is_named_with_the_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(MissingExtraError, match=r"cv2 is not installed: pip install 'steelnb\[camera\]'"):
+        import_opencv.__wrapped__()
+
+
+def test_settings_of_other_methods_are_refused():
+    with pytest.raises(SettingsError, match="'best': expected an odometry by features"):
+        OrbOdometry(OdometrySettings.preset("best"))
+    for overrides, says in (
+        ({"smooth": True}, "'orb': a table orb: expected no tables"),
+        ({"prior_sigma": None}, "'orb': a table orb: expected prior_sigma"),
+        ({"orb.features": 0}, "features = 0"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            OdometrySettings.preset("orb", overrides=overrides)
+    assert OdometrySettings.preset("orb", overrides={"tilt_sigma_rad": 0.02}).tilt_sigma_rad == 0.02

@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+
+from steelnb.points.features import SMOOTH, loam_features, midlines, scan_lines
+from steelnb.settings import TofSettings
+from steelnb.simulation.scene import rays
+from tests import naive
+
+pytestmark = pytest.mark.kernels
+
+
+def camera(columns=61, rows=41):
+    """Unit rays of a camera, and the same with x = 1."""
+    ray = rays(TofSettings(columns=columns, rows=rows, fov_horizontal_rad=1.2, fov_vertical_rad=0.9))
+    return ray, ray / ray[..., :1]
+
+
+def steps(seed, missing):
+    """A picture of walls at different depths with noise and holes, seen by a camera."""
+    noise = np.random.default_rng(seed)
+    _, flat = camera(columns=121, rows=6)
+    depth = np.repeat(noise.uniform(1.5, 4, (6, 6)), 21, axis=1)[:, :121]
+    depth += noise.normal(0, 0.004, depth.shape)
+    depth[noise.random(depth.shape) < missing] = np.nan
+    return depth[..., None] * flat
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("most", [(2, 4), (20, 40)])
+def test_edges_and_planes_are_those_of_a_slow_twin(seed, most):
+    image = steps(seed, missing=0.003 * seed)
+    found, twin = loam_features(image, *most), naive.loam_features(image, *most)
+    assert len(found.point) == len(twin) > 10
+    assert 0 < found.plane.sum() < len(twin)
+    np.testing.assert_allclose(found.point, [point for point, _, _ in twin])
+    np.testing.assert_array_equal(found.plane, [plane for _, plane, _ in twin])
+    np.testing.assert_array_equal(found.rank, [rank for _, _, rank in twin])
+
+
+def test_the_corner_of_two_walls_is_an_edge_and_the_walls_are_planes():
+    _, flat = camera(rows=5)
+    corner = flat * (3.0 - np.abs(flat[..., 1:2]))  # nearer the farther from the middle
+    found = loam_features(corner, edges=1, planes=4)
+    sharpest = found.point[(found.plane == 0) & (found.rank == 0)]
+    assert len(sharpest) >= 5
+    assert np.abs(sharpest[:, 1]).min() < 0.1  # three pixels
+    assert loam_features(3.0 * flat).plane.all()  # a wall alone has no edge
+    assert SMOOTH == 5e-3
+
+
+def test_what_something_nearer_hides_gives_no_edge_at_its_border():
+    _, flat = camera(rows=3)
+    image = 4.0 * flat
+    near = np.abs(flat[..., 1]) < 0.15
+    image[near] = 2.0 * flat[near]
+    edge = loam_features(image).point[loam_features(image).plane == 0]
+    assert len(edge) >= 6
+    assert (edge[:, 0] < 2.5).all()  # the border of the front, none of the wall's shadow
+
+
+def bar(width_m, turn_deg, depth_m=3.0, behind_m=np.nan, offset_m=0.0):
+    """A flat strip that faces the camera, and what is behind it."""
+    _, flat = camera(columns=161, rows=121)
+    image, angle = flat * depth_m, np.radians(turn_deg)
+    across = np.cos(angle) * image[..., 1] + np.sin(angle) * image[..., 2] - offset_m
+    return np.where((np.abs(across) > width_m / 2)[..., None], flat * behind_m, image), across
+
+
+@pytest.mark.parametrize("turn_deg", [0, 20, 45, 70, 90])
+@pytest.mark.parametrize("behind_m", [np.nan, 5.0])
+def test_midlines_lie_on_the_axis_of_a_bar(turn_deg, behind_m):
+    image, _ = bar(0.12, turn_deg, behind_m=behind_m, offset_m=0.1)
+    found = midlines(image)
+    angle = np.radians(turn_deg)
+    across = np.cos(angle) * found[:, 1] + np.sin(angle) * found[:, 2] - 0.1
+    assert len(found) > 90
+    np.testing.assert_allclose(found[:, 0], 3.0, atol=1e-9)
+    assert np.abs(across).max() < 0.03  # a pixel
+    assert abs(across.mean()) < 0.005
+
+
+def test_silhouettes_of_something_behind_another_thing_are_not_those_of_a_bar():
+    image, across = bar(0.12, 0)
+    _, flat = camera(columns=161, rows=121)
+    hidden = np.where((across > 0)[..., None], 2.0 * flat, image)  # a nearer wall hides half of it
+    assert len(midlines(image)) > 100
+    assert not len(midlines(hidden))
+
+
+@pytest.mark.parametrize("image", [bar(0.6, 0)[0], bar(0.02, 0)[0], bar(9.0, 0)[0], np.full((9, 9, 3), np.nan)])
+def test_what_is_too_wide_or_too_narrow_or_at_the_border_of_the_picture_is_no_bar(image):
+    assert not len(midlines(image))
+
+
+def test_the_depth_of_a_midline_is_that_of_its_inside():
+    image, across = bar(0.2, 0)
+    blurred = image.copy()
+    edge = np.isfinite(image[..., 0]) & (np.abs(across) > 0.08)
+    blurred[edge] *= 1.03  # mixed pixels
+    inside = np.abs(midlines(blurred)[:, 0] - 3.0)
+    assert len(inside) > 100
+    assert inside.max() < 0.04
+    assert np.median(inside) < 0.02
+
+
+def test_the_returns_of_each_laser_are_one_line_by_azimuth():
+    noise = np.random.default_rng(1)
+    elevation = np.radians([-15.0, -13.0, -0.5, 1.2, 15.0])
+    azimuth = np.radians(np.arange(-180, 180, 3.0))
+    angle = np.stack(np.meshgrid(elevation, azimuth, indexing="ij"), axis=-1).reshape(-1, 2)
+    angle[:, 0] += noise.uniform(-2e-4, 2e-4, len(angle))
+    distance = noise.uniform(2, 9, len(angle))[:, None]
+    points = distance * np.column_stack(
+        [np.cos(angle[:, 0]) * np.cos(angle[:, 1]), np.cos(angle[:, 0]) * np.sin(angle[:, 1]), np.sin(angle[:, 0])]
+    )
+    some = np.vstack([points[noise.permutation(len(points))], np.full((3, 3), np.nan), np.zeros((2, 3))])
+    image = scan_lines(some)
+    assert image.shape == (5, len(azimuth), 3)
+    np.testing.assert_allclose(image.reshape(-1, 3), points)
+
+
+def test_a_cloud_without_lasers_is_cut_into_lines_all_the_same():
+    noise = np.random.default_rng(2)
+    points = noise.uniform(-1, 1, (3000, 3))
+    image = scan_lines(points)
+    found = image[np.isfinite(image).all(axis=2)]
+    assert 50 < len(image) < 1000
+    assert sorted(map(tuple, found)) == sorted(map(tuple, points))
+    assert scan_lines(np.full((4, 3), np.nan)).shape == (0, 0, 3)
+    assert not len(loam_features(scan_lines(np.zeros((0, 3)))).point)

@@ -1,0 +1,60 @@
+"""Figures of images and their features, on a flight of a second."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steelnb import experiment
+from steelnb.errors import RecordingError
+from steelnb.report.image_figures import figure_feature_depths, figure_matches, seen_features
+from steelnb.settings import ExperimentSettings
+from steelnb.types import Scan
+
+
+@pytest.fixture(scope="module")
+def world():
+    flight, truth = experiment.simulate(ExperimentSettings.preset(method="orb", seed=11, duration_s=1.0))
+    return flight, truth.trajectory.at(flight.prior.stamp_s)
+
+
+def counts(figure):
+    """Number of matches by verdict, from the legend."""
+    pairs = (text.get_text().rsplit(": ") for text in figure.legends[0].get_texts())
+    return {name: int(number) for name, number in pairs}
+
+
+def test_most_matches_of_successive_images_are_right_by_the_true_poses(world):
+    flight, true = world
+    shown = counts(figure_matches(flight, 2, 3, true))
+    assert shown["right"] > 40
+    assert shown["right"] > 5 * shown["wrong"]
+    turned = replace(true, T_world_drone=true.T_world_drone.copy())
+    turned.T_world_drone[3, :3, 3] += (0.0, 0.3, 0.0)
+    assert counts(figure_matches(flight, 2, 3, turned))["right"] < 0.2 * shown["right"]
+    figure = figure_matches(flight, 2, 3, true)
+    assert f"{sum(shown.values())} matches of " in figure.axes[0].get_title()
+    assert sum(len(lines.get_segments()) for lines in figure.axes[0].collections) == sum(shown.values())
+
+
+def test_features_have_the_colours_of_their_depths(world):
+    flight, _ = world
+    figure = figure_feature_depths(flight, 2)
+    _, features = seen_features(flight, 2)
+    dots = figure.axes[0].collections[0]
+    known = features.depth[np.isfinite(features.depth)]
+    np.testing.assert_allclose(dots.get_array(), known)
+    assert dots.get_clim() == figure.axes[1].images[0].get_clim()
+    assert 20 < len(known) < len(features.depth)
+
+
+def test_flights_without_images_are_refused(world):
+    flight, _ = world
+    with pytest.raises(RecordingError, match="no images"):
+        figure_matches(replace(flight, images=None), 0, 1)
+    late = replace(flight, images=replace(flight.images, stamp_s=flight.images.stamp_s + 9.0))
+    with pytest.raises(RecordingError, match="no image at scan 1"):
+        figure_feature_depths(late, 1)
+    flat = replace(flight, scans=[Scan(scan.stamp_s, scan.points.reshape(-1, 3)) for scan in flight.scans])
+    with pytest.raises(RecordingError, match=r"expected a range image"):
+        figure_feature_depths(flat, 1)

@@ -1,0 +1,156 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.images import project
+from steelnb.settings import CameraSettings, ExperimentSettings
+from steelnb.simulation import Camera, build_tower, photograph
+from steelnb.simulation.scene import cast_rays, make_scene, rays
+from steelnb.simulation.texture import SIZE, _look_up, make_texture
+from steelnb.types import Trajectory
+
+TOWER = build_tower()
+SMALL = CameraSettings(columns=211, rows=160)
+
+
+def pose(x=-3.2, y=0.2, z=5.0, yaw=0.0, pitch=0.0):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, 0.0]).as_matrix()
+    T[:3, 3] = x, y, z
+    return T
+
+
+def moving(velocity=(0.0, 0.4, 0.0), yaw_rate=0.0):
+    """Two seconds before a face of the tower."""
+    stamp_s = 0.008 * np.arange(251)
+    T = np.array([pose(y=-0.4 + velocity[1] * t, z=5.0 + velocity[2] * t, yaw=yaw_rate * t) for t in stamp_s])
+    return Trajectory(stamp_s, T)
+
+
+def render(settings, *poses):
+    camera = Camera(TOWER, settings)
+    return [camera.render(np.tile(T, (settings.samples, 1, 1))) for T in poses]
+
+
+@pytest.mark.parametrize("camera", ["forward", "tracking"])
+def test_intrinsics_are_those_of_the_rays(camera):
+    settings = CameraSettings.preset(camera)
+    v, u = np.mgrid[: settings.rows, : settings.columns]
+    pixel = project(7.0 * rays(settings).reshape(-1, 3), settings.K)
+    np.testing.assert_allclose(pixel, np.column_stack([u.ravel(), v.ravel()]), atol=1e-9)
+
+
+def test_the_presets_are_the_report_s_cameras():
+    forward, tracking = CameraSettings.preset(), CameraSettings.preset("tracking")
+    assert (forward.columns, forward.rows, forward.fov_horizontal_rad, forward.rate_hz) == (422, 320, 1.74, 10.0)
+    assert (tracking.columns, tracking.rows, tracking.fov_horizontal_rad) == (640, 480, 2.32)
+    np.testing.assert_allclose(tracking.T_drone_camera[:3, 0], [0.5**0.5, 0, -(0.5**0.5)])  # looks down
+    with pytest.raises(SettingsError, match="'forward', 'tracking'"):
+        CameraSettings.preset("rear")
+
+
+def test_rendered_ranges_are_those_of_cast_rays():
+    for T in (pose(), pose(z=1.0, yaw=0.3, pitch=0.4)):
+        exact, member = cast_rays(make_scene(TOWER), T[None], rays(SMALL))
+        (seen,) = render(SMALL, T)
+        same = seen.member == member[0]
+        assert same.mean() > 0.999  # rays along an edge may go either way
+        np.testing.assert_allclose(seen.range_m[same], exact[0][same], rtol=1e-4)
+        assert (seen.member >= 0).mean() > 0.05
+
+
+def test_a_seed_makes_the_same_images_in_any_order_and_another_seed_other_noise():
+    images, again, other = (photograph(TOWER, moving(), SMALL, seed).images for seed in (3, 3, 4))
+    later = again[4].copy()
+    for k in (0, 4):
+        assert images[k].dtype == np.uint8
+        assert images[k].shape == (160, 211)
+        np.testing.assert_array_equal(images[k], again[k])
+    np.testing.assert_array_equal(later, images[4])
+    apart = images[0].astype(float) - other[0]
+    assert 1.0 < apart.std() < 5.0
+    assert (images[0] != images[4]).mean() > 0.5
+    assert len(images) == 21
+    with pytest.raises(IndexError):
+        images[21]
+
+
+def test_a_texture_moves_with_its_member():
+    """Patches on steel are found again within a pixel of where depth and motion put them."""
+    settings = CameraSettings.preset()
+    T = pose(x=-2.6), pose(x=-2.55, y=0.26, z=5.03, yaw=0.05)
+    first, second = render(settings, *T)
+    depth = first.range_m * rays(settings)[..., 0]
+    apart = []
+    for v in range(20, 300, 3):
+        for u in range(20, 402, 3):
+            here = np.s_[v - 4 : v + 5, u - 4 : u + 5]
+            member, patch = first.member[here], first.grey[here]
+            if member[4, 4] < 0 or (member != member[4, 4]).any() or patch.std() < 18 or np.ptp(depth[here]) > 0.05:
+                continue
+            point = first.range_m[v, u] * rays(settings)[v, u]
+            moved = np.linalg.inv(T[1]) @ T[0] @ np.append(point, 1)
+            expected = project(moved[None, :3], settings.K)[0]
+            i, j = np.rint(expected).astype(int)
+            if (
+                not (10 < i < 411 and 10 < j < 309)
+                or (second.member[j - 4 : j + 5, i - 4 : i + 5] != member[4, 4]).any()
+            ):
+                continue
+            scores = {
+                (du, dv): np.corrcoef(patch.ravel(), second.grey[b - 4 : b + 5, a - 4 : a + 5].ravel())[0, 1]
+                for du in range(-5, 6)
+                for dv in range(-5, 6)
+                for a, b in [(i + du, j + dv)]
+            }
+            du, dv = max(scores, key=scores.get)
+            apart.append(np.hypot(i + du - expected[0], j + dv - expected[1]))
+            assert np.linalg.norm(expected - (u, v)) > 2
+    assert len(apart) > 20
+    assert np.mean(np.array(apart) <= 1.0) > 0.9
+
+
+def test_motion_blurs_along_its_direction_alone():
+    sharp, long = (SMALL.replace(exposure_s=s, samples=9, read_noise=0.0, gain=0.0) for s in (0.0, 0.6))
+    still, moved = moving((0.0, 0.0, 0.0)), moving((0.0, 0.4, 0.0))
+    crisp, unmoved, blurred = (
+        photograph(TOWER, path, settings, 1).images[10].astype(float)
+        for path, settings in ((moved, sharp), (still, long), (moved, long))
+    )
+    across = [np.abs(np.diff(image[:90], axis=1)).mean() for image in (crisp, unmoved, blurred)]
+    assert across[1] > 0.85 * across[0]
+    assert across[2] < 0.7 * across[0]
+    assert np.abs(np.diff(blurred[:90], axis=0)).mean() > across[2]
+
+
+def test_blind_intervals_are_black():
+    images = photograph(TOWER, moving(), SMALL.replace(blind_s=((0.35, 0.65),)), 1)
+    mean = [image.mean() for image in images.images]
+    dark = (images.stamp_s >= 0.35) & (images.stamp_s < 0.65)
+    assert dark.sum() == 3
+    assert max(np.array(mean)[dark]) < 2
+    assert min(np.array(mean)[~dark]) > 60
+
+
+def test_far_textures_are_their_mean_and_near_ones_are_not():
+    pyramid = make_texture(TOWER).pyramid
+    tile = pyramid[: SIZE * SIZE].reshape(SIZE, SIZE)
+    places = np.random.default_rng(1).uniform(0, 3 * SIZE, (100, 2))
+    near, far = ([_look_up(pyramid, u, v, patch) for u, v in places] for patch in (1.0, 0.9 * SIZE))
+    assert np.std(near) > 0.5
+    np.testing.assert_allclose(far, tile.mean(), atol=0.1)
+    assert _look_up(pyramid, 17.5, 33.5, 1.0) == pytest.approx(tile[33, 17])
+
+
+def test_no_image_is_taken_unless_asked_for():
+    settings = ExperimentSettings.preset(method="best", duration_s=1.0)
+    assert settings.camera is None
+    assert experiment.simulate(settings)[0].images is None
+    settings = ExperimentSettings.preset(method="orb", duration_s=1.0)
+    assert settings.camera == CameraSettings.preset("forward")
+    flight, _ = experiment.simulate(settings)
+    np.testing.assert_array_equal(flight.images.K, settings.camera.K)
+    assert all(flight.images.at(stamp_s) is not None for stamp_s in flight.prior.stamp_s)
+    assert experiment.simulate(settings.override({"camera": False}))[0].images is None
