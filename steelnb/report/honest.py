@@ -39,6 +39,8 @@ FAULTS: dict[str, tuple[str, ...]] = {
 }
 """Faults that bias a range, and their settings; range noise is left out beside one of them."""
 NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
+OURS = ("best", "combined", "faces", "smoothed", "calibrated")
+"""Methods compared: those of the literature have a notebook of their own."""
 MARKERS = dict(zip(CASES.values(), (("o", False), ("^", False), ("o", True)), strict=True))
 """Marker of the runs of a case, and whether it is filled."""
 FAR_M = 0.05
@@ -127,11 +129,11 @@ def imu_table(settings: ImuSettings, seed: int, duration_s: float = IMU_S) -> pd
 
 
 def honest_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs of a study under the random walk that are one of `CASES`, as their column ``case`` says, of the methods
-    that flew with the honest sensor; nothing else differs from a preset."""
+    """The runs of a study under the random walk that are one of `CASES`, as their column ``case`` says, of our own
+    methods that flew with the honest sensor; nothing else differs from a preset."""
     which = pd.MultiIndex.from_frame(runs[["sensor", "variant"]])
     chosen = which.isin(CASES) & (runs["noise"] == "random-walk") & (runs["duration_s"] == 200.0)
-    chosen &= (runs["blind"] == "") & (runs["status"] == "ok")
+    chosen &= (runs["blind"] == "") & (runs["status"] == "ok") & runs["method"].isin(OURS)
     chosen &= runs["method"].isin(runs.loc[chosen & (runs["sensor"] == HONEST), "method"])
     return runs[chosen].assign(case=[CASES[pair] for pair in which[chosen]])
 
