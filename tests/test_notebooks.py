@@ -406,8 +406,8 @@ def test_the_notebook_of_the_literature_has_loam_far_off_and_midlines_beside_the
     table = pd.read_csv(folder / "table.csv")
     ideal = table[(table["sensor"] == "starling2") & (table["noise"] == "random-walk")]
     error = ideal.set_index(["trajectory", "method"])["ate_mean_m"]
-    for flight in ("vertical", "orbit"):
-        assert error[flight, "loam"] > 2 * error[flight, "best"]
+    for flight, far in (("vertical", 4), ("orbit", 1.2)):
+        assert error[flight, "loam"] > far * error[flight, "best"]
         assert error[flight, "loam-midlines"] < error[flight, "best"]
         assert error[flight, "orb"] < 0.1
     for name in ("2_1", "features", "error"):
