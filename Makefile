@@ -15,7 +15,7 @@ export NPY_DISABLE_CPU_FEATURES = X86_V4 AVX512_ICL AVX512_SPR
 # `workflow` lies beside the package, not in it.
 export PYTHONPATH = .
 
-.PHONY: help setup reproduce study smoke test lint check docs lab lock clean
+.PHONY: help setup reproduce study smoke test lint check docs train lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -59,6 +59,10 @@ docs: $(READY)  ## pages to read offline, with every notebook as executed: docs/
 	@$(BIN)/python -m workflow pages --budget "$(or $(BUDGET),smoke)"
 	@$(BIN)/python -m sphinx -W --keep-going -q -j 2 docs docs/_build/html
 
+train: $(READY)  ## train the network of `deepvo` from nothing (half an hour on two cores; installs PyTorch)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "torch>=2.4"
+	$(BIN)/python scripts/train-deepvo
+
 lab: $(READY)  ## open JupyterLab on the notebook to explore
 	@JUPYTER_CONFIG_PATH="$(CURDIR)/scripts/jupyterlab" $(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
@@ -66,7 +70,7 @@ GROUPS := workflow docs dev build
 lock:  ## write environment.lock anew from pyproject.toml, versions kept where they fit (needs uv)
 	@mkdir -p .cache
 	grep -oE '^[A-Za-z0-9_.-]+==[^ ;]+' environment.lock > .cache/constraints.txt
-	uv pip compile pyproject.toml --all-extras $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
+	uv pip compile pyproject.toml --extra all $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
 	    --no-header --no-annotate --no-emit-package steelnb --quiet -c .cache/constraints.txt -o environment.lock
 
 clean:  ## remove the environment and every cache; results stay

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from steelnb.odometry import (
         CloudOdometry,
         CombinedOdometry,
+        DeepVoOdometry,
         FaceOdometry,
         KnownStructureOdometry,
         LoamOdometry,
@@ -46,6 +47,7 @@ _MODULES = {
     "odometry": (
         "CloudOdometry",
         "CombinedOdometry",
+        "DeepVoOdometry",
         "FaceOdometry",
         "KnownStructureOdometry",
         "LoamOdometry",
@@ -60,9 +62,9 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Changes", "CloudOdometry", "CombinedOdometry", "Estimate", "ExperimentSettings", "FaceOdometry", "Flight",
-    "KnownStructureOdometry", "Lines", "LoamOdometry", "MissingExtraError", "OdometrySettings", "OdometryStep",
-    "OrbOdometry", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments",
+    "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate", "ExperimentSettings", "FaceOdometry",
+    "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry", "MissingExtraError", "OdometrySettings",
+    "OdometryStep", "OrbOdometry", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments",
     "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
     "detect_segments", "find_changes", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth",
     "reconstruct", "reconstruct_cloud", "register", "run", "smooth", "write_flight", "write_structure",

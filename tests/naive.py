@@ -252,3 +252,16 @@ def plane_depth(pixel, depth, place, radius):
         A = np.column_stack([np.ones(near.sum()), pixel[near] - at])
         result.append(1 / np.linalg.lstsq(A, 1 / depth[near], rcond=None)[0][0])
     return np.array(result)
+
+
+def convolution(x, kernel, stride):
+    """Cross-correlation of images ``(B, H, W, C_in)`` with ``kernel (C_out, C_in, k, k)``, a window at a time."""
+    pad = kernel.shape[-1] // 2
+    x = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
+    rows, columns = (range(0, size - 2 * pad, stride) for size in x.shape[1:3])
+    result = np.zeros((len(x), len(rows), len(columns), len(kernel)))
+    for b, i, j, c in np.ndindex(result.shape):
+        top, left = rows[i], columns[j]
+        window = x[b, top : top + 2 * pad + 1, left : left + 2 * pad + 1]
+        result[b, i, j, c] = (window.transpose(2, 0, 1) * kernel[c]).sum()
+    return result

@@ -14,7 +14,7 @@ from tests.lattice import lattice, scanned
 EXTRAS = (
     "ahrs", "cv2", "dask", "distributed", "evo", "ezdxf", "gtsam", "ifcopenshell", "imufusion", "ipykernel", "IPython",
     "ipywidgets", "jupyterlab", "nbclient", "nbconvert", "nbformat", "open3d", "papermill", "plotly", "psutil",
-    "pyarrow", "pybullet", "rerun", "rosbags", "sklearn", "small_gicp", "trimesh",
+    "pyarrow", "pybullet", "rerun", "rosbags", "sklearn", "small_gicp", "torch", "trimesh",
 )  # fmt: skip
 """Import names of what only extras install."""
 

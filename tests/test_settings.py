@@ -141,7 +141,8 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb"))
+    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb", "deepvo"))
+    assert (settings.weights is None) == (method != "deepvo")
     assert (settings.orb is None) == (method != "orb")
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.gain" if settings.segments is None else "clouds.dofs"
@@ -159,9 +160,10 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_133_settings():
+def test_there_are_at_most_134_settings():
     """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
-    sigma filter, how well five errors of a sensor are known, eleven of a camera, and nine of image features."""
+    sigma filter, how well five errors of a sensor are known, eleven of a camera, nine of image features, and a
+    file of weights."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -169,7 +171,7 @@ def test_there_are_at_most_133_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 133
+    assert len(leaves) <= 134
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:

@@ -5,6 +5,7 @@ from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.loam import LoamOdometry
@@ -17,11 +18,13 @@ from steelnb.types import Array, Imu
 
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
-) -> CloudOdometry | FaceOdometry | SegmentOdometry | OrbOdometry:
+) -> CloudOdometry | FaceOdometry | SegmentOdometry | OrbOdometry | DeepVoOdometry:
     """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
     Readings of the ``imu`` are used where the settings have a table ``inertial``, and ``images`` by ``orb``."""
     if settings.orb is not None:
         return OrbOdometry(settings, T_drone_sensor, images)
+    if settings.weights is not None:
+        return DeepVoOdometry(settings, T_drone_sensor)
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
     if settings.clouds.by_features:
@@ -32,6 +35,6 @@ def make_odometry(
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "FaceOdometry", "KnownStructureOdometry", "LoamOdometry", "Odometry",
-    "OrbOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
+    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry", "LoamOdometry",
+    "Odometry", "OrbOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -42,10 +42,11 @@ METHODS = {
     "smoothed": ("smoothed", "#661100"),
     "calibrated": ("smoothed and calibrated", "#8490FC"),
     "orb": ("ORB features", "#DD0044"),
+    "deepvo": ("DeepVO", "#88DD44"),
     "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
-by images red."""
+by images red, learned lime."""
 DETECTORS = {
     "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
     "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,

@@ -10,7 +10,8 @@ from steelnb.settings.presets import method_names, method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
-"""Odometries by segments alone; all others but ``orb`` are by clouds, ``combined`` and those based on it by both."""
+"""Odometries by segments alone; all others but ``orb`` and ``deepvo`` are by clouds, ``combined`` and those based on it
+by both."""
 
 
 class PreprocessSettings(Settings):
@@ -130,7 +131,8 @@ class OdometrySettings(Settings):
     all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
     keyframes and bars during the flight (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the
     sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings predict the pose of a scan
-    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none.
+    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
+    weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
     Tables that a method does not use are None.
     """
 
@@ -147,6 +149,7 @@ class OdometrySettings(Settings):
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
     orb: OrbSettings | None = None
+    weights: str | None = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
@@ -154,11 +157,14 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        if self.orb is not None and (self.clouds is not None or self.segments is not None or self.smooth):
-            raise ValueError(f"method {self.method!r}: a table orb: expected no tables clouds and segments, no smooth")
-        if (self.clouds is None and self.orb is None) != (self.method in SEGMENT_METHODS):
+        alone = "a table orb" if self.orb is not None else "weights" if self.weights is not None else ""
+        if alone and (self.clouds is not None or self.segments is not None or self.smooth):
+            raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
+        if self.orb is not None and self.weights is not None:
+            raise ValueError(f"method {self.method!r}: a table orb and weights: expected one of them")
+        if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
-        by_bars = self.orb is None and (self.clouds is None or self.clouds.bars_weight > 0)
+        by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
         if self.orb is not None and self.prior_sigma is None:
@@ -188,7 +194,7 @@ class OdometrySettings(Settings):
         bars uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        by_clouds, by_segments = "clouds" in tables or "orb" in tables, "segments" in tables
+        by_clouds, by_segments = not tables.keys().isdisjoint(("clouds", "orb", "weights")), "segments" in tables
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings, "orb": OrbSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
