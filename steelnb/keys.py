@@ -21,7 +21,7 @@ from steelnb.errors import FileMissingError
 PACKAGE = "steelnb"
 PACKAGE_FOLDER = Path(__file__).resolve().parent
 EXPERIMENTS_FILE = Path("notebooks", "experiments.toml")
-DATA = (".toml", ".json", ".csv", ".txt")
+DATA = (".toml", ".json", ".csv", ".txt", ".npz")
 
 
 def find_root(start: Path | None = None) -> Path:
@@ -141,5 +141,8 @@ def _parse_version(path: Path, modified_ns: int, size: int) -> _Parsed:
 
 
 def _data(path: Path) -> list[Any]:
+    name = path.relative_to(PACKAGE_FOLDER).as_posix()
+    if path.suffix == ".npz":
+        return [name, file_digest(path)]
     text = path.read_text(encoding="utf-8")
-    return [path.relative_to(PACKAGE_FOLDER).as_posix(), repr(tomllib.loads(text)) if path.suffix == ".toml" else text]
+    return [name, repr(tomllib.loads(text)) if path.suffix == ".toml" else text]
