@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
 from steelnb.files import reading, text_lines
-from steelnb.io.bag_files import PIXELS_MAX
 from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points
 from steelnb.io.folders import TRAJECTORY, folder_settings, named_file, walk_files
+from steelnb.io.images import PIXELS_MAX
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_stamps, read_trajectory, trajectory_of_matrices
 from steelnb.types import Array, Trajectory
