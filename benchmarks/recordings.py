@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from steelnb import experiment, odometry
 from steelnb.io import read_flight, write_flight
 from steelnb.io.bag_files import typestore
-from steelnb.io.bags import CLOUD
+from steelnb.io.bag_topics import CLOUD
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Array, Flight, Imu, Scan, Trajectory

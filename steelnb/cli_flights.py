@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from steelnb.cli_options import (
+    CAMERAS,
     GOALS,
     METHODS,
     TRAJECTORIES,
@@ -42,6 +43,7 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its tru
     epilog=examples(
         "steelnb record flight.mcap --duration 30",
         "steelnb record flight.bag --trajectory orbit --noise random-walk+yaw-random-walk --force",
+        "steelnb record seen.mcap --camera forward --set camera.rate_hz=5",
     )
 )
 def record(
@@ -51,6 +53,7 @@ def record(
     noise: Noise = "random-walk:0.002",
     sensor: Sensor = "starling2",
     seed: Seed = 1,
+    camera: Annotated[str | None, one_of(CAMERAS, "Record images, too, as of this camera: {names}.")] = None,
     changed: Set = None,
     force: Force = False,
 ) -> None:
@@ -61,9 +64,11 @@ def record(
     with progress() as shown:
         from steelnb import experiment
         from steelnb.io.bag_writer import check_target, write_flight
+        from steelnb.settings import CameraSettings
 
+        overrides = ({"camera": CameraSettings.preset(camera)} if camera else {}) | overrides_of(changed)
         # What steers a planned flight, and has no part in others.
-        settings = _settings(trajectory, noise, "combined", sensor, seed, duration, overrides_of(changed))
+        settings = _settings(trajectory, noise, "combined", sensor, seed, duration, overrides)
         check_target(file, True, force)
         shown.show(f"flying {duration:g} s")
         flight, truth = experiment.simulate_anew(settings, lambda share: shown.show(f"flying {duration:g} s", share))

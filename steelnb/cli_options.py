@@ -19,6 +19,7 @@ def _tables(name: str) -> tuple[str, ...]:
 PRESETS = Path(__file__).parent / "presets"
 METHODS = (*_tables("methods"), "segments")
 TRAJECTORIES = _tables("flights")
+CAMERAS = _tables("cameras")
 GOALS = ("around", "face", "whole")
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 NOISES = ("none", "random-walk", "constant-drift", "constant-drift-per-axis", "yaw-random-walk", "tilt")

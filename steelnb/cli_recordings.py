@@ -30,6 +30,7 @@ Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
 Scans = Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")]
 Poses = Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")]
 TruthFile = Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")]
+Images = Annotated[str | None, typer.Option(help="Topic of a camera's images, for odometry by features.")]
 SettingsFile = Annotated[
     Path | None, typer.Option(help="TOML file with the tables [extrinsics], [intrinsics] and [errors].")
 ]
@@ -71,6 +72,7 @@ def run(
     scans: Scans = None,
     poses: Poses = None,
     truth: TruthFile = None,
+    images: Images = None,
     settings: SettingsFile = None,
     gap: Gap = None,
     seed: Seed = 1,
@@ -122,7 +124,8 @@ def run(
         if noise is not None:
             NoiseSettings.parse(noise)
         shown.show(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
+        topics = {"scans": scans, "poses": poses, "truth": truth, "images": images}
+        flight = read_flight(recording, settings=settings, gap_max_s=gap, **topics)
         true = read_truth(recording, truth=truth, settings=settings)
         part_s = None if (from_s, to_s) == (0.0, math.inf) else (from_s, to_s)
         used = flight if part_s is None else part_of(flight, true, part_s, gap)[0]
@@ -195,6 +198,7 @@ def info(
     scans: Scans = None,
     poses: Poses = None,
     truth: TruthFile = None,
+    images: Images = None,
     settings: SettingsFile = None,
     gap: Gap = None,
     quick: Annotated[bool, typer.Option("--quick", help="Read the first scan alone.")] = False,
@@ -208,7 +212,8 @@ def info(
         from steelnb.report.recording_info import describe_flight
 
         shown.show(f"reading {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, truth=truth, settings=settings, gap_max_s=gap)
+        topics = {"scans": scans, "poses": poses, "truth": truth, "images": images}
+        flight = read_flight(recording, settings=settings, gap_max_s=gap, **topics)
         true = read_truth(recording, truth=truth, settings=settings)
         lines = describe_flight(flight, true, path=recording, quick=quick)
     print("\n".join(lines))

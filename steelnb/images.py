@@ -14,14 +14,14 @@ GreyImage = NDArray[np.uint8]
 class CameraImages:
     """N grey images, each made or read when it is asked for.
 
-    ``stamp_s (N,)``, strictly rising, the middles of the exposures; ``images``: N arrays ``(H, W)``; ``K (3, 3)``,
-    intrinsics in OpenCV's pixels, whose origin is the centre of the first pixel, u to the right and v down;
-    ``T_drone_camera (4, 4)``: the mount. The camera frame has x along the optical axis, y left and z up, so a point
-    (x, y, z) is seen at ``K @ (−y, −z, x)``, up to scale.
+    ``stamp_s (N,)``, strictly rising, the middles of the exposures; ``images``: N arrays ``(H, W)``, or None for one of
+    a recording that cannot be read; ``K (3, 3)``, intrinsics in OpenCV's pixels, whose origin is the centre of the
+    first pixel, u to the right and v down; ``T_drone_camera (4, 4)``: the mount. The camera frame has x along the
+    optical axis, y left and z up, so a point (x, y, z) is seen at ``K @ (−y, −z, x)``, up to scale.
     """
 
     stamp_s: NDArray[np.float64]
-    images: Sequence[GreyImage]
+    images: Sequence[GreyImage | None]
     K: NDArray[np.float64]
     T_drone_camera: NDArray[np.float64]
 

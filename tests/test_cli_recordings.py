@@ -76,6 +76,20 @@ def test_record_info_and_run(place, capfd):
     assert drift_m == pytest.approx(0.0005 * 125 * prior.stamp_s[-1], rel=1e-3)
 
 
+def test_a_camera_is_recorded_and_the_flight_corrected_by_its_images(place, capfd):
+    camera = ["--camera", "tracking", "--set", "camera.rate_hz=5", "--set", "camera.columns=320", "--set",
+              "camera.rows=240", "--set", "camera.samples=1", "--set", "camera.mount_rpy_deg=[0, 0, 0]"]  # fmt: skip
+    said(capfd, ["record", "a.mcap", "--duration", "2", *camera])
+    shown = said(capfd, ["info", "a.mcap"])
+    assert "images    11 at 5 Hz, 320 x 240 (/camera/image_raw, intrinsics /camera/camera_info, mount tf" in shown
+    run = ["run", "a.mcap", "--odometry", "orb", "--no-viewer", "--no-structure"]
+    assert "used      9 scans; not used: 1 first scan" in said(capfd, run)
+    assert "no topic '/eye' for the images" in said(capfd, ["info", "a.mcap", "--images", "/eye"], code=2)
+    said(capfd, ["record", "blind.mcap", "--duration", "2"])
+    assert "blind.mcap: no images for method 'orb': none" in said(capfd, ["run", "blind.mcap", *run[2:]], code=2)
+    assert "unknown 'foward', did you mean 'forward'" in said(capfd, ["record", "b.bag", "--camera", "foward"], code=2)
+
+
 def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
     said(capfd, ["record", "a.mcap", "--trajectory", "orbit", "--duration", "8", "--seed", "4"])
     (place / "wrong.toml").write_text("[extrinsics]\ntranslation_m = [0.06, 0.0, 0.0]\nrotation_rpy_deg = [0, 1.5, 0]\n"

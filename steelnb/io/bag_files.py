@@ -3,7 +3,7 @@
 Its readers are used apart from `AnyReader`, which compiles the definitions that a bag brings along: one that cannot be
 parsed would keep all others from being read. The standard types are the same everywhere.
 
-Points and depths are read where they lie; sizes that do not fit are refused before anything is allocated.
+Points are read where they lie; sizes that do not fit are refused before anything is allocated.
 """
 
 import bz2
@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, UnsupportedFormatError, needs
 from steelnb.files import reading
@@ -31,12 +30,8 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 30
 UNPACKED_MAX = 1 << 28
 """Bytes to which a compressed chunk or message may unpack: memory that a small file can ask for."""
-PIXELS_MAX = 1 << 23
-"""Pixels of a depth image: a few more than 3840 × 2160."""
 FLOATS = {7: "f4", 8: "f8"}
 """PointField datatypes that coordinates may have."""
-DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""Type and unit in metres of the encodings of depth images (REP 118)."""
 
 
 class Message(NamedTuple):
@@ -245,27 +240,6 @@ def decode_points(message: Any) -> Array:
     if invalid.any():
         points[invalid] = np.nan
     return points if height > 1 and width > 1 else points.reshape(-1, 3)
-
-
-def decode_depth(message: Any, scale: float | None = None) -> Array:
-    """Depths ``(H, W)`` of an Image in metres, as stored; ``scale``: metres a unit, if not REP 118's.
-
-    Raises `FileContentError` for any other encoding, and where sizes do not fit.
-    """
-    if message.encoding not in DEPTHS:
-        raise FileContentError(f"encoding {str(message.encoding)[:20]!r}; expected one of {', '.join(DEPTHS)}")
-    kind, unit = DEPTHS[message.encoding]
-    pixel = np.dtype((">" if message.is_bigendian else "<") + kind)
-    rows, columns, step = int(message.height), int(message.width), int(message.step)
-    if rows < 1 or columns < 1 or rows * columns > PIXELS_MAX:
-        raise FileContentError(f"an image of {columns} × {rows}; expected 1 to {PIXELS_MAX} pixels")
-    if step < columns * pixel.itemsize or len(message.data) < rows * step:
-        raise FileContentError(
-            f"{len(message.data)} bytes in rows of {step}; expected {rows} rows of at least {columns * pixel.itemsize}"
-        )
-    data = np.frombuffer(message.data, np.uint8)
-    stored: NDArray = np.ndarray((rows, columns), pixel, data, strides=(step, pixel.itemsize))
-    return np.asarray(stored * np.float64(unit if scale is None else scale))
 
 
 def _layout(message: Any, step: int) -> list[tuple[str, int]]:

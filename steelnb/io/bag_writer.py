@@ -15,15 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError, needs
 from steelnb.files import new_folder, replace_files
+from steelnb.images import GreyImage
 from steelnb.io.bag_files import STORAGES, TRANSFORMS, truth_path, typestore
-from steelnb.io.bags import CLOUD, IMU, ODOMETRY, TRANSFORM
+from steelnb.io.bag_topics import CAMERA, CLOUD, IMAGE, IMU, ODOMETRY, TRANSFORM
+from steelnb.io.calibration import T_SENSOR_OPTICAL
 from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 
-WORLD, BODY, SENSOR = "odom", "base_link", "tof"
+WORLD, BODY, SENSOR, OPTICAL = "odom", "base_link", "tof", "camera_optical_frame"
 """Frames. The poses drift, so the world is REP 105's odom."""
 TOPICS = {
     "/tf_static": TRANSFORMS[0], "/tf": TRANSFORMS[0], "/odom": ODOMETRY, "/imu": IMU, "/tof/points": CLOUD,
+    "/camera/camera_info": CAMERA, "/camera/image_raw": IMAGE,
 }  # fmt: skip
 BAG_FILES = ("metadata.yaml", *(f"*{ending}" for ending in STORAGES))
 """What a ROS 2 folder consists of."""
@@ -41,7 +44,8 @@ def write_flight(
 ) -> None:
     """Write a flight as a drone's own nodes would record it, and the truth, if any, to ``STEM.truth.tum`` beside it.
 
-    Scans (PointCloud2, float32), drifting poses (Odometry and tf), the mount (tf_static) and the IMU. A path that ends
+    Scans (PointCloud2, float32), drifting poses (Odometry and tf), the mounts (tf_static), the IMU, and
+    a camera's images (Image, mono8, with CameraInfo). A path that ends
     in .bag, .mcap or .db3 becomes that file, one without ending a ROS 2 folder. ``on_progress`` gets the share done.
     ``overwrite`` replaces a recording and its truth. Nothing half-written stays. Raises `UnsupportedFormatError`,
     `OutputError`, `RecordingError` for a stamp that bags cannot hold, and what reading the scans raises.
@@ -100,6 +104,8 @@ def _write(path: Path, flight: Flight, on_progress: Callable[[float], None]) -> 
             for topic, kind in TOPICS.items():
                 if topic == "/imu" and (flight.imu is None or not len(flight.imu.stamp_s)):
                     continue
+                if topic.startswith("/camera/") and not flight.images:
+                    continue
                 latched = topic == "/tf_static"
                 more: dict[str, Any] = (
                     {"latching": int(latched)} if ros == 1 else {"offered_qos_profiles": [_quality(latched)]}
@@ -119,10 +125,12 @@ def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], No
     quaternion = Rotation.from_matrix(prior.T_world_drone[:, :3, :3]).as_quat()
 
     def poses() -> Iterator[Entry]:
-        if stamps:
-            mount = flight.T_drone_sensor
+        mounts = {SENSOR: flight.T_drone_sensor}
+        if flight.images:  # in a frame of optical axes, as image_pipeline's nodes expect
+            mounts[OPTICAL] = flight.images.T_drone_camera @ T_SENSOR_OPTICAL
+        for frame, mount in mounts.items() if stamps else ():
             turn = Rotation.from_matrix(mount[:3, :3]).as_quat()
-            yield stamps[0], 0, "/tf_static", make.transform(stamps[0], BODY, SENSOR, mount[:3, 3], turn)
+            yield stamps[0], 0, "/tf_static", make.transform(stamps[0], BODY, frame, mount[:3, 3], turn)
         for stamp, place, turn in zip(stamps, prior.position, quaternion, strict=True):
             yield stamp, 1, "/tf", make.transform(stamp, WORLD, BODY, place, turn)
             yield stamp, 2, "/odom", make.odometry(stamp, place, turn)
@@ -137,7 +145,14 @@ def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], No
             yield stamp, 4, "/tof/points", make.cloud(stamp, scan.points)
             on_progress((k + 1) / len(stamps))
 
-    return heapq.merge(poses(), inertial(), scans(), key=lambda entry: entry[:2])
+    def images() -> Iterator[Entry]:
+        if (camera := flight.images) is not None:
+            for stamp_s, image in zip(camera.stamp_s.tolist(), camera.images, strict=True):
+                if image is not None:
+                    yield _ns(stamp_s), 5, "/camera/camera_info", make.camera(_ns(stamp_s), camera.K, image.shape)
+                    yield _ns(stamp_s), 6, "/camera/image_raw", make.image(_ns(stamp_s), image)
+
+    return heapq.merge(poses(), inertial(), scans(), images(), key=lambda entry: entry[:2])
 
 
 class Messages:
@@ -171,6 +186,17 @@ class Messages:
         data, dense = numbers.reshape(-1).view(np.uint8), bool(np.isfinite(numbers).all())
         header = self.header(stamp_ns, SENSOR)
         return self.make(CLOUD, header, rows, columns, fields, False, 12, 12 * columns, data, dense)
+
+    def camera(self, stamp_ns: int, K: Array, shape: tuple[int, int]) -> Any:
+        """CameraInfo without distortion of images of rows and columns ``shape``."""
+        roi, P = self.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False), np.column_stack([K, np.zeros(3)])
+        calibration = (np.zeros(5), K.ravel(), np.eye(3).ravel(), P.ravel())
+        return self.make(CAMERA, self.header(stamp_ns, OPTICAL), *shape, "plumb_bob", *calibration, 0, 0, roi)
+
+    def image(self, stamp_ns: int, grey: GreyImage) -> Any:
+        """Image of grey levels ``(H, W)``."""
+        rows, columns = grey.shape
+        return self.make(IMAGE, self.header(stamp_ns, OPTICAL), rows, columns, "mono8", 0, columns, grey.ravel())
 
     def header(self, stamp_ns: int, frame: str) -> tuple:
         """Values of a header, with a sequence number in ROS 1."""

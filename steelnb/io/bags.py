@@ -2,56 +2,62 @@
 
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, RecordingError, TopicError
-from steelnb.io.bag_files import DEPTHS, TRANSFORMS, Bag, Message, decode_depth, decode_points
+from steelnb.images import CameraImages, GreyImage
+from steelnb.io.bag_files import TRANSFORMS, Bag, Message, decode_points
+from steelnb.io.bag_topics import (
+    CAMERA,
+    IMU,
+    ODOMETRY,
+    POSE,
+    POSES,
+    SENSED,
+    TRANSFORM,
+    Topics,
+    choose_topics,
+    one_topic,
+)
 from steelnb.io.calibration import Intrinsics, depth_points, from_optical, read_settings
-from steelnb.io.scans import Decode, Parts
+from steelnb.io.images import RecordedImages, decode_depth, decode_grey
+from steelnb.io.scans import Parts, rate
 from steelnb.io.trajectories import count, read_trajectory, rising, trajectory_of
 from steelnb.io.transforms import Frames, T_body_drone, Transforms, is_optical, poses_of_transforms
 from steelnb.types import Array, Imu, IntArray, Trajectory
 
-CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
-CAMERA, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
-ODOMETRY, TRANSFORM = "nav_msgs/msg/Odometry", "geometry_msgs/msg/TransformStamped"
-POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
-POSES = (ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM)
-
 RANGE_MIN = (15.0, 2.0)
 """A little less than the smallest measuring ranges, 2 g and 125°/s, in m/s² and rad/s."""
 FULL_IN_A_ROW = 3
+T = TypeVar("T")
 
 
-class Topics(NamedTuple):
-    """The topics chosen. ``poses`` None: from tf, or from a trajectory file."""
+def open_bag(
+    path: Path,
+    scans: str | None,
+    poses: str | None,
+    truth: str | None,
+    settings: Path | None,
+    images: str | None = None,
+) -> Parts:
+    """The parts of a bag; ``scans``, ``poses`` (or a trajectory file), ``truth``, no prior, and ``images`` name topics.
 
-    scans: str
-    depth: bool
-    poses: str | None
-    imu: str | None
-    camera: str | None
-    transforms: tuple[str, ...]
-
-
-def open_bag(path: Path, scans: str | None, poses: str | None, truth: str | None, settings: Path | None) -> Parts:
-    """The parts of a bag; ``scans``, ``poses`` (or a trajectory file) and ``truth``, no prior, name topics.
-
-    Raises `TopicError` where several topics fit and none is named, `RecordingError` without scans or poses, and what
-    settings raise.
+    Raises `TopicError` where several topics fit and none is named, `RecordingError` without scans or poses, or for
+    images that are named and of no use, and what settings raise.
     """
     mount, camera = read_settings(settings)
     bag = Bag(path)
-    topics, facts = choose_topics(bag, scans, poses, truth)
+    topics, facts = choose_topics(bag, scans, poses, truth, images)
     skipped: Counter[str] = Counter()
-    read = Contents(bag, [*filter(None, topics[2:5]), topics.scans, *topics.transforms], skipped, topics.poses is None)
+    wanted = [*filter(None, topics[2:7]), topics.scans, *topics.transforms]
+    read = Contents(bag, wanted, skipped, topics.poses is None)
     frame = read.frame_of.get(topics.scans, "")
     prior, body, facts["poses"] = _poses(bag, read, topics, poses, truth, skipped)
     frames = Frames(read.transforms, body, frame, topics.depth or is_optical(frame))
@@ -59,18 +65,25 @@ def open_bag(path: Path, scans: str | None, poses: str | None, truth: str | None
     prior = Trajectory(prior.stamp_s, prior.T_world_drone @ T_body_drone(body))
     facts["frames"] = f"poses of {body or 'the body'}, scans in {frame or 'the sensor'}"
     if topics.depth and camera is None:
-        camera, facts["intrinsics"] = read.intrinsics, f"{topics.camera}{read.distortion}"
+        camera, facts["intrinsics"] = read.intrinsics_of(topics.camera)
         if camera is None:
             raise RecordingError(
                 f"{path}: no intrinsics for the depth images {topics.scans}; expected a CameraInfo with focal lengths "
                 f"or [intrinsics] in a settings file: {bag.holds()}"
             )
-    stamps = read.rows(topics.scans, 2)
-    stamp_s = stamps[:, 1] if len(stamps) > 1 and not stamps[:, 0].any() else stamps[:, 0]  # all zero: when received
     imu = read.imu(topics.imu, frames, skipped) if topics.imu else None
     facts |= {"imu": topics.imu} if topics.imu else {}
-    walk = partial(_walk, bag, topics.scans, frames.optical, camera if topics.depth else None)
-    return Parts(stamp_s, walk, prior, T_drone_sensor, facts, imu, skipped)
+    taken = None
+    if topics.images:
+        try:
+            taken, facts["images"] = _camera_images(bag, read, topics, body, skipped)
+        except RecordingError as fault:
+            if images is not None:
+                raise
+            facts["images"] = f"none: {fault}"
+    decode = partial(_depths, camera) if topics.depth and camera else partial(_points, frames.optical)
+    walk = partial(_walk, bag, topics.scans, decode)
+    return Parts(read.stamp_s(topics.scans), walk, prior, T_drone_sensor, facts, imu, skipped, taken)
 
 
 def read_bag_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:
@@ -82,35 +95,10 @@ def read_bag_truth(path: Path, truth: str | None, settings: Path | None) -> Traj
         if not Path(truth).exists():
             raise TopicError(f"{path}: no topic and no file {truth!r}: {bag.holds()}")
         return read_trajectory(truth)
-    _one(bag, "truth", [], truth, bag.of_type(*POSES))
+    one_topic(bag, "truth", [], truth, bag.of_type(*POSES))
     skipped: Counter[str] = Counter()
     found, body = Contents(bag, [truth], skipped, False).trajectory(truth, skipped)
     return Trajectory(found.stamp_s, found.T_world_drone @ T_body_drone(body))
-
-
-def choose_topics(bag: Bag, scans: str | None, poses: str | None, truth: str | None) -> tuple[Topics, dict[str, str]]:
-    """The topics that make a flight, and facts about them. Scans are PointCloud2 or, without any, depth images."""
-    clouds, images = bag.of_type(CLOUD), _depth_images(bag)
-    chosen = _one(bag, "scans", clouds or images, scans, [*clouds, *images])
-    if chosen is None:
-        raise RecordingError(f"{bag.path}: no scans; expected a topic of PointCloud2 or depth images: {bag.holds()}")
-    transforms = tuple(bag.of_type(*TRANSFORMS))
-    prior = None
-    in_file = poses is not None and poses not in bag.types and Path(poses).exists()
-    if not in_file and poses not in transforms:
-        possible = bag.of_type(*POSES)
-        prior = _one(bag, "poses", [topic for topic in possible if topic != truth], poses, possible)
-        if prior is None and not transforms and truth in possible:
-            prior = truth  # the only poses; noise can be added to them
-    inertial, cameras = bag.of_type(IMU), bag.of_type(CAMERA)
-    beside = f"{chosen.rpartition('/')[0]}/camera_info"
-    camera = beside if beside in cameras else cameras[0] if len(cameras) == 1 else None
-    facts = {"form": bag.form, "scans": chosen}
-    if len(inertial) > 1:
-        facts["imu"] = f"none: {len(inertial)} topics fit: {', '.join(sorted(inertial))}"
-    depth = chosen in images
-    imu = inertial[0] if len(inertial) == 1 else None
-    return Topics(chosen, depth, prior, imu, camera if depth else None, transforms), facts
 
 
 class Contents:
@@ -119,8 +107,7 @@ class Contents:
     def __init__(self, bag: Bag, topics: Collection[str], skipped: Counter[str], series: bool) -> None:
         self.bag, self.transforms = bag, Transforms(series)
         self.frame_of: dict[str, str] = {}
-        self.intrinsics: Intrinsics | None = None
-        self.distortion = ""
+        self._intrinsics: dict[str, tuple[Intrinsics, str]] = {}
         self._rows: dict[str, array[float]] = defaultdict(lambda: array("d"))
         for message in bag.walk(topics):
             kind = bag.types[message.topic]
@@ -128,12 +115,12 @@ class Contents:
                 self._take(message, kind, skipped)
             except FileContentError:
                 skipped[f"malformed {kind.rpartition('/')[2]}"] += 1
-                if kind in (CLOUD, IMAGE):  # in step with the messages
+                if kind in SENSED:  # in step with the messages
                     self._rows[message.topic].extend((np.nan, message.received_ns / 1e9))
 
     def _take(self, message: Message, kind: str, skipped: Counter[str]) -> None:
         topic, bag = message.topic, self.bag
-        if kind in (CLOUD, IMAGE):
+        if kind in SENSED:
             self._rows[topic].extend((bag.stamp_s(message), message.received_ns / 1e9))
             if topic not in self.frame_of:
                 with suppress(FileContentError):  # a fault of that scan, when it is read; the next one may do
@@ -147,7 +134,8 @@ class Contents:
                 if not self.transforms.add(each.header.frame_id, each.child_frame_id, stamp_s, pose):
                     skipped["tf that is no transform"] += 1
         elif kind == CAMERA:
-            self.intrinsics = self.intrinsics or self._calibration(decoded)
+            if topic not in self._intrinsics and (found := self._calibration(topic, decoded)):
+                self._intrinsics[topic] = found
         elif kind == IMU:
             self.frame_of.setdefault(topic, decoded.header.frame_id)
             force, rate = decoded.linear_acceleration, decoded.angular_velocity
@@ -185,12 +173,22 @@ class Contents:
         R_drone_imu = frames.R_drone(self.frame_of.get(topic, ""))
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
-    def _calibration(self, info: Any) -> Intrinsics | None:
+    def stamp_s(self, topic: str) -> Array:
+        """Stamps ``(N,)`` of scans or images; where all are zero, when they were received."""
+        stamps = self.rows(topic, 2)
+        return stamps[:, 1] if len(stamps) > 1 and not stamps[:, 0].any() else stamps[:, 0]
+
+    def intrinsics_of(self, topic: str | None) -> tuple[Intrinsics | None, str]:
+        """The first intrinsics of a topic that have focal lengths, and their source in words."""
+        return self._intrinsics.get(topic or "", (None, f"{topic}"))
+
+    def _calibration(self, topic: str, info: Any) -> tuple[Intrinsics, str] | None:
         K, distortion = (info.K, info.D) if self.bag.ros == 1 else (info.k, info.d)
         if not (K[0] > 0 and K[4] > 0 and np.isfinite(K).all()):
             return None
-        self.distortion = ", its distortion ignored" if np.any(distortion) else ""
-        return Intrinsics(fx=K[0], fy=K[4], cx=K[2], cy=K[5], width=info.width or None, height=info.height or None)
+        size = {"width": info.width or None, "height": info.height or None}
+        said = f"{topic}{', its distortion ignored' if np.any(distortion) else ''}"
+        return Intrinsics(fx=K[0], fy=K[4], cx=K[2], cy=K[5], **size), said
 
 
 def saturated(readings: Array) -> NDArray[np.bool_]:
@@ -223,54 +221,65 @@ def _poses(
     return found
 
 
-def _walk(bag: Bag, topic: str, optical: bool, camera: Intrinsics | None, number: IntArray) -> Iterator[Decode]:
-    """Scans by the numbers of their messages. Raises `FileContentError` where the bag is damaged."""
+def _camera_images(
+    bag: Bag, read: Contents, topics: Topics, body: str | None, skipped: Counter[str]
+) -> tuple[CameraImages, str]:
+    """The images of a topic, and where they and their calibration are from, in words.
+
+    Raises `RecordingError` without intrinsics, and for images that cannot be read or are of another size.
+    """
+    topic = str(topics.images)
+    camera, source = read.intrinsics_of(topics.lens)
+    if camera is None:
+        why = f"no focal lengths in {topics.lens}" if topics.lens else "no topic of type CameraInfo beside it"
+        raise RecordingError(f"{topic}: no intrinsics: {why}; expected a CameraInfo whose K is not zero")
+    decode = partial(_grey, camera)
+    try:
+        size = decode(bag.decode(next(bag.walk([topic])))).shape
+    except FileContentError as fault:
+        raise RecordingError(f"{topic}: {fault}") from None
+    number = np.flatnonzero(rising(read.stamp_s(topic), skipped, "image: "))
+    frames = Frames(read.transforms, body, read.frame_of.get(topic, ""), optical=True)
+    T_drone_camera, mount = frames.extrinsics(None, None)
+    stamp_s = read.stamp_s(topic)[number]
+    images = RecordedImages(len(number), partial(_walk, bag, topic, decode, number))
+    words = f"{len(number)}{rate(stamp_s)}, {size[1]} x {size[0]} ({topic}, intrinsics {source}, mount {mount})"
+    return CameraImages(stamp_s, images, camera.K, T_drone_camera), words
+
+
+def _walk(bag: Bag, topic: str, decode: Callable[[Any], T], number: IntArray) -> Iterator[Callable[[], T]]:
+    """Scans or images by the numbers of their messages. Raises `FileContentError` where the bag is damaged."""
     wanted, last = set(number.tolist()), int(number.max(initial=-1))
     for k, message in enumerate(bag.walk([topic]) if len(number) else ()):
         if k in wanted:
-            yield partial(_decoded, bag, message, optical, camera)
+            yield partial(_decoded, bag, message, decode)
         if k == last:
             return
     if len(number):
         raise FileContentError(f"{bag.path}: {topic} has fewer messages than when it was opened; expected {last + 1}")
 
 
-def _decoded(bag: Bag, message: Message, optical: bool, camera: Intrinsics | None) -> Array:
-    if camera is None:
-        points = decode_points(bag.decode(message))
-        return from_optical(points) if optical else points
-    depth = decode_depth(bag.decode(message), camera.depth_scale)
+def _decoded(bag: Bag, message: Message, decode: Callable[[Any], T]) -> T:
+    return decode(bag.decode(message))
+
+
+def _points(optical: bool, message: Any) -> Array:
+    points = decode_points(message)
+    return from_optical(points) if optical else points
+
+
+def _depths(camera: Intrinsics, message: Any) -> Array:
+    depth = decode_depth(message, camera.depth_scale)
     if fault := camera.differs(*depth.shape):
         raise FileContentError(fault)
     return depth_points(depth, camera)
 
 
-def _one(bag: Bag, role: str, fits: Collection[str], named: str | None, possible: Collection[str]) -> str | None:
-    """The topic named, or the only one that fits; None without any. Raises `TopicError`."""
-    if named is None:
-        if len(fits) > 1:
-            listed = ", ".join(f"{topic} ({bag.types[topic].rpartition('/')[2]})" for topic in sorted(fits))
-            raise TopicError(f"{bag.path}: {len(fits)} topics fit for the {role}; expected one to be named: {listed}")
-        return next(iter(fits), None)
-    if named not in bag.types:
-        raise TopicError(f"{bag.path}: no topic {named!r} for the {role}: {bag.holds()}")
-    if named not in possible:
-        expected = ", ".join(possible) or "none that it has"
-        raise TopicError(
-            f"{bag.path}: {named} is of type {bag.types[named]}, not for the {role}; expected one of {expected}"
-        )
-    return named
-
-
-def _depth_images(bag: Bag) -> list[str]:
-    """Topics of images whose first readable one is a depth image."""
-    found = []
-    for topic in bag.of_type(IMAGE):
-        for message in bag.walk([topic]):
-            with suppress(FileContentError):
-                found += [topic] if bag.decode(message).encoding in DEPTHS else []
-                break
-    return found
+def _grey(camera: Intrinsics, message: Any) -> GreyImage:
+    grey = decode_grey(message)
+    if fault := camera.differs(*grey.shape):
+        raise FileContentError(fault)
+    return grey
 
 
 def _pose(place: Any, turn: Any) -> tuple[float, ...]:

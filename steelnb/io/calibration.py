@@ -63,6 +63,11 @@ class Intrinsics(_Table):
     height: Annotated[int, Field(gt=0)] | None = None
     depth_scale: Positive | None = None
 
+    @property
+    def K(self) -> Array:
+        """The matrix ``(3, 3)`` of the intrinsics."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
     def differs(self, rows: int, columns: int) -> str:
         """The size of an image and the one expected, in words; empty where they agree."""
         if (self.height or rows, self.width or columns) == (rows, columns):

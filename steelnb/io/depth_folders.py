@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
 from steelnb.files import reading, text_lines
-from steelnb.io.bag_files import PIXELS_MAX
+from steelnb.images import CameraImages, GreyImage
 from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points
 from steelnb.io.folders import TRAJECTORY, folder_settings, named_file, walk_files
+from steelnb.io.images import PIXELS_MAX, RecordedImages, read_grey
 from steelnb.io.scans import Parts
-from steelnb.io.trajectories import read_stamps, read_trajectory, trajectory_of_matrices
+from steelnb.io.trajectories import read_stamps, read_trajectory, rising, trajectory_of_matrices
 from steelnb.types import Array, Trajectory
 
 GROUNDTRUTH = "groundtruth.txt"
@@ -82,7 +83,30 @@ def open_scenes(path: Path, scans: str | None, poses: str | None, truth: str | N
     prior = read_trajectory(named_file(path, poses), skipped) if poses else _frame_poses(path, files, stamp_s, skipped)
     facts |= {"form": "7-Scenes", "stamps": source, "poses": Path(poses).name if poses else "true poses"}
     load = partial(_read_depth_points, camera=camera, scale=camera.depth_scale or SCENES_SCALE, invalid=SCENES_INVALID)
-    return Parts(stamp_s, partial(walk_files, files, load), _of_drone(prior, mount), mount, facts, skipped=skipped)
+    images, facts["images"] = _colours(files, stamp_s, camera, mount)
+    walk = partial(walk_files, files, load)
+    return Parts(stamp_s, walk, _of_drone(prior, mount), mount, facts, skipped=skipped, images=images)
+
+
+def _colours(
+    files: Sequence[Path], stamp_s: Array, camera: Intrinsics, mount: Array
+) -> tuple[CameraImages | None, str]:
+    """Grey levels of the colour images beside depth images, and what they are in words. Intrinsics and mount are taken
+    to be those of the depth images: 7-Scenes gives no others."""
+    shown = [file.with_name(file.name.replace(".depth.png", ".color.jpg")) for file in files]
+    shown = [file if file.is_file() else file.with_suffix(".png") for file in shown]
+    number = np.flatnonzero(rising(stamp_s, Counter()) & [file.is_file() for file in shown])
+    if not len(number):
+        return None, "none: no frame-000000.color.jpg or .color.png"
+
+    def load(file: Path) -> GreyImage:
+        grey = read_grey(file)
+        if fault := camera.differs(*grey.shape):
+            raise FileContentError(f"{file}: {fault}")
+        return grey
+
+    images = RecordedImages(len(number), lambda: (partial(load, shown[k]) for k in number))
+    return CameraImages(stamp_s[number], images, camera.K, mount), f"{len(number)} of colour, as the depth images are"
 
 
 def read_depth_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:

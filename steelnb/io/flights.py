@@ -1,10 +1,11 @@
 """Files ↔ `Flight`: bags, ROS 2 folders, folders of clouds and of depth images. The truth is read apart."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from steelnb.errors import FileMissingError, SettingsError, UnsupportedFormatError
+from steelnb.errors import FileMissingError, SettingsError, TopicError, UnsupportedFormatError
 from steelnb.files import reading
 from steelnb.io.bag_files import is_bag, truth_path
 from steelnb.io.bags import open_bag, read_bag_truth
@@ -39,6 +40,7 @@ def read_flight(
     truth: str | None = None,
     settings: Path | str | None = None,
     gap_max_s: float | None = None,
+    images: str | None = None,
 ) -> Flight:
     """Open a recorded flight; its scans are read one at a time as they are iterated over.
 
@@ -54,6 +56,7 @@ def read_flight(
         (``range_offset_m range_scale time_offset_s``), without which scans and their stamps then come.
     gap_max_s : poses further apart are not interpolated between; scans in such a gap are left out. By default 0.5 s, or
         two usual intervals of the poses, but never more than 2 s.
+    images : topic of a camera's images; by default the only one in a bag. Where that is of no use, ``facts`` say why.
 
     Returns a `Flight` whose ``prior`` is interpolated at the scans, whose ``facts`` name the format, topics and
     calibration, and whose ``skipped`` counts what was left out. Raises `FileMissingError`, `UnsupportedFormatError`,
@@ -62,7 +65,12 @@ def read_flight(
     if gap_max_s is not None and not 0 < gap_max_s < float("inf"):
         raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")
     path = Path(path)
-    parts = _format(path).open(path, scans, poses, truth, Path(settings) if settings else None)
+    opened = _format(path).open
+    if images is not None:
+        if opened is not open_bag:
+            raise TopicError(f"{path}: images {images!r}: expected a bag, whose topics have names")
+        opened = partial(open_bag, images=images)
+    parts = opened(path, scans, poses, truth, Path(settings) if settings else None)
     return parts.flight(path, gap_max_s, read_correction(settings))
 
 

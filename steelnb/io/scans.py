@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from steelnb.errors import EmptyCloudError, FileMissingError, RecordingError, SteelnbError
 from steelnb.files import plain_name
+from steelnb.images import CameraImages
 from steelnb.io.calibration import SensorCorrection
 from steelnb.io.trajectories import rising
 from steelnb.io.transforms import interpolate
@@ -80,6 +81,7 @@ class Parts:
     facts: dict[str, str]
     imu: Imu | None = None
     skipped: Counter[str] = field(default_factory=Counter)
+    images: CameraImages | None = None
 
     def flight(self, path: Path, gap_max_s: float | None, errors: SensorCorrection | None = None) -> Flight:
         """The flight of those scans that have a rising stamp and a pose, without known ``errors`` of ranges and stamps.
@@ -100,7 +102,8 @@ class Parts:
         facts = {**self.facts, "poses": f"{self.facts['poses']}: {described(self.poses)}"}
         facts |= {"errors": errors.described()} if errors != SensorCorrection() else {}
         scans = Scans(_corrected(self.walk, errors), number[covered], prior.stamp_s)
-        return Flight(scans, prior, self.T_drone_sensor, self.imu, plain_name(path.resolve()), facts, dict(skipped))
+        name, left_out = plain_name(path.resolve()), dict(skipped)
+        return Flight(scans, prior, self.T_drone_sensor, self.imu, name, facts, left_out, self.images)
 
 
 def _corrected(walk: Walk, errors: SensorCorrection) -> Walk:

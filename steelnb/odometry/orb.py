@@ -35,8 +35,21 @@ APART_PX = 4.0
 INLIER_WEIGHT = 0.25
 """Least robust weight of a match that counts: that of an error of the robust scale itself."""
 TURN_RAD_PER_M = 0.5
+SEARCH_PX, HAMMING = 8.0, 60
+"""A landmark is sought so near to where the prediction sees it, among descriptors that differ in at most so many of
+their 256 bits. An error of 5 cm, the prior's standard deviation, is 8 pixels of the forward camera at 1.1 m."""
 NEAR_PX, NEAR_HAMMING = 3.0, 110
 """Once a first solve has told where landmarks are, they are sought nearer, among descriptors that differ more."""
+RATIO = 0.85
+"""The best descriptor differs in at most this share of the bits of the second best (Lowe, IJCV 60, 2004: 0.8)."""
+PIXEL_SIGMA = 1.0
+"""Standard deviation of a feature's place on the finest level, pixels, as in ORB-SLAM."""
+ROBUST_SCALE = 2.0
+"""Of the Geman-McClure weights, in standard deviations."""
+MATCHES_MIN = 8
+"""A scan with fewer corrects nothing: four would do for a pose, and as many check it."""
+LANDMARKS_MAX = 10_000
+"""Of more landmarks those seen longest ago are dropped."""
 
 
 class OrbOdometry:
@@ -63,7 +76,7 @@ class OrbOdometry:
             raise SettingsError(f"method {self.settings.method!r}: expected an odometry by features, such as 'orb'")
         self.orb, self.images = self.settings.orb, images
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self.map = LandmarkMap(self.orb.landmarks_max)
+        self.map = LandmarkMap(LANDMARKS_MAX)
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad
         self.prediction = Prediction(self.settings.drift_gain, self.tilt_sigma_rad)
         self.free = free_directions("se3" if self.tilt_sigma_rad else "xyz_yaw")
@@ -88,7 +101,7 @@ class OrbOdometry:
             return self._step(scan, T_init, "no image", 0, clock)
         features = self._features(image, scan)
         clock.append(time.perf_counter())
-        seen, found = self._match(features, T_init, image.shape, self.orb.search_px, self.orb.hamming_max)
+        seen, found = self._match(features, T_init, image.shape, SEARCH_PX, HAMMING)
         clock.append(time.perf_counter())
         T_world_drone, reason, kept = self._solve(T_init, T_init, seen, features, found)
         if not reason:
@@ -141,7 +154,7 @@ class OrbOdometry:
         seen = self.map.expected(T_world_camera, self.images.K, shape, self.settings.preprocess.crop_m)
         return seen, match(
             *features, seen.pixel, self.map.octave[seen.number], seen.depth, self.map.descriptor[seen.number],
-            search_px, hamming_max, self.orb.ratio,
+            search_px, hamming_max, RATIO,
         )  # fmt: skip
 
     def _solve(
@@ -151,25 +164,25 @@ class OrbOdometry:
         one, ``T_prior``; and which of the landmarks agree with it."""
         assert self.images is not None
         kept, index, at = found >= 0, seen.number[found >= 0], found[found >= 0]
-        if len(features.pixel) < self.orb.matches_min:
+        if len(features.pixel) < MATCHES_MIN:
             return T_prior, "too few features", kept
         if not len(self.map):
             return T_prior, "first scan", kept
-        if len(index) < self.orb.matches_min:
+        if len(index) < MATCHES_MIN:
             return T_prior, "too few matches", kept
         depth, landmark = features.depth[at], self.map.point[index]
         sigma_m = np.maximum(SIGMA_FLOOR_M, SIGMA_RELATIVE * depth)
-        sigma_px = self.orb.pixel_sigma * features.sigma_scale[at]
+        sigma_px = PIXEL_SIGMA * features.sigma_scale[at]
         in_drone = (landmark - T_prior[:3, 3]) @ T_prior[:3, :3]
         solved = solve_pose(
             Sighting(landmark, features.pixel[at], sigma_px, depth, sigma_m), self.images.K,
             self.images.T_drone_camera, T_init, self.free, prior_term(self.information, T_prior, in_drone),
-            in_drone.mean(axis=0), self.orb.robust_scale,
+            in_drone.mean(axis=0), ROBUST_SCALE,
         )  # fmt: skip
         kept[kept] = solved.weight >= INLIER_WEIGHT
         if not solved.determined:
             return T_prior, "singular", kept
-        if np.count_nonzero(kept) < self.orb.matches_min:
+        if np.count_nonzero(kept) < MATCHES_MIN:
             return T_prior, "too few matches agree", kept
         return solved.T_world_drone, "", kept
 

@@ -94,9 +94,9 @@ def seen_features(flight: Flight, scan: int, count: int = FEATURES) -> tuple[Gre
     there is none."""
     images, stamp_s = _images(flight), float(flight.prior.stamp_s[scan])
     number = images.at(stamp_s)
-    if number is None:
+    image = None if number is None else images.images[number]
+    if image is None:
         raise RecordingError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
-    image = images.images[number]
     T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ flight.T_drone_sensor
     depth = DepthImage(flight.scans[scan].points, T_camera_sensor, images.K, image.shape)
     features = find_features(image, count, depth.mask())

@@ -249,7 +249,8 @@ def _figures(
 def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
     if known is None:
         if settings.odometry.orb and flight.images is None:
-            raise RecordingError(f"{flight.name}: no images; expected some for method {settings.odometry.method!r}")
+            told, method = flight.facts.get("images", "none"), settings.odometry.method
+            raise RecordingError(f"{flight.name}: no images for method {method!r}: {told}")
         return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
     chosen = settings.odometry
     return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, chosen.preprocess, chosen.tilt_sigma_rad)

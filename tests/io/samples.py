@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.io.bag_files import TRANSFORMS, typestore
+from steelnb.io.bag_topics import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
 from steelnb.io.bag_writer import Messages
-from steelnb.io.bags import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
 from steelnb.types import Array, Flight, Imu, Scan, Trajectory
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
@@ -81,7 +81,7 @@ class Bagged:
         raw = np.ascontiguousarray(pixels)
         for stamp in stamps:
             data, header = raw.reshape(-1).view(np.uint8), self.make.header(ns(stamp), frame)
-            step = raw.shape[1] * raw.itemsize
+            step = raw[0].nbytes
             message = self.make.make(IMAGE, header, raw.shape[0], raw.shape[1], encoding, 0, step, data)
             self.rows.append((topic, IMAGE, float(stamp), message))
         return self

@@ -10,7 +10,7 @@ import pytest
 
 from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError
 from steelnb.io import read_flight, read_truth, write_flight
-from steelnb.io.bags import CLOUD, ODOMETRY
+from steelnb.io.bag_topics import CLOUD, ODOMETRY
 from steelnb.types import Scan, Trajectory
 from tests.io.samples import KINDS, made_up, poses
 

@@ -16,7 +16,7 @@ from steelnb.errors import (
     UnsupportedFormatError,
 )
 from steelnb.io import read_flight, read_truth, write_tum
-from steelnb.io.bags import CLOUD, IMU, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
+from steelnb.io.bag_topics import CLOUD, IMU, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
 from steelnb.io.calibration import T_OPTICAL_SENSOR
 from steelnb.io.transforms import interpolate
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, ns, poses

@@ -225,6 +225,26 @@ def test_seven_scenes(tmp_path):
         read_flight(folder)
 
 
+def test_colour_images_of_seven_scenes_are_those_of_a_camera(tmp_path):
+    folder = scenes(tmp_path / "a")
+    assert read_flight(folder).images is None
+    assert read_flight(folder).facts["images"].startswith("none: no frame-000000.color.jpg")
+    colours = np.full((480, 640, 3), (200, 100, 50), np.uint8)
+    colours[:, 400:] = 30
+    for k in (0, 2):
+        Image.fromarray(colours).save(folder / f"frame-{k:06d}.color.jpg", quality=100)
+    Image.fromarray(colours[:240]).save(folder / "frame-000003.color.png")
+    flight = read_flight(folder)
+    images = flight.images
+    np.testing.assert_allclose(images.stamp_s, [0, 2 / 30, 3 / 30])
+    assert [images.at(stamp_s) for stamp_s in flight.prior.stamp_s] == [0, None, 1, 2]
+    np.testing.assert_array_equal(images.K, [[585, 0, 320], [0, 585, 240], [0, 0, 1]])
+    np.testing.assert_array_equal(images.T_drone_camera, flight.T_drone_sensor)
+    assert np.abs(images.images[1][:, :390] - 124.2).max() < 3  # 0.299 · 200 + 0.587 · 100 + 0.114 · 50
+    assert np.abs(images.images[1][:, 410:] - 30.0).max() < 3
+    assert images.images[2] is None  # of another size
+
+
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
