@@ -64,7 +64,8 @@ def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numb
     assert code[-1].splitlines()[-1] == ")"
     assert "results.write_results(" in code[-1]
     if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        sentence = r"^(display\()?Markdown\(\s*(segmentation_)?(conclusions|claims|limit|honest|planned_flights|literature)\.\w+\("
+        homes = "(segmentation_)?(conclusions|claims|limit|honest|planned_flights|literature)"
+        sentence = rf"^(display\()?Markdown\(\s*{homes}\.\w+\("
         assert re.search(sentence, code[-2], re.MULTILINE)
 
 
