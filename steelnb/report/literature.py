@@ -197,7 +197,7 @@ def literature_sentences(table: pd.DataFrame) -> str:
                 both = own.merge(rows[rows["method"] == other], on=["trajectory", "noise"], suffixes=("", "_other"))
                 if len(both):
                     ratio = np.exp(np.log(both["ate_mean_m"] / both["ate_mean_m_other"]).mean())
-                    beside.append(f"{ratio:.2g} times that of {LABELS[other]}")
+                    beside.append(f"{float(f'{ratio:.2g}'):g} times that of {LABELS[other]}")
             tail = f"; its error is {', '.join(beside)} (geometric mean)" if beside else ""
             worse = f", and in {lost} of {len(own)} cases it is no better than the drift" if lost else ""
             lines.append(f"{LABELS[method]}, sensor {where}: {span} over flights and noises{worse}{tail}.")
