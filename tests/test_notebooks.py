@@ -285,7 +285,7 @@ def test_the_claims_notebook_judges_every_claim_by_the_committed_study(smoke):
     three_errors_m = 3 * 0.42 * expected_m / walk["n_seeds"] ** 0.5  # the distribution's spread is 0.42 of its mean
     assert abs(walk["lowest"] - expected_m) < three_errors_m
     assert abs(walk["highest"] - expected_m) < three_errors_m
-    sections = {f"fig_claims_{section}.png" for section in ("1_1", "3_1", "3_2_3", "3_3_3", "4", "5")}
+    sections = {f"fig_claims_{section}.png" for section in ("1_1", "2_1_2", "3_1", "3_2_3", "3_3_3", "4", "5")}
     assert {path.name for path in folder.glob("fig_*.png")} == sections | {
         "fig_bands.png",
         "fig_bands_yaw.png",
