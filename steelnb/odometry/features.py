@@ -83,6 +83,16 @@ def _detector(count: int):  # type: ignore[no-untyped-def]
     )
 
 
+def features_with_depth(image: GreyImage, points: Array, T_camera_sensor: Array, K: Array, count: int) -> Features:
+    """At most ``count`` features of an image ``(H, W)`` where the scan of the same moment has returns, with depths.
+
+    ``points`` and ``T_camera_sensor`` as `DepthImage` has them. Raises `MissingExtraError`.
+    """
+    depth = DepthImage(points, T_camera_sensor, K, image.shape)
+    features = find_features(image, count, depth.mask())
+    return features._replace(depth=depth.depth_at(features.pixel))
+
+
 class DepthImage:
     """Points of a scan as a camera sees them.
 

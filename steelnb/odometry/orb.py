@@ -16,9 +16,8 @@ from steelnb.odometry.base import scan_of
 from steelnb.odometry.features import (
     SIGMA_FLOOR_M,
     SIGMA_RELATIVE,
-    DepthImage,
     Features,
-    find_features,
+    features_with_depth,
     match,
     near_any,
 )
@@ -141,9 +140,7 @@ class OrbOdometry:
         """Features of an image where the scan has returns, with their depths."""
         assert self.images is not None
         T_camera_sensor = np.linalg.inv(self.images.T_drone_camera) @ self.T_drone_sensor
-        depth = DepthImage(scan.points, T_camera_sensor, self.images.K, image.shape)
-        features = find_features(image, self.orb.features, depth.mask())
-        return features._replace(depth=depth.depth_at(features.pixel))
+        return features_with_depth(image, scan.points, T_camera_sensor, self.images.K, self.orb.features)
 
     def _match(
         self, features: Features, T_world_drone: Array, shape: tuple[int, int], search_px: float, hamming_max: int

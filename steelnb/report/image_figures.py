@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from steelnb.errors import RecordingError
 from steelnb.images import CameraImages, GreyImage, project, unproject
-from steelnb.odometry.features import DepthImage, Features, find_features, match
+from steelnb.odometry.features import Features, features_with_depth, match
 from steelnb.report.style import COLOURS, Figure, draw_legend, draw_lines, style
 from steelnb.types import Array, Flight, Trajectory
 
@@ -98,9 +98,7 @@ def seen_features(flight: Flight, scan: int, count: int = FEATURES) -> tuple[Gre
     if image is None:
         raise RecordingError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
     T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ flight.T_drone_sensor
-    depth = DepthImage(flight.scans[scan].points, T_camera_sensor, images.K, image.shape)
-    features = find_features(image, count, depth.mask())
-    return image, features._replace(depth=depth.depth_at(features.pixel))
+    return image, features_with_depth(image, flight.scans[scan].points, T_camera_sensor, images.K, count)
 
 
 def _images(flight: Flight) -> CameraImages:
