@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.errors import ExtrinsicsError, SettingsError
 from steelnb.files import new_file
 from steelnb.settings import read_toml
-from steelnb.settings.base import describe_fault
+from steelnb.settings.base import describe_fault, mount
 from steelnb.types import Array
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -41,11 +41,8 @@ class Extrinsics(_Table):
         """The transform ``(4, 4)``. Raises `ExtrinsicsError`."""
         if self.rotation_xyzw and self.rotation_rpy_deg:
             raise ExtrinsicsError(f"{where}: rotation_xyzw and rotation_rpy_deg; expected one of them")
-        result = np.eye(4)
-        result[:3, 3] = self.translation_m
-        if self.rotation_rpy_deg:  # about the drone's fixed axes, as in ROS (REP 103)
-            result[:3, :3] = Rotation.from_euler("xyz", self.rotation_rpy_deg, degrees=True).as_matrix()
-        elif self.rotation_xyzw:
+        result = mount(self.translation_m, self.rotation_rpy_deg or (0.0, 0.0, 0.0))
+        if self.rotation_xyzw:
             if not 1e-6 < np.abs(self.rotation_xyzw).max() < 1e6:
                 raise ExtrinsicsError(f"{where}: rotation_xyzw {self.rotation_xyzw}; expected a quaternion of length 1")
             result[:3, :3] = Rotation.from_quat(self.rotation_xyzw).as_matrix()

@@ -6,9 +6,12 @@ import json
 import tomllib
 from typing import Annotated, Any, Self, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
+from steelnb.types import Array
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 DURATION_MAX_S = 14_400.0
@@ -52,6 +55,14 @@ def table(kind: type[Settings]) -> BeforeValidator:
         return kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
 
     return BeforeValidator(read)
+
+
+def mount(position_m: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
+    """Pose ``(4, 4)`` of a sensor on the drone: roll, pitch and yaw are about the drone's fixed axes (REP 103)."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", rpy_deg, degrees=True).as_matrix()
+    T[:3, 3] = position_m
+    return T
 
 
 def describe_fault(where: str, fault: ValidationError) -> str:

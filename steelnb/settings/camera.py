@@ -5,9 +5,8 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
-from steelnb.settings.base import NotNegative, Settings
+from steelnb.settings.base import NotNegative, Settings, mount
 from steelnb.settings.presets import camera_preset
 from steelnb.types import Array
 
@@ -53,10 +52,7 @@ class CameraSettings(Settings):
     @property
     def T_drone_camera(self) -> Array:
         """The mount of the camera, ``(4, 4)``."""
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
-        T[:3, 3] = self.mount_m
-        return T
+        return mount(self.mount_m, self.mount_rpy_deg)
 
     @classmethod
     def preset(cls, camera: str = "forward") -> "CameraSettings":

@@ -7,12 +7,10 @@ import itertools
 import math
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from steelnb.errors import SettingsError
-from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, quoted, table
+from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, mount, quoted, table
 from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
@@ -155,10 +153,7 @@ class TofSettings(Settings):
     @property
     def T_drone_sensor(self) -> Array:
         """The mount of the sensor, ``(4, 4)``."""
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
-        T[:3, 3] = self.mount_m
-        return T
+        return mount(self.mount_m, self.mount_rpy_deg)
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":
