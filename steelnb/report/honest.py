@@ -19,6 +19,7 @@ from steelnb.report.style import (
     gather_legend,
     style,
 )
+from steelnb.report.worlds import OURS
 from steelnb.settings import ExperimentSettings, ImuSettings, TofFaultSettings, TrajectoryName
 from steelnb.simulation import measured_imu
 from steelnb.types import Array, Imu, RangeScans
@@ -39,8 +40,6 @@ FAULTS: dict[str, tuple[str, ...]] = {
 }
 """Faults that bias a range, and their settings; range noise is left out beside one of them."""
 NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
-OURS = ("best", "combined", "faces", "smoothed", "calibrated")
-"""Methods compared: those of the literature have a notebook of their own."""
 MARKERS = dict(zip(CASES.values(), (("o", False), ("^", False), ("o", True)), strict=True))
 """Marker of the runs of a case, and whether it is filled."""
 FAR_M = 0.05

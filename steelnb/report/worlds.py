@@ -19,6 +19,8 @@ WORLDS = {
 }
 """Variant of a study's run, or its beginning, and what to call it; stand-offs are named by what they add."""
 SENSORS = {"report": "the report's sensor", "starling2-honest": HONEST}
+OURS = ("least_squares_yaw", "best", "combined", "faces", "smoothed", "calibrated")
+"""Methods whose settings were chosen here, by segments and by all points: notebook 17 compares the others."""
 
 
 def world_of(variant: str, noise: str, sensor: str, trajectory: str) -> str:
@@ -35,11 +37,11 @@ def world_of(variant: str, noise: str, sensor: str, trajectory: str) -> str:
 
 def world_runs(runs: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     """The runs of a study on one flight under the random walk, seeing all the time, with the ``world`` of each, in the
-    order of a figure; those of the report's sensor only with methods that also fly with another one. Other sensors
-    than the usual one count with the settings of their presets."""
+    order of a figure; of `OURS`, those of the report's sensor only with methods that also fly with another one. Other
+    sensors than the usual one count with the settings of their presets."""
     chosen = (runs["trajectory"] == trajectory) & (runs["status"] == "ok") & (runs["blind"] == "")
     chosen &= runs["noise"].isin(["random-walk", "random-walk+tilt"]) & (runs["duration_s"] == 200.0)
-    others = set(runs.loc[runs["sensor"] != "report", "method"])
+    others = set(runs.loc[(runs["sensor"] != "report") & runs["method"].isin(OURS), "method"])
     found = runs[chosen & runs["method"].isin(others) & (~runs["sensor"].isin(SENSORS) | (runs["variant"] == ""))]
     columns = ["variant", "noise", "sensor", "trajectory"]
     worlds = [world_of(*row) for row in found[columns].itertuples(index=False)]
