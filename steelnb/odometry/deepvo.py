@@ -130,7 +130,8 @@ class DeepVoOdometry:
         pair = paired((last[1] if last else scan.points, scan.points), (last[2] if last else R, R))
         clock.append(time.perf_counter())
         seen = pair.images[[0, 2]].reshape(2, -1) > 0.1
-        if seen[1].mean() < SEEN_MIN:
+        few = seen[1].mean() < SEEN_MIN
+        if few:
             reason = "too few returns"
         elif last is None:
             reason = "first scan"
@@ -140,7 +141,7 @@ class DeepVoOdometry:
             matches = int(np.count_nonzero(seen.all(axis=0)))
             (moved,), (self.sigma_m,) = motions(self.network, pair.images[None])
             self._place = self._place + pair.R_world_level @ moved
-        if reason != "too few returns":
+        if not few:
             self._last = scan.stamp_s, scan.points, R
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] = self._place - lever
