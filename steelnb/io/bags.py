@@ -238,10 +238,11 @@ def _camera_images(
         size = decode(bag.decode(next(bag.walk([topic])))).shape
     except FileContentError as fault:
         raise RecordingError(f"{topic}: {fault}") from None
-    number = np.flatnonzero(rising(read.stamp_s(topic), skipped, "image: "))
+    stamp_s = read.stamp_s(topic)
+    number = np.flatnonzero(rising(stamp_s, skipped, "image: "))
+    stamp_s = stamp_s[number]
     frames = Frames(read.transforms, body, read.frame_of.get(topic, ""), optical=True)
     T_drone_camera, mount = frames.extrinsics(None, None)
-    stamp_s = read.stamp_s(topic)[number]
     images = RecordedImages(len(number), partial(_walk, bag, topic, decode, number))
     words = f"{len(number)}{rate(stamp_s)}, {size[1]} x {size[0]} ({topic}, intrinsics {source}, mount {mount})"
     return CameraImages(stamp_s, images, camera.K, T_drone_camera), words

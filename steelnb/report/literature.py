@@ -112,11 +112,11 @@ def fly(
 ) -> tuple[Flight, Truth, dict[str, Estimate]]:
     """A flight with a camera, its truth, and what both kinds of LOAM make of it."""
     given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
-    settings = {method: ExperimentSettings.preset(trajectory, noise, method, **given) for method in LITERATURE}
-    flight, truth = experiment.simulate(settings["orb"])
+    flight, truth = experiment.simulate(ExperimentSettings.preset(trajectory, noise, "orb", **given))
+    odometries = {method: ExperimentSettings.preset(trajectory, noise, method, **given).odometry for method in LOAM}
     estimates = {
-        method: run(flight, make_odometry(settings[method].odometry, flight.T_drone_sensor, flight.imu))
-        for method in LOAM
+        method: run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu))
+        for method, settings in odometries.items()
     }
     return flight, truth, estimates
 
