@@ -3,6 +3,7 @@
 from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
+from steelnb.odometry.camera import CameraOdometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
@@ -10,6 +11,7 @@ from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.loam import LoamOdometry
 from steelnb.odometry.orb import OrbOdometry
+from steelnb.odometry.peers import PeerOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry, shared_segments
 from steelnb.settings import OdometrySettings
@@ -18,11 +20,16 @@ from steelnb.types import Array, Imu
 
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
-) -> CloudOdometry | FaceOdometry | SegmentOdometry | OrbOdometry | DeepVoOdometry:
+) -> Odometry:
     """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
-    Readings of the ``imu`` are used where the settings have a table ``inertial``, and ``images`` by ``orb``."""
+    Readings of the ``imu`` are used where the settings have a table ``inertial``, ``images`` where they have ``orb``.
+    """
     if settings.orb is not None:
-        return OrbOdometry(settings, T_drone_sensor, images)
+        if settings.clouds is not None:
+            return CameraOdometry(settings, T_drone_sensor, imu, images)
+        return OrbOdometry(settings, T_drone_sensor, imu, images)
+    if settings.library is not None:
+        return PeerOdometry(settings, T_drone_sensor)
     if settings.weights is not None:
         return DeepVoOdometry(settings, T_drone_sensor)
     if settings.clouds is None:
@@ -35,6 +42,7 @@ def make_odometry(
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry", "LoamOdometry",
-    "Odometry", "OrbOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
+    "CameraOdometry", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry",
+    "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept",
+    "shared_segments",
 ]  # fmt: skip

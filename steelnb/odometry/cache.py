@@ -6,10 +6,9 @@ from dataclasses import fields
 import numpy as np
 
 from steelnb.cache import Arrays, kept
+from steelnb.odometry.base import Odometry
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
-from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.run import OnStep, run, run_online, smoothed
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
@@ -17,19 +16,17 @@ from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
 COLUMNS = tuple(field.name for field in fields(Segments))
 
 
-def run_kept(
-    flight: Flight,
-    odometry: CloudOdometry | FaceOdometry | SegmentOdometry | OrbOdometry | DeepVoOdometry,
-    on_step: OnStep | None = None,
-) -> Estimate:
-    """`run`, `kept` between notebooks where the scans are simulated, but for methods by images and learned ones;
+def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Estimate:
+    """`run`, `kept` between notebooks where the scans are simulated and the method is by clouds and segments alone;
     ``on_step`` is not called for a kept estimate.
 
     An estimate belongs to the content of the flight and the settings of the odometry. Its seconds are those of the time
     when it was computed. It is kept as it was before it was smoothed, which is what several methods share.
     """
-    # To tell images apart takes too long, and weights are no setting.
-    if not isinstance(flight.scans, RangeScans) or isinstance(odometry, OrbOdometry | DeepVoOdometry):
+    # To tell images apart takes too long, and neither weights nor the version of a library are settings.
+    if not isinstance(odometry, CloudOdometry | FaceOdometry | SegmentOdometry) or odometry.settings.orb:
+        return run(flight, odometry, on_step)
+    if not isinstance(flight.scans, RangeScans):
         return run(flight, odometry, on_step)
     scans, prior = flight.scans, flight.prior
     given = [scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor]

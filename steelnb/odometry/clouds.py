@@ -6,16 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.odometry.base import nothing_left, scan_of
-from steelnb.odometry.inertial_prediction import InertialPrediction, information_at
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.prediction import Prediction
+from steelnb.odometry.predictor import PosePredictor
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import AnyTarget, Target, Term, align, free_directions, prior_term, voxel_target
+from steelnb.registration import AnyTarget, Target, Term, align, free_directions, voxel_target
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
@@ -73,24 +71,15 @@ class CloudOdometry:
             raise SettingsError(f"{given}: expected {'one' if self.BY_FEATURES else 'none'} of features or midlines")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
-        self.tilt_sigma_rad = self.settings.tilt_sigma_rad
-        self.prediction = Prediction(self.settings.drift_gain, self.tilt_sigma_rad)
-        noise = self.settings.inertial
-        self.inertial = InertialPrediction(imu, noise) if noise is not None and imu is not None else None
-        self.tilted = self.tilt_sigma_rad > 0 or self.inertial is not None  # roll and pitch are found, too
-        self.free = free_directions("se3" if self.tilted else self.clouds.dof)
-        self.stamp_s = np.nan  # of the last scan whose pose was estimated
+        self.predictor = PosePredictor(self.settings, imu)
+        self.free = free_directions("se3" if self.predictor.tilted else self.clouds.dof)
         self.near_side = NearSide()
-        s, self.information = self.settings, None  # of the prediction, rotation first, (6, 6)
-        if s.prior_sigma is not None:
-            self.information = np.diag([s.prior_sigma[1] ** -2.0] * 3 + [s.prior_sigma[0] ** -2.0] * 3)
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         s, c, clock = self.settings, self.clouds, [time.perf_counter()]
-        T_init = self.predicted(scan.stamp_s, T_world_drone_prior)
-        self.stamp_s = scan.stamp_s
+        T_init = self.predictor.pose(scan.stamp_s, T_world_drone_prior)
         if s.near_side:
             self.near_side.update(scan.points)
         points = self.preprocessed(scan, T_init)
@@ -107,30 +96,12 @@ class CloudOdometry:
         if used:
             if c.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
-            self.correct(T_world_drone, T_world_drone_prior, unobserved, information)
+            self.predictor.correct(T_world_drone, T_world_drone_prior, unobserved, information)
         else:
-            (self.inertial or self.prediction).lose()
+            self.predictor.lose()
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
-
-    def correct(self, T_world_drone: Array, prior: Array, unobserved: Array, information: Array) -> None:
-        """Update the prediction with the pose of a registered scan, as `Registered` has it."""
-        if self.inertial:
-            self.inertial.correct(T_world_drone, information, unobserved)
-        else:
-            self.prediction.correct(T_world_drone, prior, unobserved)
-
-    def predicted(self, stamp_s: float, prior: Array) -> Array:
-        """The pose ``(4, 4)`` of the drone at which the registration of a scan starts; the information about its roll
-        and pitch becomes that of the time passed."""
-        if self.inertial:
-            return self.inertial.pose(prior, stamp_s)
-        passed_s = stamp_s - self.stamp_s
-        passed_s = passed_s if passed_s > 0 else DRIFT_PERIOD_S  # the first scan, and scans without stamps
-        if self.tilt_sigma_rad and self.information is not None:
-            self.information[[0, 1], [0, 1]] = self.prediction.tilt_step_sigma_rad(passed_s) ** -2.0
-        return self.prediction.pose(prior, passed_s)
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan in the drone frame as the map takes them: denoised, filtered, moved by the
@@ -176,7 +147,7 @@ class CloudOdometry:
         )  # fmt: skip
 
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        s, known = self.clouds, self.inertial is not None or self.information is not None
+        s, known = self.clouds, self.predictor.known
         whole, inliers_min = not s.by_features, 0.0 if s.shape == "features" else INLIER_SHARE_MIN * len(points)
         if len(points) < POINTS_MIN[known and whole]:
             return Registered(T_init, "too few points")
@@ -198,16 +169,13 @@ class CloudOdometry:
             return Registered(T_init, result.reason, result.inliers)
         if jump > s.jump_max_m:
             return Registered(T_init, f"jump of {jump:.2f} m", result.inliers)
-        T, information = result.T_target_source, np.zeros((6, 6))
-        if self.inertial:
-            information = information_at(result.H, T[:3, 3] - result.centre)
+        T = result.T_target_source
+        information = self.predictor.information_of(result.H, T, result.centre)
         return Registered(T, "", result.inliers, result.unobserved, information)
 
     def _terms(self, points: Array, T_init: Array) -> list[Term]:
         """Further costs of the pose of the scan's ``points (N, 3)``: its distance from the prediction."""
-        if self.inertial:
-            return [self.inertial.term()]
-        return [] if self.information is None else [prior_term(self.information, T_init, points)]
+        return self.predictor.terms(T_init, points)
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""

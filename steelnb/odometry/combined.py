@@ -51,7 +51,7 @@ class CombinedOdometry(CloudOdometry):
             return prior
 
         def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.tilted)
+            found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.predictor.tilted)
             H, b, at = np.zeros((6, 6)), np.zeros(6), TWIST[: len(found.b)]
             H[at[:, None], at], b[at] = found.H, found.b
             return self.clouds.bars_weight * H, self.clouds.bars_weight * b, self.clouds.bars_weight * found.loss

@@ -69,7 +69,8 @@ class FaceOdometry:
         by_bars = self.settings.clouds.bars_weight > 0
         self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor
-        seen, self.inertial = self.settings.preprocess, self.clouds.inertial
+        seen, self.predictor = self.settings.preprocess, self.clouds.predictor
+        self.inertial = self.predictor.inertial
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
         bars = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
@@ -96,8 +97,7 @@ class FaceOdometry:
             T_world_drone, seconds, held = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
         else:
             T_world_drone, held = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
-            self.clouds.correct(T_world_drone, prior, NONE, self._at_drone(fit))
-            self.clouds.stamp_s = scan.stamp_s
+            self.predictor.correct(T_world_drone, prior, NONE, self._at_drone(fit))
             step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
             seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
         put_out = self._put_out(T_world_drone)
@@ -124,7 +124,7 @@ class FaceOdometry:
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
-        s, T_sensor = self.settings.preprocess, self.clouds.predicted(scan.stamp_s, prior) @ self.T_drone_sensor
+        s, T_sensor = self.settings.preprocess, self.predictor.pose(scan.stamp_s, prior) @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < POINTS_MIN:
             return None
@@ -199,8 +199,8 @@ class FaceOdometry:
         if self.inertial:
             self.inertial.move(moved, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)
         else:
-            self.clouds.prediction.lose()  # an adjustment is no motion
-            self.clouds.prediction.correct(moved @ T_world_drone, prior)
+            self.predictor.drift.lose()  # an adjustment is no motion
+            self.predictor.drift.correct(moved @ T_world_drone, prior)
         self._behind = pose_step(moved @ T_world_drone, put_out, len(self._behind))
 
     def _put_out(self, T_world_drone: Array) -> Array:

@@ -27,11 +27,14 @@ class Sighting(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """``T_world_drone (4, 4)``; the robust ``weight (N,)`` of each sighting, 0 to 1; False where nothing holds it."""
+    """``T_world_drone (4, 4)``; the robust ``weight (N,)`` of each sighting, 0 to 1; False where nothing holds it; and
+    the normal equations ``H (6, 6)`` of its last step, of twists about a ``centre (3,)``."""
 
     T_world_drone: Array
     weight: Array
     determined: bool
+    H: Array
+    centre: Array
 
 
 def solve_pose(
@@ -53,11 +56,11 @@ def solve_pose(
         try:
             step = -free @ np.linalg.solve(free.T @ H @ free, free.T @ b)
         except np.linalg.LinAlgError:
-            return Solved(T_init, weight, False)
+            return Solved(T_init, weight, False, H, centre)
         T = exp_about(centre, step) @ T
         if np.linalg.norm(step[:3]) < ROTATION_EPSILON_RAD and np.linalg.norm(step[3:]) < TRANSLATION_EPSILON_M:
             break
-    return Solved(T, weight, bool(np.isfinite(T).all()))
+    return Solved(T, weight, bool(np.isfinite(T).all()), H, centre)
 
 
 @njit(cache=True)

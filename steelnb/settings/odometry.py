@@ -10,8 +10,8 @@ from steelnb.settings.presets import method_names, method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 
 SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
-"""Odometries by segments alone; all others but ``orb`` and ``deepvo`` are by clouds, ``combined`` and those based on it
-by both."""
+"""Odometries by segments alone; all others but ``orb``, ``deepvo`` and those of libraries are by clouds, ``combined``
+and those based on it by both."""
 
 
 class PreprocessSettings(Settings):
@@ -133,6 +133,7 @@ class OdometrySettings(Settings):
     sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings predict the pose of a scan
     (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
     weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
+    ``library``: the one that does the odometry of others (`steelnb.odometry.peers`), None for our own.
     Tables that a method does not use are None.
     """
 
@@ -150,6 +151,7 @@ class OdometrySettings(Settings):
     clouds: CloudSettings | None = None
     orb: OrbSettings | None = None
     weights: str | None = None
+    library: Literal["kiss_icp", "small_gicp"] | None = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
@@ -157,11 +159,15 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        alone = "a table orb" if self.orb is not None else "weights" if self.weights is not None else ""
+        by_camera = self.orb is not None and self.clouds is None
+        alone = "a table orb" if by_camera else "weights" if self.weights is not None else ""
+        alone = "a library" if self.library is not None else alone
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
             raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
-        if self.orb is not None and self.weights is not None:
-            raise ValueError(f"method {self.method!r}: a table orb and weights: expected one of them")
+        if self.orb is not None and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s):
+            raise ValueError(f"method {self.method!r}: a table orb with clouds: expected bars_weight, and no refit_s")
+        if (self.orb is not None) + (self.weights is not None) + (self.library is not None) > 1:
+            raise ValueError(f"method {self.method!r}: two of a table orb, weights and a library: expected one of them")
         if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
         by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)
@@ -180,8 +186,8 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
         if self.calibration is not None and not self.smooth:
             raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
-        if self.inertial is not None and (self.clouds is None or not self.clouds.by_bars):
-            raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars")
+        if self.inertial is not None and self.orb is None and (self.clouds is None or not self.clouds.by_bars):
+            raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars, or orb")
         if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
             raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
         return self
@@ -191,19 +197,24 @@ class OdometrySettings(Settings):
         cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
     ) -> "OdometrySettings":
         """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and
-        bars uses the IMU beside the sensor. Raises `SettingsError`."""
+        bars, or by features of images, uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        by_clouds, by_segments = not tables.keys().isdisjoint(("clouds", "orb", "weights")), "segments" in tables
+        by_clouds, by_segments = (
+            not tables.keys().isdisjoint(("clouds", "orb", "weights", "library")),
+            "segments" in tables,
+        )
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings, "orb": OrbSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
-        if isinstance(clouds, CloudSettings) and clouds.by_bars and "imu" in of_sensor:
+        inertial = "orb" in built or (isinstance(clouds, CloudSettings) and clouds.by_bars)
+        if inertial and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
         crops = of_sensor.get("preprocess", {}).get("clouds" if by_clouds else "segments", {})
         if by_segments:
             built |= {"hough": HoughSettings(**of_sensor.get("hough", {})), "fusion": FusionSettings.preset(sensor)}
-        settings = cls(method=method, preprocess=PreprocessSettings(**crops), **built, **tables)
+        preprocess = PreprocessSettings(**{**crops, **tables.pop("preprocess", {})})
+        settings = cls(method=method, preprocess=preprocess, **built, **tables)
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "OdometrySettings":

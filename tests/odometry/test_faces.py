@@ -126,7 +126,7 @@ def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
 
 
 def _points_and_start(estimator, scan, prior):
-    T = estimator.clouds.prediction.pose(prior) @ estimator.T_drone_sensor
+    T = estimator.clouds.predictor.drift.pose(prior) @ estimator.T_drone_sensor
     return points_in_range(scan, T, 6.0, 0.3, 2000), T
 
 

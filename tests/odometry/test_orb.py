@@ -117,12 +117,12 @@ def test_no_image_after_the_scan_is_used(world):
 
     asked: list[int] = []
     watched = Watched()
-    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, replace(flight.images, images=watched))
+    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, images=replace(flight.images, images=watched))
     for k in (0, 1, 2):
         odometry.update(flight.scans[k], flight.prior.T_world_drone[k])
     assert asked == [0, 1, 2]
     late = CameraImages(flight.images.stamp_s + 0.01, watched, flight.images.K, flight.images.T_drone_camera)
-    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, late)
+    odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, images=late)
     assert odometry.update(flight.scans[3], flight.prior.T_world_drone[3]).reason == "no image"
     assert asked == [0, 1, 2]
 

@@ -1,0 +1,88 @@
+"""Odometry by clouds, bars and a camera at once: landmarks in images as one more term of the solve."""
+
+import numpy as np
+
+from steelnb.images import CameraImages
+from steelnb.odometry.base import scan_of
+from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.tracking import LandmarkTracker, Tracked
+from steelnb.points.inputs import checked_pose
+from steelnb.registration import Term
+from steelnb.registration.result import middle_and_length
+from steelnb.settings import OdometrySettings, OrbSettings
+from steelnb.types import Array, Imu, OdometryStep, Scan
+
+LANDMARK_SHARE = 0.3
+"""Share of the landmarks' information that counts: frame after frame sees the same ones, whose errors it takes over.
+Chosen on the development seeds 11 to 13, both flights of 60 s, ideal and honest sensor, among 0.03, 0.1, 0.3, 1 and 4:
+on vertical flights the error falls up to 1 or 4, on orbits it rises from 0.3 on."""
+
+
+class CameraOdometry(CombinedOdometry):
+    """`CombinedOdometry` whose solve has the reprojection errors of landmarks, too (`LandmarkTracker`).
+
+    Which features show landmarks is decided by the images and the prediction alone; then all pairs pull the pose
+    together. Scans without an image, or with too few matches, are corrected by clouds and bars as ever.
+
+    Parameters
+    ----------
+    settings : with a table ``orb``, default ``OdometrySettings.preset("combined-camera")``.
+    T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
+    imu : readings in the axes of the drone, as for `CloudOdometry`.
+    images : of a camera on the drone; without, this is `CombinedOdometry`.
+
+    Raises `MissingExtraError` at the first image where OpenCV is not installed.
+    """
+
+    def __init__(
+        self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None,
+        images: CameraImages | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(settings or OdometrySettings.preset("combined-camera"), T_drone_sensor, imu)
+        self.tracker: LandmarkTracker | None = None
+        if images is not None:
+            orb, range_max_m = self.settings.orb or OrbSettings(), self.settings.preprocess.crop_m
+            self.tracker = LandmarkTracker(orb, images, self.T_drone_sensor, range_max_m)
+        self._scan: Scan | None = None
+        self._tracked: Tracked | None = None
+
+    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
+        """Register one scan and its image, correct the pose, add both to the maps; see `Odometry.update`."""
+        self._scan, self._tracked = scan_of(scan), None
+        step = super().update(self._scan, checked_pose(T_world_drone_prior, "T_world_drone_prior"))
+        if self.tracker is not None and self._tracked is not None and step.used:
+            self.tracker.update(self._tracked, step.T_world_drone)
+        return step
+
+    def _terms(self, points: Array, T_init: Array) -> list[Term]:
+        """The terms of `CombinedOdometry`, and that of the landmarks."""
+        terms, prior = super()._terms(points, T_init), self.predictor.terms(T_init, points)
+        self._tracked = tracked = self._track(points, T_init, prior)
+        if self.tracker is None or tracked is None or tracked.reason:
+            return terms
+        return [self.tracker.term(tracked, LANDMARK_SHARE), *terms]
+
+    def _track(self, points: Array, T_init: Array, prior: list[Term]) -> Tracked | None:
+        """What the scan's image shows of the landmarks; None without an image."""
+        image = self.tracker.image_at(self._scan.stamp_s) if self.tracker and self._scan else None
+        if self.tracker is None or self._scan is None or image is None:
+            return None
+
+        def pull(_: Array) -> tuple[Term, Array]:
+            return sum_of(prior), middle_and_length(points)[0]
+
+        features = self.tracker.find(image, self._scan.points)
+        return self.tracker.track(features, image.shape, T_init, self.free, pull)
+
+
+def sum_of(terms: list[Term]) -> Term:
+    """The sum of costs, which may be none."""
+
+    def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
+        H, b, loss = np.zeros((6, 6)), np.zeros(6), 0.0
+        for each in terms:
+            H_term, b_term, loss_term = each(T, centre)
+            H, b, loss = H + H_term, b + b_term, loss + loss_term
+        return H, b, loss
+
+    return term
