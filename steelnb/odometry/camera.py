@@ -50,7 +50,9 @@ class CameraOdometry(CombinedOdometry):
         """Register one scan and its image, correct the pose, add both to the maps; see `Odometry.update`."""
         self._scan, self._tracked = scan_of(scan), None
         step = super().update(self._scan, checked_pose(T_world_drone_prior, "T_world_drone_prior"))
-        if self.tracker is not None and self._tracked is not None and step.used:
+        if step.reason == "first scan":
+            self._tracked = self._track(np.zeros((0, 3)), step.T_world_drone, [])
+        if self.tracker is not None and self._tracked is not None and (step.used or step.reason == "first scan"):
             self.tracker.update(self._tracked, step.T_world_drone)
         return step
 

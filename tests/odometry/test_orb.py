@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb import experiment
 from steelnb.errors import MissingExtraError, SettingsError
 from steelnb.images import CameraImages, project
 from steelnb.odometry import OrbOdometry, make_odometry, run
@@ -16,37 +15,24 @@ from steelnb.odometry.features import DepthImage, Features, find_features, impor
 from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.registration import free_directions
-from steelnb.settings import CameraSettings, ExperimentSettings, OdometrySettings, TofSettings
+from steelnb.settings import CameraSettings, OdometrySettings, TofSettings
 from steelnb.simulation.scene import rays
 from tests import naive
+from tests.odometry.conftest import BLIND_S
 
-BLIND_S = (4.0, 4.5)
 K = CameraSettings.preset().K
 SHAPE = (320, 422)
 TOF = TofSettings.preset("starling2")
 
 
 @pytest.fixture(scope="module")
-def world():
-    """Six seconds of an orbit whose camera sees nothing for half of one; rendered images are kept."""
-    overrides = {"camera.blind_s": (BLIND_S,), "camera.samples": 2}
-    settings = ExperimentSettings.preset("orbit", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
-        overrides
-    )
-    flight, truth = experiment.simulate(settings)
-    number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
-    images = [flight.images.images[k] for k in number]
-    return settings, replace(flight, images=replace(flight.images, stamp_s=flight.prior.stamp_s, images=images)), truth
-
-
-@pytest.fixture(scope="module")
-def estimate(world):
-    settings, flight, _ = world
+def estimate(orbit_with_images):
+    settings, flight, _ = orbit_with_images
     return run(flight, make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
 
 
-def test_a_short_flight_stays_within_twelve_millimetres(world, estimate):
-    _, flight, truth = world
+def test_a_short_flight_stays_within_twelve_millimetres(orbit_with_images, estimate):
+    _, flight, truth = orbit_with_images
     lit, after = flight.prior.stamp_s < BLIND_S[0], flight.prior.stamp_s >= BLIND_S[1]
     error, raw = (
         np.linalg.norm(path.position - truth.trajectory.at(path.stamp_s).position, axis=1)
@@ -61,14 +47,14 @@ def test_a_short_flight_stays_within_twelve_millimetres(world, estimate):
     assert len(estimate.segments) == 0
 
 
-def test_roll_and_pitch_stay_the_prior_s(world, estimate):
-    up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, world[1].prior)]
+def test_roll_and_pitch_stay_the_prior_s(orbit_with_images, estimate):
+    up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, orbit_with_images[1].prior)]
     np.testing.assert_allclose(*up, atol=1e-9)
 
 
-def test_a_tilted_prior_is_set_upright(world):
+def test_a_tilted_prior_is_set_upright(orbit_with_images):
     """Roll and pitch, off by 1° from the second scan on, are found where they are said to be uncertain."""
-    settings, flight, truth = world
+    settings, flight, truth = orbit_with_images
     prior = flight.first(8).prior
     off = Rotation.from_rotvec(np.radians([1.0, -1.0, 0.0])).as_matrix()
     T = prior.T_world_drone.copy()
@@ -85,8 +71,8 @@ def test_a_tilted_prior_is_set_upright(world):
     assert np.abs(angle[0.0175]).max() < np.radians(0.4)
 
 
-def test_black_images_are_named_and_the_prior_is_followed(world, estimate):
-    _, flight, _ = world
+def test_black_images_are_named_and_the_prior_is_followed(orbit_with_images, estimate):
+    _, flight, _ = orbit_with_images
     stamp_s = flight.prior.stamp_s
     dark = (stamp_s >= BLIND_S[0]) & (stamp_s < BLIND_S[1])
     assert dark.sum() == 3
@@ -97,15 +83,15 @@ def test_black_images_are_named_and_the_prior_is_followed(world, estimate):
     np.testing.assert_allclose(moved, prior, atol=1e-9)
 
 
-def test_without_images_the_prior_is_followed(world):
-    settings, flight, _ = world
+def test_without_images_the_prior_is_followed(orbit_with_images):
+    settings, flight, _ = orbit_with_images
     estimate = run(flight.first(5), make_odometry(settings.odometry, flight.T_drone_sensor))
     np.testing.assert_array_equal(estimate.corrected.T_world_drone, flight.prior.T_world_drone[:5])
     assert set(estimate.reason) == {"no image"}
 
 
-def test_no_image_after_the_scan_is_used(world):
-    settings, flight, _ = world
+def test_no_image_after_the_scan_is_used(orbit_with_images):
+    settings, flight, _ = orbit_with_images
 
     class Watched(Sequence):
         def __len__(self):
@@ -127,8 +113,8 @@ def test_no_image_after_the_scan_is_used(world):
     assert asked == [0, 1, 2]
 
 
-def test_the_same_images_give_the_same_estimate(world, estimate):
-    settings, flight, _ = world
+def test_the_same_images_give_the_same_estimate(orbit_with_images, estimate):
+    settings, flight, _ = orbit_with_images
     again = run(flight.first(12), make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
     np.testing.assert_array_equal(again.corrected.T_world_drone, estimate.corrected.T_world_drone[:12])
 

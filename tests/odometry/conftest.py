@@ -1,0 +1,23 @@
+"""A short flight with images, which the tests of two odometries share."""
+
+from dataclasses import replace
+
+import pytest
+
+from steelnb import experiment
+from steelnb.settings import ExperimentSettings
+
+BLIND_S = (4.0, 4.5)
+
+
+@pytest.fixture(scope="session")
+def orbit_with_images():
+    """Six seconds of an orbit whose camera sees nothing for half of one; rendered images are kept."""
+    overrides = {"camera.blind_s": (BLIND_S,), "camera.samples": 2}
+    settings = ExperimentSettings.preset("orbit", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
+        overrides
+    )
+    flight, truth = experiment.simulate(settings)
+    number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
+    images = [flight.images.images[k] for k in number]
+    return settings, replace(flight, images=replace(flight.images, stamp_s=flight.prior.stamp_s, images=images)), truth
