@@ -48,6 +48,7 @@ class PeerOdometry:
         self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
         self._register: Register | None = None
         self._map_points: MapPoints = lambda: np.zeros((0, 3))
+        self._mapped = False
         self._last = self._pose = np.eye(4)  # of the sensor: by the prior, and corrected
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
@@ -56,7 +57,6 @@ class PeerOdometry:
         points = scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
         begin, matches, reason = time.perf_counter(), 0, ""
-        first = self._register is None
         if self._register is None:
             seen = self.settings.preprocess
             self._register, self._map_points = self._make(seen.voxel_leaf_m, prior, seen.crop_m)
@@ -67,7 +67,7 @@ class PeerOdometry:
             reason = "too few points"
         else:
             pose, matches = self._register(points, self._pose)
-            self._pose, reason = pose, "first scan" if first else ""
+            self._pose, reason, self._mapped = pose, "" if self._mapped else "first scan", True
         T_world_drone = self._pose @ np.linalg.inv(self.T_drone_sensor)
         seconds = {"register": time.perf_counter() - begin}
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, seconds)

@@ -42,11 +42,14 @@ METHODS = {
     "smoothed": ("smoothed", "#661100"),
     "calibrated": ("smoothed and calibrated", "#8490FC"),
     "orb": ("ORB features", "#DD0044"),
+    "combined-camera": ("combined with camera", "#CE646A"),
     "deepvo": ("DeepVO", "#88DD44"),
+    "kiss-icp": ("KISS-ICP", "#101018"),
+    "small-gicp": ("small_gicp's VGICP", "#3C2A33"),
     "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
-by images red, learned lime."""
+by images red, learned lime, of others nearly black."""
 DETECTORS = {
     "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
     "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,

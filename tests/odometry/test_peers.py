@@ -1,0 +1,87 @@
+"""Odometries of others behind the interface of ours."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from steelnb import experiment
+from steelnb.errors import MissingExtraError, SettingsError
+from steelnb.metrics import position_error_m
+from steelnb.odometry import PeerOdometry, make_odometry, run
+from steelnb.settings import ExperimentSettings, OdometrySettings
+
+PEERS = {"kiss-icp": "kiss_icp", "small-gicp": "small_gicp"}
+
+
+@pytest.fixture(scope="module")
+def world():
+    settings = ExperimentSettings.preset("vertical", "constant-drift:0.0004+random-walk", seed=3, duration_s=8.0)
+    return experiment.simulate(settings)
+
+
+@pytest.fixture(params=PEERS)
+def method(request):
+    pytest.importorskip(PEERS[request.param])
+    return request.param
+
+
+def test_it_takes_most_of_the_drift_out_and_has_a_map(world, method):
+    flight, truth = world
+    odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
+    found = run(flight, odometry)
+    assert isinstance(odometry, PeerOdometry)
+    assert found.reason[0] == "first scan"
+    assert not any(found.reason[1:])
+    assert found.matches.min() > 100
+    raw, error = (position_error_m(path, truth.trajectory) for path in (flight.prior, found.corrected))
+    assert raw[-1] > 0.3
+    assert error[-1] < 0.2 * raw[-1]
+    tower = truth.tower.axes.reshape(-1, 3)
+    assert len(found.points) > 300
+    assert (found.points[:, 2] < tower[:, 2].max()).all()
+    assert not len(found.segments)
+
+
+def test_a_scan_without_returns_follows_the_motion_of_the_prior(world, method):
+    flight = world[0]
+    odometry, T = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor), flight.prior.T_world_drone
+    before = [odometry.update(flight.scans[k], T[k]).T_world_drone for k in range(4)][-1]
+    step = odometry.update(np.full((5, 5, 3), np.nan), T[4])
+    assert not step.used
+    assert step.reason == "too few points"
+    np.testing.assert_allclose(step.T_world_drone, before @ np.linalg.inv(T[3]) @ T[4], atol=1e-12)
+    assert odometry.update(flight.scans[5], T[5]).used
+
+
+def test_a_flight_that_begins_in_the_dark_begins_at_its_first_returns(world, method):
+    flight = world[0]
+    odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
+    T = flight.prior.T_world_drone
+    assert odometry.update(np.zeros((0, 3)), T[0]).reason == "too few points"
+    first = odometry.update(flight.scans[1], T[1])
+    np.testing.assert_allclose(first.T_world_drone, T[1], atol=1e-9)
+    assert first.reason == "first scan"
+    assert odometry.update(flight.scans[2], T[2]).used
+
+
+@pytest.mark.parametrize("library", PEERS.values())
+def test_a_missing_library_is_named_with_the_command_that_installs_it(world, monkeypatch, library):
+    method = next(name for name in PEERS if PEERS[name] == library)
+    for name in (library, f"{library}.config"):
+        monkeypatch.setitem(sys.modules, name, None)
+    odometry = PeerOdometry(OdometrySettings.preset(method))
+    with pytest.raises(MissingExtraError, match=rf"{library}.* is not installed: pip install 'steelnb\[peers\]'"):
+        odometry.update(world[0].scans[0], np.eye(4))
+
+
+def test_settings_of_other_methods_and_mixtures_are_refused():
+    with pytest.raises(SettingsError, match="'best': expected one with a library, such as 'kiss-icp'"):
+        PeerOdometry(OdometrySettings.preset("best"))
+    for overrides, says in (
+        ({"weights": "mine.npz"}, "'kiss-icp': two of a table orb, weights and a library: expected one of them"),
+        ({"smooth": True}, "'kiss-icp': a library: expected no tables clouds and segments, no smooth"),
+        ({"library": "pcl"}, "library = 'pcl'"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            OdometrySettings.preset("kiss-icp", overrides=overrides)
