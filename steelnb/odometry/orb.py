@@ -8,7 +8,7 @@ from steelnb.errors import SettingsError
 from steelnb.images import CameraImages
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.predictor import PosePredictor
-from steelnb.odometry.tracking import LandmarkTracker
+from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
 from steelnb.registration import Term, free_directions
 from steelnb.settings import OdometrySettings
@@ -43,6 +43,7 @@ class OrbOdometry:
         self.tracker: LandmarkTracker | None = None
         if images is not None:
             self.tracker = LandmarkTracker(s.orb, images, self.T_drone_sensor, s.preprocess.crop_m)
+        self.tracked: Tracked | None = None  # what the last image showed
         self.predictor = PosePredictor(s, imu)
         self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")
 
@@ -66,7 +67,7 @@ class OrbOdometry:
             (term,) = predictor.terms(T_init, in_drone)
             return term, in_drone.mean(axis=0)
 
-        tracked = self.tracker.track(features, image.shape, T_init, self.free, pull)
+        self.tracked = tracked = self.tracker.track(features, image.shape, T_init, self.free, pull)
         clock.append(time.perf_counter())
         if tracked.reason:
             predictor.lose()
