@@ -142,10 +142,10 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb", "deepvo", *PEERS))
+    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb", "orb-monocular", "deepvo", *PEERS))
     assert (settings.weights is None) == (method != "deepvo")
     assert (settings.library is None) == (method not in PEERS)
-    assert (settings.orb is None) == (method not in ("orb", "combined-camera"))
+    assert (settings.orb is None) == (method not in ("orb", "orb-monocular", "combined-camera"))
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.gain" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):
@@ -164,8 +164,8 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
 
 def test_there_are_at_most_127_settings():
     """90, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
-    sigma filter, how well five errors of a sensor are known, eleven of a camera, the number of image features, a file
-    of weights, and a library."""
+    sigma filter, how well five errors of a sensor are known, eleven of a camera, where image features have
+    depth from, a file of weights, and a library."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name

@@ -9,7 +9,7 @@ from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
 from steelnb.registration import Term
 from steelnb.registration.result import middle_and_length
-from steelnb.settings import OdometrySettings, OrbSettings
+from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
 LANDMARK_SHARE = 0.3
@@ -41,8 +41,7 @@ class CameraOdometry(CombinedOdometry):
         super().__init__(settings or OdometrySettings.preset("combined-camera"), T_drone_sensor, imu)
         self.tracker: LandmarkTracker | None = None
         if images is not None:
-            orb, range_max_m = self.settings.orb or OrbSettings(), self.settings.preprocess.crop_m
-            self.tracker = LandmarkTracker(orb, images, self.T_drone_sensor, range_max_m)
+            self.tracker = LandmarkTracker(images, self.T_drone_sensor, self.settings.preprocess.crop_m)
         self._scan: Scan | None = None
         self._tracked: Tracked | None = None
 

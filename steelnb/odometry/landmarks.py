@@ -1,6 +1,6 @@
 """Map of landmarks: points in the world, each with the descriptor of the feature that showed it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class LandmarkMap:
     they were first seen from; ``found (N,)``, ``missed (N,)`` and ``last (N,)``: how often they were seen, how often
     they should have been and were not, and the number of the image in which they were seen last.
     """
+
+    ARRAYS: ClassVar[tuple[str, ...]] = ("point", "towards", "descriptor", "octave", "found", "missed", "last")
 
     def __init__(self, count_max: int) -> None:
         self.count_max = count_max
@@ -83,5 +85,5 @@ class LandmarkMap:
         if np.count_nonzero(kept) > self.count_max:
             oldest = np.argsort(np.where(kept, -self.last, 1), kind="stable")
             kept[oldest[self.count_max :]] = False
-        for name in ("point", "towards", "descriptor", "octave", "found", "missed", "last"):
+        for name in self.ARRAYS:
             setattr(self, name, getattr(self, name)[kept])

@@ -1,4 +1,5 @@
-"""Visual odometry by ORB features whose depths the Time-of-Flight sensor gives: the report's section 2.1.1."""
+"""Visual odometry by ORB features, with depths from the Time-of-Flight sensor or from two images: the report's section
+2.1.1."""
 
 import time
 
@@ -7,6 +8,7 @@ import numpy as np
 from steelnb.errors import SettingsError
 from steelnb.images import CameraImages
 from steelnb.odometry.base import scan_of
+from steelnb.odometry.monocular import MonocularTracker
 from steelnb.odometry.predictor import PosePredictor
 from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
@@ -42,7 +44,8 @@ class OrbOdometry:
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.tracker: LandmarkTracker | None = None
         if images is not None:
-            self.tracker = LandmarkTracker(s.orb, images, self.T_drone_sensor, s.preprocess.crop_m)
+            kind = LandmarkTracker if s.orb.depth == "sensor" else MonocularTracker
+            self.tracker = kind(images, self.T_drone_sensor, s.preprocess.crop_m)
         self.tracked: Tracked | None = None  # what the last image showed
         self.predictor = PosePredictor(s, imu)
         self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")

@@ -22,13 +22,14 @@ from steelnb.odometry.features import (
 from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.reprojection import Sighting, linearise, solve_pose
 from steelnb.registration import Term
-from steelnb.settings import OrbSettings
 from steelnb.types import Array, IntArray
 
 APART_PX = 4.0
 """New landmarks keep this distance from those already expected in the image."""
 INLIER_WEIGHT = 0.25
 """Least robust weight of a match that counts: that of an error of the robust scale itself."""
+FEATURES = 800
+"""At most so many are sought in an image."""
 KEYFRAME_M, TURN_RAD_PER_M = 0.1, 0.5
 """New landmarks are taken after so much of the path, a turn counted as so many radians a metre."""
 SEARCH_PX, HAMMING = 8.0, 60
@@ -78,14 +79,13 @@ class LandmarkTracker:
 
     Parameters
     ----------
-    settings : how many features.
     images : of a camera on the drone; of these, the last before or at each scan is used.
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor.
     range_max_m : landmarks farther away are not sought.
     """
 
-    def __init__(self, settings: OrbSettings, images: CameraImages, T_drone_sensor: Array, range_max_m: float) -> None:
-        self.settings, self.images, self.range_max_m = settings, images, range_max_m
+    def __init__(self, images: CameraImages, T_drone_sensor: Array, range_max_m: float) -> None:
+        self.images, self.range_max_m = images, range_max_m
         self.T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ T_drone_sensor
         self.map = LandmarkMap(LANDMARKS_MAX)
         self.count = 0
@@ -98,7 +98,7 @@ class LandmarkTracker:
 
     def find(self, image: GreyImage, points: Array) -> Features:
         """Features of an image where the scan, ``(N, 3)`` or ``(H, W, 3)``, has returns, with their depths."""
-        return features_with_depth(image, points, self.T_camera_sensor, self.images.K, self.settings.features)
+        return features_with_depth(image, points, self.T_camera_sensor, self.images.K, FEATURES)
 
     def track(self, features: Features, shape: tuple[int, int], T_predicted: Array, free: Array, pull: Pull) -> Tracked:
         """The pose of an image of a ``shape``, from the one predicted, in the directions ``free (6, k)``."""
@@ -139,7 +139,7 @@ class LandmarkTracker:
         hamming_max: int, free: Array, pull: Pull,
     ) -> Tracked:  # fmt: skip
         """The pose by the landmarks expected at ``T_init`` that features show."""
-        seen = self.map.expected(T_init @ self.images.T_drone_camera, self.images.K, shape, self.range_max_m)
+        seen = self._expected(T_init, shape)
         found = match(
             *features, seen.pixel, self.map.octave[seen.number], seen.depth, self.map.descriptor[seen.number],
             search_px, hamming_max, RATIO,
@@ -163,6 +163,10 @@ class LandmarkTracker:
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches agree")
         return failed._replace(T_world_drone=solved.T_world_drone, H=solved.H, centre=solved.centre)
+
+    def _expected(self, T_world_drone: Array, shape: tuple[int, int]) -> Expected:
+        """The landmarks that an image of a ``shape`` should show at a pose."""
+        return self.map.expected(T_world_drone @ self.images.T_drone_camera, self.images.K, shape, self.range_max_m)
 
     def _sighting(self, features: Features, seen: Expected, found: IntArray) -> Sighting:
         """The landmarks of those seen that features show."""
@@ -190,7 +194,7 @@ class LandmarkTracker:
         """New landmarks, where none is expected."""
         self.T_keyframe = T_world_drone
         T_world_camera = T_world_drone @ self.images.T_drone_camera
-        known = self.map.expected(T_world_camera, self.images.K, shape, self.range_max_m).pixel
+        known = self._expected(T_world_drone, shape).pixel
         new = np.flatnonzero(np.isfinite(features.depth))
         new = new[~near_any(features.pixel[new], known, APART_PX)]
         if len(new):

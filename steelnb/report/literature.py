@@ -30,13 +30,13 @@ from steelnb.simulation import Truth
 from steelnb.types import Array, Estimate, Flight
 
 METHODS = (
-    "average", "least_squares_yaw", "icp", "icp-3dof", "gicp", "kiss-icp", "small-gicp", "deepvo", "orb", "loam",
-    "loam-midlines", "best", "combined", "combined-camera", "faces", "smoothed",
+    "average", "least_squares_yaw", "icp", "icp-3dof", "gicp", "kiss-icp", "small-gicp", "deepvo", "orb",
+    "orb-monocular", "loam", "loam-midlines", "best", "combined", "combined-camera", "faces", "smoothed",
 )  # fmt: skip
 """In the order of the table: by segments, the ICP family, published ones by their own wheels, the literature's, by all
 points."""
 LOAM = ("loam", "loam-midlines")
-LITERATURE = ("kiss-icp", "small-gicp", "deepvo", "orb", *LOAM, "combined-camera")
+LITERATURE = ("kiss-icp", "small-gicp", "deepvo", "orb", "orb-monocular", *LOAM, "combined-camera")
 FLIGHTS = ("vertical", "orbit")
 SENSORS = {"starling2": "Starling 2", "starling2-honest": "with a real one's faults", "report": "the report's"}
 NOISES = {"random-walk": "o", "constant-drift": "^", "random-walk+yaw-random-walk": "s"}

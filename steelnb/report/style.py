@@ -42,6 +42,7 @@ METHODS = {
     "smoothed": ("smoothed", "#661100"),
     "calibrated": ("smoothed and calibrated", "#8490FC"),
     "orb": ("ORB features", "#DD0044"),
+    "orb-monocular": ("ORB, monocular", "#9F2F4E"),
     "combined-camera": ("combined with camera", "#CE646A"),
     "deepvo": ("DeepVO", "#88DD44"),
     "kiss-icp": ("KISS-ICP", "#101018"),

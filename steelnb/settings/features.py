@@ -1,8 +1,6 @@
 """Settings of odometry by features of images."""
 
-from typing import Annotated
-
-from pydantic import Field
+from typing import Literal
 
 from steelnb.settings.base import Settings
 
@@ -10,7 +8,8 @@ from steelnb.settings.base import Settings
 class OrbSettings(Settings):
     """Visual odometry by ORB features (`steelnb.odometry.orb`, which holds what need not be set).
 
-    At most ``features`` are found in an image.
+    ``depth``: the depths of landmarks are the Time-of-Flight ``sensor``'s, or ``triangulated`` from two images
+    (`steelnb.odometry.monocular`), whose scale is then that of the drifting prior.
     """
 
-    features: Annotated[int, Field(ge=10, le=10_000)] = 800
+    depth: Literal["sensor", "triangulated"] = "sensor"

@@ -164,8 +164,9 @@ class OdometrySettings(Settings):
         alone = "a library" if self.library is not None else alone
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
             raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
-        if self.orb is not None and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s):
-            raise ValueError(f"method {self.method!r}: a table orb with clouds: expected bars_weight, and no refit_s")
+        if self.orb and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s or self.orb.depth != "sensor"):
+            raise ValueError(f"method {self.method!r}: a table orb with clouds: expected bars_weight, depth of the "
+                             "sensor, and no refit_s")  # fmt: skip
         if (self.orb is not None) + (self.weights is not None) + (self.library is not None) > 1:
             raise ValueError(f"method {self.method!r}: two of a table orb, weights and a library: expected one of them")
         if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):

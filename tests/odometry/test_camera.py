@@ -13,7 +13,7 @@ from steelnb.odometry import CameraOdometry, CombinedOdometry, OrbOdometry, came
 from steelnb.odometry.camera import sum_of
 from steelnb.odometry.tracking import LandmarkTracker
 from steelnb.registration.solve import exp_about
-from steelnb.settings import ExperimentSettings, OdometrySettings, OrbSettings
+from steelnb.settings import ExperimentSettings, OdometrySettings
 
 SCANS = 14
 SETTINGS = OdometrySettings.preset("combined-camera")
@@ -68,7 +68,7 @@ def test_a_dozen_scans_stay_within_twelve_millimetres(orbit_with_images, flight)
 
 def test_the_term_of_landmarks_is_the_slope_of_its_own_loss(flight):
     """Central differences of the loss by each of the six directions of a twist."""
-    tracker = LandmarkTracker(OrbSettings(), flight.images, flight.T_drone_sensor, 6.0)
+    tracker = LandmarkTracker(flight.images, flight.T_drone_sensor, 6.0)
     for scan, T_prior in steps_of(flight.first(3)):
         image, pull = tracker.image_at(scan.stamp_s), lambda _: (sum_of([]), np.zeros(3))
         tracked = tracker.track(tracker.find(image, scan.points), image.shape, T_prior, np.eye(6), pull)

@@ -37,7 +37,7 @@ def run(world):
     return fly
 
 
-BY_CLOUDS = sorted(set(METHODS) - {*SEGMENT_METHODS, "orb", "deepvo", "kiss-icp", "small-gicp"})
+BY_CLOUDS = sorted(set(METHODS) - {*SEGMENT_METHODS, "orb", "orb-monocular", "deepvo", "kiss-icp", "small-gicp"})
 
 
 @pytest.mark.parametrize("method", BY_CLOUDS)

@@ -279,7 +279,7 @@ def test_settings_of_other_methods_are_refused():
     for overrides, says in (
         ({"smooth": True}, "'orb': a table orb: expected no tables"),
         ({"prior_sigma": None}, "'orb': a table orb: expected prior_sigma"),
-        ({"orb.features": 0}, "features = 0"),
+        ({"orb.depth": "stereo"}, "depth = 'stereo'"),
     ):
         with pytest.raises(SettingsError, match=says):
             OdometrySettings.preset("orb", overrides=overrides)
