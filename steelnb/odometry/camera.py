@@ -1,10 +1,14 @@
 """Odometry by clouds, bars and a camera at once: landmarks in images as one more term of the solve."""
 
+import time
+from dataclasses import replace
+
 import numpy as np
 
 from steelnb.images import CameraImages
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.features import Features
 from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
 from steelnb.registration import Term
@@ -42,18 +46,29 @@ class CameraOdometry(CombinedOdometry):
         self.tracker: LandmarkTracker | None = None
         if images is not None:
             self.tracker = LandmarkTracker(images, self.T_drone_sensor, self.settings.preprocess.crop_m)
-        self._scan: Scan | None = None
+        self._image: tuple[Features, tuple[int, int]] | None = None  # of the scan at hand: features, rows and columns
         self._tracked: Tracked | None = None
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan and its image, correct the pose, add both to the maps; see `Odometry.update`."""
-        self._scan, self._tracked = scan_of(scan), None
-        step = super().update(self._scan, checked_pose(T_world_drone_prior, "T_world_drone_prior"))
+        """Register one scan and its image, correct the pose, add both to the maps; see `Odometry.update`.
+
+        The stages of ``seconds`` are those of `CombinedOdometry`, and ``camera`` for features and their map; to read or
+        render an image counts as little as to read a scan.
+        """
+        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+        image = self.tracker.image_at(scan.stamp_s) if self.tracker else None
+        begin = time.perf_counter()
+        self._image = self._tracked = None
+        if self.tracker and image is not None:
+            self._image = self.tracker.find(image, scan.points), image.shape
+        spent_s = time.perf_counter() - begin
+        step = super().update(scan, prior)
+        begin = time.perf_counter()
         if step.reason == "first scan":
             self._tracked = self._track(np.zeros((0, 3)), step.T_world_drone, [])
-        if self.tracker is not None and self._tracked is not None and (step.used or step.reason == "first scan"):
+        if self.tracker and self._tracked and (step.used or step.reason == "first scan"):
             self.tracker.update(self._tracked, step.T_world_drone)
-        return step
+        return replace(step, seconds=step.seconds | {"camera": spent_s + time.perf_counter() - begin})
 
     def _terms(self, points: Array, T_init: Array) -> list[Term]:
         """The terms of `CombinedOdometry`, and that of the landmarks."""
@@ -65,15 +80,13 @@ class CameraOdometry(CombinedOdometry):
 
     def _track(self, points: Array, T_init: Array, prior: list[Term]) -> Tracked | None:
         """What the scan's image shows of the landmarks; None without an image."""
-        image = self.tracker.image_at(self._scan.stamp_s) if self.tracker and self._scan else None
-        if self.tracker is None or self._scan is None or image is None:
+        if self.tracker is None or self._image is None:
             return None
 
         def pull(_: Array) -> tuple[Term, Array]:
             return sum_of(prior), middle_and_length(points)[0]
 
-        features = self.tracker.find(image, self._scan.points)
-        return self.tracker.track(features, image.shape, T_init, self.free, pull)
+        return self.tracker.track(*self._image, T_init, self.free, pull)
 
 
 def sum_of(terms: list[Term]) -> Term:

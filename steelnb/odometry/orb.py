@@ -53,13 +53,13 @@ class OrbOdometry:
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan by its image, and add new features to the map; see `Odometry.update`.
 
-        The stages of ``seconds``: ``image`` reads or renders it, ``features``, ``track`` and ``map``.
+        The stages of ``seconds`` are ``features``, ``track`` and ``map``; to read or render an image counts as little
+        as to read a scan.
         """
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+        image = self.tracker.image_at(scan.stamp_s) if self.tracker else None
         predictor, clock = self.predictor, [time.perf_counter()]
         T_init = predictor.pose(scan.stamp_s, prior)
-        image = self.tracker.image_at(scan.stamp_s) if self.tracker else None
-        clock.append(time.perf_counter())
         if self.tracker is None or image is None:
             predictor.lose()
             return self._step(scan, T_init, "no image", 0, clock)
@@ -82,8 +82,8 @@ class OrbOdometry:
 
     def _step(self, scan: Scan, T: Array, reason: str, matches: int, clock: list[float]) -> OdometryStep:
         now = time.perf_counter()
-        clock = clock + [now] * (5 - len(clock))
-        seconds = dict(zip(("image", "features", "track", "map"), np.diff(clock).tolist(), strict=True))
+        clock = clock + [now] * (4 - len(clock))
+        seconds = dict(zip(("features", "track", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, T, reason == "", reason, matches, seconds)
 
     def map_points(self) -> Array:
