@@ -1,5 +1,6 @@
 """A short flight with images, which the tests of two odometries share."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,20 @@ from steelnb import experiment
 from steelnb.settings import ExperimentSettings
 
 BLIND_S = (4.0, 4.5)
+
+
+class Watched(Sequence):
+    """Images that remember which of them were ``asked`` for."""
+
+    def __init__(self, images):
+        self.images, self.asked = images, []
+
+    def __len__(self):
+        return len(self.images)
+
+    def __getitem__(self, k):
+        self.asked.append(k)
+        return self.images[k]
 
 
 @pytest.fixture(scope="session")

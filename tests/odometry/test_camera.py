@@ -1,6 +1,5 @@
 """Landmarks in images as a term of the solve by clouds and bars."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from steelnb.odometry.camera import sum_of
 from steelnb.odometry.tracking import LandmarkTracker
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ExperimentSettings, OdometrySettings
+from tests.odometry.conftest import Watched
 
 SCANS = 14
 SETTINGS = OdometrySettings.preset("combined-camera")
@@ -84,19 +84,10 @@ def test_the_term_of_landmarks_is_the_slope_of_its_own_loss(flight):
 
 
 def test_each_image_is_read_once(flight):
-    asked: list[int] = []
-
-    class Watched(Sequence):
-        def __len__(self):
-            return len(flight.images)
-
-        def __getitem__(self, k):
-            asked.append(k)
-            return flight.images.images[k]
-
-    odometry = make_odometry(SETTINGS, flight.T_drone_sensor, images=replace(flight.images, images=Watched()))
+    watched = Watched(flight.images.images)
+    odometry = make_odometry(SETTINGS, flight.T_drone_sensor, images=replace(flight.images, images=watched))
     poses(flight.first(4), odometry)
-    assert asked == [0, 1, 2, 3]
+    assert watched.asked == [0, 1, 2, 3]
 
 
 def test_an_honest_flight_is_corrected_with_the_imu_of_its_sensor():

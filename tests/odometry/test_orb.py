@@ -1,7 +1,6 @@
 """Visual odometry: features and depths, the pose of sightings, and a short flight."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from steelnb.registration import free_directions
 from steelnb.settings import CameraSettings, OdometrySettings, TofSettings
 from steelnb.simulation.scene import rays
 from tests import naive
-from tests.odometry.conftest import BLIND_S
+from tests.odometry.conftest import BLIND_S, Watched
 
 K = CameraSettings.preset().K
 SHAPE = (320, 422)
@@ -93,24 +92,15 @@ def test_without_images_the_prior_is_followed(orbit_with_images):
 def test_no_image_after_the_scan_is_used(orbit_with_images):
     settings, flight, _ = orbit_with_images
 
-    class Watched(Sequence):
-        def __len__(self):
-            return len(flight.images)
-
-        def __getitem__(self, k):
-            asked.append(k)
-            return flight.images.images[k]
-
-    asked: list[int] = []
-    watched = Watched()
+    watched = Watched(flight.images.images)
     odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, images=replace(flight.images, images=watched))
     for k in (0, 1, 2):
         odometry.update(flight.scans[k], flight.prior.T_world_drone[k])
-    assert asked == [0, 1, 2]
+    assert watched.asked == [0, 1, 2]
     late = CameraImages(flight.images.stamp_s + 0.01, watched, flight.images.K, flight.images.T_drone_camera)
     odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, images=late)
     assert odometry.update(flight.scans[3], flight.prior.T_world_drone[3]).reason == "no image"
-    assert asked == [0, 1, 2]
+    assert watched.asked == [0, 1, 2]
 
 
 def test_the_same_images_give_the_same_estimate(orbit_with_images, estimate):
