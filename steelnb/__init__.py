@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
     from steelnb.odometry import (
+        CameraOdometry,
         CloudOdometry,
         CombinedOdometry,
         DeepVoOdometry,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         KnownStructureOdometry,
         LoamOdometry,
         OrbOdometry,
+        PeerOdometry,
         SegmentOdometry,
         make_odometry,
     )
@@ -45,6 +47,7 @@ _MODULES = {
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
     "odometry": (
+        "CameraOdometry",
         "CloudOdometry",
         "CombinedOdometry",
         "DeepVoOdometry",
@@ -52,6 +55,7 @@ _MODULES = {
         "KnownStructureOdometry",
         "LoamOdometry",
         "OrbOdometry",
+        "PeerOdometry",
         "SegmentOdometry",
         "make_odometry",
     ),
@@ -62,12 +66,13 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate", "ExperimentSettings", "FaceOdometry",
-    "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry", "MissingExtraError", "OdometrySettings",
-    "OdometryStep", "OrbOdometry", "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments",
-    "SteelnbError", "Structure", "StructureSettings", "Trajectory", "__version__", "detect_lines",
-    "detect_segments", "find_changes", "make_odometry", "read_cloud", "read_flight", "read_structure", "read_truth",
-    "reconstruct", "reconstruct_cloud", "register", "run", "smooth", "write_flight", "write_structure",
+    "CameraOdometry", "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
+    "ExperimentSettings", "FaceOdometry", "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry",
+    "MissingExtraError", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry", "RegistrationResult",
+    "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
+    "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
+    "read_flight", "read_structure", "read_truth", "reconstruct", "reconstruct_cloud", "register", "run", "smooth",
+    "write_flight", "write_structure",
 ]  # fmt: skip
 
 
