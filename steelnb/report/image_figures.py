@@ -1,4 +1,4 @@
-"""Figures of images of a flight and their ORB features: the report's Figure 2.1, and depths beside the scan."""
+"""Figure of images of a flight and their ORB features: the report's Figure 2.1."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -55,37 +55,6 @@ def figure_matches(
     draw_legend(figure, keys)
     times = " and ".join(f"{flight.prior.stamp_s[scan]:.1f} s" for scan in (first, second))
     panel.set_title(f"{len(pairs)} matches of {len(a.pixel)} and {len(b.pixel)} ORB features, images at {times}")
-    return figure
-
-
-@style()
-def figure_feature_depths(flight: Flight, scan: int, count: int = FEATURES) -> Figure:
-    """The features of the image of a scan, coloured by depth, beside the scan itself in the same colours.
-
-    Features are sought where the sensor has returns; those with no smooth surface around them have no depth. Raises
-    `RecordingError` for a scan without an image or one that is no range image.
-    """
-    image, features = seen_features(flight, scan, count)
-    points = flight.scans[scan].points
-    if points.ndim != 3:
-        raise RecordingError(f"{flight.name}: scan {scan} has shape {points.shape}; expected a range image (H, W, 3)")
-    known = np.isfinite(features.depth)
-    depth = points[..., 0]
-    low, high = np.nanpercentile(depth, [1, 99]) if np.isfinite(depth).any() else (0.0, 1.0)
-    look = {"cmap": "viridis", "vmin": low, "vmax": high}
-    ratios = [image.shape[1] / image.shape[0], 1.25 * depth.shape[1] / depth.shape[0]]
-    figure = Figure(figsize=(11.0, 4.6))
-    left, right = figure.subplots(1, 2, width_ratios=ratios)
-    _show(left, image)
-    u, v = features.pixel[~known].T
-    left.plot(u, v, "o", mfc="none", mec=COLOURS["missed"], ms=5, mew=0.8)
-    u, v = features.pixel[known].T
-    dots = left.scatter(u, v, c=features.depth[known], s=26, edgecolors="black", linewidths=0.5, zorder=3, **look)
-    left.set_title(f"{np.count_nonzero(known)} of {len(known)} ORB features with depth (open: without)")
-    right.imshow(depth, **look)
-    right.set_axis_off()
-    right.set_title(f"Time-of-Flight sensor, {depth.shape[1]} × {depth.shape[0]}")
-    figure.colorbar(dots, ax=[left, right], label="depth (m)", shrink=0.9)
     return figure
 
 

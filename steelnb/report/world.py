@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.images import GreyImage
 from steelnb.metrics import position_error_m
 from steelnb.noise import drifting, random_walk_rms_m
 from steelnb.report.batch import caption, case_of
@@ -23,8 +24,8 @@ from steelnb.report.style import (
     gather_legend,
     style,
 )
-from steelnb.settings import ExperimentSettings, NoiseSettings
-from steelnb.simulation import Tower, Truth, build_tower
+from steelnb.settings import CameraSettings, ExperimentSettings, NoiseSettings
+from steelnb.simulation import Tower, Truth, build_tower, photograph
 from steelnb.types import Array, Flight, Trajectory
 
 RATE_HZ = 125.0
@@ -135,11 +136,30 @@ def figure_flight(cases: Sequence[ExperimentSettings]) -> Figure:
     return figure
 
 
+def drone_views(truth: Truth, seed: int) -> dict[str, GreyImage]:
+    """What the report's two cameras see in the middle of a flight, by what to call it."""
+    views = {}
+    for name in ("forward", "tracking"):
+        taken = photograph(truth.tower, truth.trajectory, CameraSettings.preset(name), seed)
+        middle = len(taken) // 2
+        if (image := taken.images[middle]) is not None:
+            views[f"{name} camera, at {taken.stamp_s[middle]:.0f} s"] = image
+    return views
+
+
 @style()
-def figure_tower(tower: Tower, flights: Mapping[str, Trajectory]) -> Figure:
-    """The tower with the flights around it, in perspective, and its members by class from two sides."""
-    figure = Figure(figsize=(11, 7.2))
-    scene, *sides = figure.subplots(1, 3, width_ratios=(1.25, 1, 0.55))
+def figure_tower(
+    tower: Tower, flights: Mapping[str, Trajectory], views: Mapping[str, GreyImage] | None = None
+) -> Figure:
+    """The tower with the flights around it, in perspective, and its members by class from two sides; beside them
+    ``views`` from the drone, if there are any."""
+    figure = Figure(figsize=(15.5 if views else 11, 7.2))
+    grid = figure.add_gridspec(max(len(views or {}), 1), 4, width_ratios=(1.25, 1, 0.55, 1.2 if views else 1e-6))
+    scene, *sides = (figure.add_subplot(grid[:, column]) for column in range(3))
+    for row, (name, image) in enumerate((views or {}).items()):
+        view = figure.add_subplot(grid[row, 3])
+        view.imshow(image, cmap="gray", vmin=0, vmax=255)
+        view.set(title=name, xticks=[], yticks=[])
     kinds = np.array([member.kind for member in tower.members])
     for kind in (name for name in reversed(KINDS) if name in kinds):
         bars = tower.axes[kinds == kind]
