@@ -48,8 +48,8 @@ def main() -> None:
     print(f"{machine()}. `.venv/bin/python {shlex.join(sys.argv)}`\n")
     seeds = " ".join(map(str, asked.seeds))
     print(
-        f"{versions}, one thread, each scan's motion predicted by the prior. Flights of {asked.duration:g} s under the random "
-        f"walk with a\nStarling 2's sensor, seeds {seeds}: mean absolute trajectory error, unaligned, mm, "
+        f"{versions}, one thread, each scan's motion predicted by the prior. Flights of {asked.duration:g} s under "
+        f"the random walk with a\nStarling 2's sensor, seeds {seeds}: mean absolute trajectory error, unaligned, mm, "
         "vertical / orbit.\n"
     )
     print("| voxel (m) |", " | ".join(f"{voxel_m:g}" for voxel_m in asked.voxels), "|")
