@@ -182,22 +182,25 @@ def _between(bar: Array, low: float, high: float) -> Array:
     return np.asarray(start + share[:, None] * (end - start))
 
 
-def literature_sentences(table: pd.DataFrame) -> str:
-    """What the table says of each of the literature's odometries, and beside which other it lies."""
+def literature_sentences(runs: pd.DataFrame) -> str:
+    """What the runs of `literature_runs` say of each of the literature's odometries, and beside which other it lies, on
+    the seeds that both flew."""
     lines = []
-    for sensor, rows in table.groupby("sensor", sort=False):
-        where = SENSORS.get(str(sensor), str(sensor))
+    for sensor, of_sensor in runs.groupby("sensor", sort=False):
+        where, table = SENSORS.get(str(sensor), str(sensor)), literature_table(of_sensor)
         for method in LITERATURE:
-            own = rows[rows["method"] == method]
+            own, flown = table[table["method"] == method], of_sensor[of_sensor["method"] == method]
             if own.empty:
                 continue
             span = f"{1e3 * own['ate_mean_m'].min():.0f} to {1e3 * own['ate_mean_m'].max():.0f} mm"
             lost = (own["ate_mean_m"] > LOST_SHARE * own["raw_ate_mean_m"]).sum()
             beside = []
             for other in ("gicp", "best", "combined", "faces"):
-                both = own.merge(rows[rows["method"] == other], on=["trajectory", "noise"], suffixes=("", "_other"))
+                rows = of_sensor[of_sensor["method"] == other]
+                both = flown.merge(rows, on=["trajectory", "noise", "seed"], suffixes=("", "_other"))
                 if len(both):
-                    ratio = np.exp(np.log(both["ate_mean_m"] / both["ate_mean_m_other"]).mean())
+                    means = both.groupby(["trajectory", "noise"])[["ate_rmse_m", "ate_rmse_m_other"]].mean()
+                    ratio = np.exp(np.log(means["ate_rmse_m"] / means["ate_rmse_m_other"]).mean())
                     beside.append(f"{float(f'{ratio:.2g}'):g} times that of {LABELS[other]}")
             tail = f"; its error is {', '.join(beside)} (geometric mean)" if beside else ""
             worse = f", and in {lost} of {len(own)} cases it is no better than the drift" if lost else ""
