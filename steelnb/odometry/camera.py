@@ -82,21 +82,5 @@ class CameraOdometry(CombinedOdometry):
         """What the scan's image shows of the landmarks; None without an image."""
         if self.tracker is None or self._image is None:
             return None
-
-        def pull(_: Array) -> tuple[Term, Array]:
-            return sum_of(prior), middle_and_length(points)[0]
-
-        return self.tracker.track(*self._image, T_init, self.free, pull)
-
-
-def sum_of(terms: list[Term]) -> Term:
-    """The sum of costs, which may be none."""
-
-    def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-        H, b, loss = np.zeros((6, 6)), np.zeros(6), 0.0
-        for each in terms:
-            H_term, b_term, loss_term = each(T, centre)
-            H, b, loss = H + H_term, b + b_term, loss + loss_term
-        return H, b, loss
-
-    return term
+        middle = middle_and_length(points)[0] if len(points) else np.zeros(3)
+        return self.tracker.track(*self._image, T_init, self.free, lambda _: (prior, middle))

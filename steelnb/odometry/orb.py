@@ -66,9 +66,8 @@ class OrbOdometry:
         features = self.tracker.find(image, scan.points)
         clock.append(time.perf_counter())
 
-        def pull(in_drone: Array) -> tuple[Term, Array]:
-            (term,) = predictor.terms(T_init, in_drone)
-            return term, in_drone.mean(axis=0)
+        def pull(in_drone: Array) -> tuple[list[Term], Array]:
+            return predictor.terms(T_init, in_drone), in_drone.mean(axis=0)
 
         self.tracked = tracked = self.tracker.track(features, image.shape, T_init, self.free, pull)
         clock.append(time.perf_counter())

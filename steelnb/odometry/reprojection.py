@@ -38,9 +38,16 @@ class Solved(NamedTuple):
 
 
 def solve_pose(
-    seen: Sighting, K: Array, T_drone_camera: Array, T_init: Array, free: Array, term: Term, middle: Array, scale: float
+    seen: Sighting,
+    K: Array,
+    T_drone_camera: Array,
+    T_init: Array,
+    free: Array,
+    terms: list[Term],
+    middle: Array,
+    scale: float,
 ) -> Solved:
-    """The pose of the drone that minimises Σ ρ(‖(Δu, Δv)/σ_px, Δ(1/x)/σ_1/x‖) + the cost of ``term``.
+    """The pose of the drone that minimises Σ ρ(‖(Δu, Δv)/σ_px, Δ(1/x)/σ_1/x‖) + the costs of ``terms``.
 
     ρ is Geman and McClure's with its ``scale`` in standard deviations. The third residual, of the inverse depth, stands
     where a depth was measured: ORB-SLAM2's coordinate of a virtual right camera (Mur-Artal, Tardós, IEEE Transactions
@@ -50,8 +57,10 @@ def solve_pose(
     T, weight = T_init, np.ones(len(seen.landmark))
     for _ in range(ITERATIONS_MAX):
         centre = T[:3, :3] @ middle + T[:3, 3]
-        H, b, _ = term(T, centre)
-        H, b = H.copy(), b.copy()
+        H, b = np.zeros((6, 6)), np.zeros(6)
+        for term in terms:
+            H_term, b_term, _ = term(T, centre)
+            H, b = H + H_term, b + b_term
         linearise(*seen, K, T @ T_drone_camera, centre, scale, H, b, weight)
         try:
             step = -free @ np.linalg.solve(free.T @ H @ free, free.T @ b)

@@ -47,9 +47,9 @@ MATCHES_MIN = 8
 """A scan with fewer corrects nothing: four would do for a pose, and as many check it."""
 LANDMARKS_MAX = 10_000
 """Of more landmarks those seen longest ago are dropped."""
-Pull = Callable[[Array], tuple[Term, Array]]
-"""Places of the landmarks seen, drone frame ``(N, 3)`` → cost of the distance from the prediction, and the point of the
-drone ``(3,)`` whose shift that cost is of."""
+Pull = Callable[[Array], tuple[list[Term], Array]]
+"""Places of the landmarks seen, drone frame ``(N, 3)`` → costs of the distance from the prediction, and the point of
+the drone ``(3,)`` whose shift they are of."""
 
 
 class Tracked(NamedTuple):
@@ -153,9 +153,9 @@ class LandmarkTracker:
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches")
         sighting = self._sighting(features, seen, found)
-        term, middle = pull((sighting.landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3])
+        terms, middle = pull((sighting.landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3])
         solved = solve_pose(
-            sighting, self.images.K, self.images.T_drone_camera, T_init, free, term, middle, ROBUST_SCALE
+            sighting, self.images.K, self.images.T_drone_camera, T_init, free, terms, middle, ROBUST_SCALE
         )  # fmt: skip
         kept[kept] = solved.weight >= INLIER_WEIGHT
         if not solved.determined:

@@ -9,7 +9,6 @@ from steelnb import experiment
 from steelnb.errors import SettingsError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CameraOdometry, CombinedOdometry, OrbOdometry, camera, make_odometry, run
-from steelnb.odometry.camera import sum_of
 from steelnb.odometry.tracking import LandmarkTracker
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -70,7 +69,7 @@ def test_the_term_of_landmarks_is_the_slope_of_its_own_loss(flight):
     """Central differences of the loss by each of the six directions of a twist."""
     tracker = LandmarkTracker(flight.images, flight.T_drone_sensor, 6.0)
     for scan, T_prior in steps_of(flight.first(3)):
-        image, pull = tracker.image_at(scan.stamp_s), lambda _: (sum_of([]), np.zeros(3))
+        image, pull = tracker.image_at(scan.stamp_s), lambda _: ([], np.zeros(3))
         tracked = tracker.track(tracker.find(image, scan.points), image.shape, T_prior, np.eye(6), pull)
         tracker.update(tracked, tracked.T_world_drone)
     assert tracked.matches > 40

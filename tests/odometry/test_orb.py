@@ -192,9 +192,9 @@ def test_the_pose_of_exact_sightings_is_found(dof, turn):
     for outliers in (0.0, 0.25):
         seen, wrong = sightings(true, mount, outliers)
         middle = np.array([2.0, 0.1, -1.0])
-        found = solve_pose(seen, K, mount, off, free_directions(dof), no_term, middle, 2.0 + 20 * (not outliers))
+        found = solve_pose(seen, K, mount, off, free_directions(dof), [no_term], middle, 2.0 + 20 * (not outliers))
         if outliers:  # from nearer by, as after a first solve
-            found = solve_pose(seen, K, mount, found.T_world_drone, free_directions(dof), no_term, middle, 2.0)
+            found = solve_pose(seen, K, mount, found.T_world_drone, free_directions(dof), [no_term], middle, 2.0)
             assert found.weight[wrong].max() < 0.1
         assert found.determined
         np.testing.assert_allclose(found.T_world_drone, true, atol=2e-4)
@@ -203,7 +203,7 @@ def test_the_pose_of_exact_sightings_is_found(dof, turn):
 
 def test_nothing_seen_determines_no_pose():
     seen = Sighting(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
-    found = solve_pose(seen, K, np.eye(4), np.eye(4), np.eye(6), no_term, np.zeros(3), 2.0)
+    found = solve_pose(seen, K, np.eye(4), np.eye(4), np.eye(6), [no_term], np.zeros(3), 2.0)
     assert not found.determined
     np.testing.assert_array_equal(found.T_world_drone, np.eye(4))
 
