@@ -18,11 +18,13 @@ MISSES_MAX = 8
 
 
 class Expected(NamedTuple):
-    """Landmarks that a camera should see: their ``number (M,)`` in the map, and ``pixel (M, 2)`` and ``depth (M,)``."""
+    """Landmarks that a camera at ``T_world_camera (4, 4)`` should see: their ``number (M,)`` in the map, and ``pixel
+    (M, 2)`` and ``depth (M,)``."""
 
     number: IntArray
     pixel: Array
     depth: Array
+    T_world_camera: Array
 
 
 class LandmarkMap:
@@ -53,7 +55,7 @@ class LandmarkMap:
         seen = -to[index] @ T_world_camera[:3, :3]
         pixel = project(seen, K)
         inside = ((pixel > 0) & (pixel < np.array(shape[::-1]) - 1.0)).all(axis=1)
-        return Expected(index[inside], pixel[inside], seen[inside, 0])
+        return Expected(index[inside], pixel[inside], seen[inside, 0], T_world_camera)
 
     def update(self, index: IntArray, point: Array, features: Features, missed: IntArray, now: int) -> None:
         """Landmarks were seen as ``features`` at ``point (M, 3)``, NaN where that is not known, and others ``missed``,

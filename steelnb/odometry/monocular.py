@@ -62,13 +62,9 @@ class MonocularTracker(LandmarkTracker):
     def _sighting(self, features: Features, seen: Expected, found: IntArray) -> Sighting:
         """As for landmarks of known depth; a landmark's own uncertainty in the image is added to the pixel's."""
         sighting, index = super()._sighting(features, seen, found), seen.number[found >= 0]
-        J = self._slopes(self.map.point[index], self._T_expected)
+        J = self._slopes(self.map.point[index], seen.T_world_camera)
         spread = np.einsum("nij,njk,nik->ni", J, np.linalg.inv(self.map.information[index]), J).mean(axis=1)
         return sighting._replace(sigma_px=np.sqrt(sighting.sigma_px**2 + spread))
-
-    def _expected(self, T_world_drone: Array, shape: tuple[int, int]) -> Expected:
-        self._T_expected = T_world_drone @ self.images.T_drone_camera
-        return super()._expected(T_world_drone, shape)
 
     def _refine(self, index: IntArray, shown: Features, T_world_camera: Array) -> None:
         """Kalman update of landmarks by the pixels of the features that show them."""
@@ -92,12 +88,15 @@ class MonocularTracker(LandmarkTracker):
     def _extend(self, features: Features, T_world_drone: Array, shape: tuple[int, int]) -> None:
         """New landmarks by features of this image and of the last keyframe that show none."""
         T_world_camera = T_world_drone @ self.images.T_drone_camera
+        before = self._keyframe
+        if before and np.linalg.norm(T_world_camera[:3, 3] - before[1][:3, 3]) < BASELINE_M:
+            return
         known = self._expected(T_world_drone, shape).pixel
         free = features.take(np.flatnonzero(~near_any(features.pixel, known, APART_PX)))
-        last, T_last = self._keyframe or (free, T_world_camera)
-        if self._keyframe and np.linalg.norm(T_world_camera[:3, 3] - T_last[:3, 3]) < BASELINE_M:
-            return
         self._keyframe, self.T_keyframe = (free, T_world_camera), T_world_drone
+        if before is None:
+            return
+        last, T_last = before
         found = match(
             *free, last.pixel, last.octave, np.full(len(last.pixel), np.nan), last.descriptor, np.inf, HAMMING, RATIO
         )
