@@ -24,9 +24,8 @@ def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) 
     when it was computed. It is kept as it was before it was smoothed, which is what several methods share.
     """
     # To tell images apart takes too long, and neither weights nor the version of a library are settings.
-    if not isinstance(odometry, CloudOdometry | FaceOdometry | SegmentOdometry) or odometry.settings.orb:
-        return run(flight, odometry, on_step)
-    if not isinstance(flight.scans, RangeScans):
+    by_settings = CloudOdometry | FaceOdometry | SegmentOdometry
+    if not isinstance(flight.scans, RangeScans) or not isinstance(odometry, by_settings) or odometry.settings.orb:
         return run(flight, odometry, on_step)
     scans, prior = flight.scans, flight.prior
     given = [scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor]

@@ -153,10 +153,11 @@ def figure_tower(
 ) -> Figure:
     """The tower with the flights around it, in perspective, and its members by class from two sides; beside them
     ``views`` from the drone, if there are any."""
+    views, ratios = views or {}, [1.25, 1, 0.55] + [1.2] * bool(views)
     figure = Figure(figsize=(15.5 if views else 11, 7.2))
-    grid = figure.add_gridspec(max(len(views or {}), 1), 4, width_ratios=(1.25, 1, 0.55, 1.2 if views else 1e-6))
+    grid = figure.add_gridspec(max(len(views), 1), len(ratios), width_ratios=ratios)
     scene, *sides = (figure.add_subplot(grid[:, column]) for column in range(3))
-    for row, (name, image) in enumerate((views or {}).items()):
+    for row, (name, image) in enumerate(views.items()):
         view = figure.add_subplot(grid[row, 3])
         view.imshow(image, cmap="gray", vmin=0, vmax=255)
         view.set(title=name, xticks=[], yticks=[])

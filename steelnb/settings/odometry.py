@@ -159,16 +159,17 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        by_camera = self.orb is not None and self.clouds is None
-        alone = "a table orb" if by_camera else "weights" if self.weights is not None else ""
-        alone = "a library" if self.library is not None else alone
+        others = {"a table orb": self.orb, "weights": self.weights, "a library": self.library}
+        other = [name for name, given in others.items() if given is not None]
+        if len(other) > 1:
+            raise ValueError(f"method {self.method!r}: two of a table orb, weights and a library: expected one of them")
+        with_camera = self.orb is not None and self.clouds is not None
+        alone = "" if with_camera else "".join(other)
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
             raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
         if self.orb and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s or self.orb.depth != "sensor"):
             raise ValueError(f"method {self.method!r}: a table orb with clouds: expected bars_weight, depth of the "
                              "sensor, and no refit_s")  # fmt: skip
-        if (self.orb is not None) + (self.weights is not None) + (self.library is not None) > 1:
-            raise ValueError(f"method {self.method!r}: two of a table orb, weights and a library: expected one of them")
         if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
         by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)

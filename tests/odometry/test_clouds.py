@@ -9,7 +9,7 @@ from steelnb import experiment
 from steelnb.metrics import position_error_m, score_gaps
 from steelnb.odometry import CloudOdometry, LoamOdometry
 from steelnb.points import VoxelMap, preprocess_scan
-from steelnb.settings import METHODS, SEGMENT_METHODS, ExperimentSettings, OdometrySettings
+from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
 from steelnb.types import Scan, Trajectory
 
 NOISE = "constant-drift:0.0004+random-walk"
@@ -37,7 +37,7 @@ def run(world):
     return fly
 
 
-BY_CLOUDS = sorted(set(METHODS) - {*SEGMENT_METHODS, "orb", "orb-monocular", "deepvo", "kiss-icp", "small-gicp"})
+BY_CLOUDS = [method for method in METHODS if OdometrySettings.preset(method).clouds is not None]
 
 
 @pytest.mark.parametrize("method", BY_CLOUDS)
