@@ -92,14 +92,15 @@ def test_figures_show_every_curve_with_units(runs):
         assert (true, wrong + right) == (len(run.truth.tower.members), len(run.segments))
         assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
     methods = [run.settings.odometry.method for run in runs[:3]]
-    for panel, run in zip(odometry_figures.figure_cloud_errors(runs[:3], methods).axes, runs[:3], strict=True):
+    for panel, run in zip(odometry_figures.figure_errors(runs[:3], [[m] for m in methods]).axes, runs[:3], strict=True):
         low, high = panel.get_ylim()
         assert (low, high) == (0.005, 6.0), "all panels have one scale"
         assert max(line.get_ydata().max() for line in panel.lines) < high, "nothing leaves the panel"
         names = {line.get_label() for line in panel.lines}
         assert {"no correction", LABELS[run.settings.odometry.method]} <= names
-    for panel in odometry_figures.figure_error_curves(runs[1:3]).axes[:1]:
-        assert [line.get_label() for line in panel.lines] == [LABELS[run.settings.odometry.method] for run in runs[:3]]
+    (panel,) = odometry_figures.figure_errors(runs[1:3], [methods], smoothed_s=2.0).axes
+    shown = [LABELS[run.settings.odometry.method] for run in runs[:3]]
+    assert [line.get_label() for line in panel.lines[:3]] == shown
     flown = {"vertical": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
 

@@ -1,24 +1,24 @@
-"""The closing sentences of the notebooks on drift, odometry and structures: tables → Markdown.
+"""The closing sentences of the notebooks: tables → Markdown.
 
 What a sentence says, and not only its numbers, follows from the table.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, beside_report, ranking, seeds_text
+from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, ranking
+from steelnb.report.style import LABELS
 
-REPORT_CLOUDS = {"icp": "bent", "icp-3dof": "straight", "gicp": "straight"}
-"""Figures 3.7 to 3.9."""
 CLAIMED_ORDER = ("icp", "icp-3dof", "gicp")
 """The report's methods, from worst to best as it ranks them."""
-STRAIGHT_DEG = 1.0
-INTACT_OFFSET_M, INTACT_BLUR_M = 0.25, 0.05
-"""A cloud is intact if no slice is farther off, and its layers are no farther apart."""
 DRIFT_TOLERANCE = 0.15
 """Relative difference up to which a root mean square over many seeds agrees with its model."""
+GOOD = 0.05
+"""A setting is good where recall and precision are less than this below their best."""
 
 
 def bullets(lines: Iterable[str]) -> str:
@@ -31,249 +31,242 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "none"
 
 
-def drift(rows: pd.DataFrame) -> str:
-    """Three sentences on `world.drift_table`: the random walk after three minutes, the report's sentence, the model."""
-    walk = rows[(rows["noise"] == "random-walk") & (rows["time_s"] == 180)]
+def ascending(values: pd.Series, factor: float = 1.0, unit: str = "", digits: int = 1) -> str:
+    """Named values from the smallest up, without those that are not known: ``best 2.1, GICP 30.4 cm``."""
+    known = values.dropna().sort_values(kind="stable")
+    said = [f"{LABELS.get(str(name), name)} {factor * value:.{digits}f}" for name, value in known.items()]
+    return f"{', '.join(said)} {unit}".rstrip()
+
+
+def ranked(
+    rows: pd.DataFrame, by: str = "trajectory", column: str = "ate_rmse_m", factor: float = 100.0, unit: str = "cm"
+) -> list[str]:
+    """A sentence for each value of ``by``: the mean of a column for each method, and the methods whose root mean square
+    error exceeds that of the drift."""
     lines = []
-    if len(walk):
-        row = walk.iloc[0]
-        lines = [
-            f"At the report's level the random walk is {row['rms']:.2f} m off after 3 minutes (root mean square of "
-            f"{row['seeds']} seeds), {row['expected_rms']:.2f} m by its model.",
-            f"The report says about 1 m, beyond which are {row['share_above_1']:.1%} of the seeds: its sentence "
-            f"{'agrees' if abs(row['rms'] - 1) < DRIFT_TOLERANCE else 'does not agree'} with its noise.",
-        ]
+    for group, own in rows.groupby(by, sort=False, observed=True):
+        means = own.groupby("method", sort=False)[list({column, "ate_rmse_m", "raw_ate_rmse_m"})].mean()
+        worse = [LABELS[str(name)] for name in means.index[means["ate_rmse_m"] > means["raw_ate_rmse_m"]]]
+        end = f"; worse than no correction: {', '.join(worse)}" if worse else ""
+        lines.append(f"**{group}**: {ascending(means[column], factor, unit)}{end}.")
+    return lines
+
+
+def orders(rows: pd.DataFrame, methods: Sequence[str]) -> list[str]:
+    """A sentence for each flight and noise on the order of ``methods``, which is claimed to be from worst to best."""
+    claim = " < ".join(reversed(methods))
+    return [
+        f"**{row['trajectory']}**: by mean error {row['order']}, "
+        + ("as the report says." if row["as_claimed"] else f"not as the report says ({claim}).")
+        for row in (ranking(rows, methods).to_dict("records") if len(methods) > 1 else [])
+    ]
+
+
+def drift(rows: pd.DataFrame) -> str:
+    """On `world.drift_table`: the random walk after three minutes beside the report's sentence, and the models."""
+    lines = [
+        f"At the report's level the random walk is {row['rms']:.2f} m off after 3 minutes (root mean square of "
+        f"{row['seeds']} seeds), {row['expected_rms']:.2f} m by its model; the report says about 1 m, beyond which are "
+        f"{row['share_above_1']:.1%} of the seeds."
+        for row in rows[(rows["noise"] == "random-walk") & (rows["time_s"] == 180)].to_dict("records")
+    ]
     off = (rows["rms"] / rows["expected_rms"] - 1).abs().max()
     agrees = "as its model says" if off < DRIFT_TOLERANCE else "not as its model says"
     return bullets([*lines, f"Each noise drifts {agrees}: measured and expected differ by at most {off:.0%}."])
 
 
 def segment_odometry(rows: pd.DataFrame) -> str:
-    """Three sentences on runs of one flight, rows of `batch.cloud_table`: beside the report, beside no correction,
-    scans without a known bar."""
+    """On runs of one flight, rows of `batch.cloud_table`: errors beside the report's, scans without a known bar."""
     mean_m = REPORT_SEGMENT_ODOMETRY[rows["trajectory"].iloc[0]]["mean_m"]
     corrected = rows[rows["method"] != "none"]
-    ordered = corrected.sort_values("error_mean_m", kind="stable")
-    best, worst = (
-        f"{row['error_mean_m']:.3f} m ({row['noise']}, {row['method']})" for _, row in ordered.iloc[[0, -1]].iterrows()
-    )
     below = (corrected["error_mean_m"] <= mean_m).sum()
-    helps = (corrected["ate_rmse_m"] < corrected["raw_ate_rmse_m"]).sum()
     return bullets(
         [
-            f"The report's corrected error stays about {mean_m} m; here {below} of {len(corrected)} runs have a mean "
-            f"at or below that, from {best} to {worst}.",
-            f"{helps} of {len(corrected)} runs are better than no correction at all.",
-            f"Up to {corrected['unused_share'].max():.0%} of the scans showed no bar that the map knew, which the "
-            f"report calls losing sight; all this is of {seeds_text(rows['seed'])}, while notebook 08 has many.",
+            *ranked(corrected, "noise", "error_mean_m"),
+            f"The report's corrected error stays about {mean_m} m; {below} of {len(corrected)} runs have a mean at or "
+            f"below that. Up to {corrected['unused_share'].max():.0%} of the scans showed no bar that the map knew.",
         ]
     )
 
 
-def cloud_odometry(rows: pd.DataFrame, timing: pd.DataFrame, noise: str, methods: Sequence[str]) -> str:
-    """A few sentences a flight on rows of `batch.cloud_table` and `batch.timing` with maps: the order of the
-    ``methods``, claimed to be from worst to best; their ranges beside the report's; all methods; the time of GICP."""
-    first = rows.drop_duplicates(["trajectory", "method"])
-    switched = rows[rows.duplicated(["trajectory", "method"])]
-    beside = beside_report(rows, noise)
-    lines = [_ordered(row, methods) for row in ranking(rows, methods).to_dict("records")] if len(methods) > 1 else []
-    for flight, own in first.groupby("trajectory", sort=False):
-        mean = own.set_index("method")["error_mean_m"]
-        worse = own.loc[own["ate_rmse_m"] > own["raw_ate_rmse_m"], "method"]
-        ranges = [
-            f"{row['method']} up to {row['error_max_m']:.2f} m, {row['report_high_m']:.2f} m in the report"
-            for row in beside[beside["trajectory"] == flight].to_dict("records")
-        ]
-        maps = [
-            f"{row['method']} from {mean[row['method']]:.3f} to {row['error_mean_m']:.3f} m"
-            for row in switched[switched["trajectory"] == flight].to_dict("records")
-        ]
-        lines.append(
-            f"**{flight}**: {mean.idxmin()} is the most accurate, {mean.min():.3f} m; worse than no correction (root "
-            f"mean square): {listed(worse)}."
-            + (f" Largest errors: {'; '.join(ranges)}." if ranges else "")
-            + (f" The weighted map takes {', '.join(maps)}." if maps else "")
-            + _time_of_gicp(timing[timing["trajectory"] == flight])
-        )
+def cloud_odometry(rows: pd.DataFrame, timing: pd.DataFrame, methods: Sequence[str]) -> str:
+    """On rows of `batch.cloud_table` and `batch.timing`: the order of ``methods``, claimed to be from worst to best,
+    errors, and the time of GICP."""
+    frames = timing[timing["stage"] == "frame"].groupby("method")["median_ms"].median()
+    lines = [*orders(rows, methods), *ranked(rows.drop_duplicates(["trajectory", "method"]), column="error_mean_m")]
+    if {"icp", "gicp"} <= set(frames.index):
+        lines.append(f"GICP takes {frames['gicp'] / frames['icp']:.1f} times as long as ICP; the report: nearly 3.")
     return bullets(lines)
 
 
-def _ordered(row: Mapping, methods: Sequence[str]) -> str:
-    claim = " < ".join(reversed(methods))
-    agrees = "as the report says" if row["as_claimed"] else f"not as the report says ({claim})"
-    return (
-        f"**{row['trajectory']}**: by mean error {row['order']}, {agrees}; {row['pairs_as_claimed']:.0%} of the pairs "
-        "are in the report's order."
-    )
-
-
-def _time_of_gicp(timing: pd.DataFrame) -> str:
-    frames = timing[timing["stage"] == "frame"].drop_duplicates("method").set_index("method")["median_ms"]
-    if not {"icp", "gicp"} <= set(frames.index):
-        return ""
-    ratio = frames["gicp"] / frames["icp"]
-    return f" GICP takes {ratio:.1f} times as long as ICP a frame; the report: nearly 3."
-
-
 def bent_clouds(bends: pd.DataFrame) -> str:
-    """Three sentences on `batch.bend_summary`: the most bent cloud, the straight ones, the report's pictures."""
-    bend = bends["bend_deg"]
-    most, straight = str(bend.idxmax()), bend.index[bend < STRAIGHT_DEG]
-    here = {name: "straight" if name in straight else "bent" for name in bend.index}
-    agree = [name for name in here if REPORT_CLOUDS.get(name) == here[name]]
-    differ = [f"{name} ({bend[name]:.1f}°)" for name in here if name in REPORT_CLOUDS and name not in agree]
+    """On `batch.bend_summary`: the bend of each cloud, and the report's pictures."""
     return bullets(
         [
-            f"The cloud of {most} is bent most, by {bend[most]:.1f}°, and is off by up to "
-            f"{bends['offset_max_m'][most]:.2f} m.",
-            f"Straight to {STRAIGHT_DEG:g}°: {listed(straight)}.",
-            "As in the report's pictures (ICP bent, 3-DoF ICP and GICP straight): "
-            f"{listed(agree)}; not so: {listed(differ)}.",
+            f"Bend of the clouds: {ascending(bends['bend_deg'], unit='°')}. In the report's pictures that of ICP is "
+            "bent, those of 3-DoF ICP and GICP are straight.",
+            f"Largest offset of a slice: {ascending(bends['offset_max_m'], unit='m', digits=2)}.",
         ]
     )
 
 
 def false_convergence(basins: pd.DataFrame, flights: pd.DataFrame, rescued_final_m: float) -> str:
-    """Three sentences on `false_convergence.basin_table` and `find_slips`; ``rescued_final_m`` is the final error of
-    ``best`` on the scans of the worst flight."""
-    widest, locked = str(basins["radius_m"].idxmax()), str(basins["locked_share"].idxmax())
-    others = [f"{row['radius_m']:.2f} m with {label}" for label, row in basins.drop(widest).iterrows()]
-    noticed = (
-        f"{locked} locks onto something else without noticing from {basins['locked_share'][locked]:.0%} of the starts"
-        if basins["locked_share"][locked] > 0
-        else "none locks onto something else without noticing"
-    )
+    """On `false_convergence.basin_table` and `find_slips`; ``rescued_final_m`` is the final error of ``best`` on the
+    scans of the worst flight."""
     wrong, gap = flights["wrong"], flights["blind_s"] > 0
     row = flights.to_dict("records")[int(flights["wrong_share"].argmax())]
-    worst = "The worst" if wrong.any() else "The one that came nearest to it"
     return bullets(
         [
-            f"Every start within {basins['radius_m'][widest]:.2f} m converges to the truth with {widest}"
-            + (f", within {', '.join(others)}" if others else "")
-            + f"; {noticed}.",
+            f"Every start converges to the truth within {ascending(basins['radius_m'], unit='m', digits=2)}.",
             f"{wrong.sum()} of {len(flights)} flights converged wrongly: {(wrong & ~gap).sum()} of {(~gap).sum()} with "
             f"the tower always in sight, {(wrong & gap).sum()} of {gap.sum()} with gaps.",
-            f"{worst} ({row['trajectory']}, {row['noise']}, seed {row['seed']}, {row['max_correspondence_m']:g} m) "
-            f"slips by {row['slip_m']:.2f} m within a second at {row['slip_s']:.0f} s and ends "
+            f"The one that was off most often ({row['trajectory']}, {row['noise']}, seed {row['seed']}, "
+            f"{row['max_correspondence_m']:g} m) slips by {row['slip_m']:.2f} m within a second and ends "
             f"{row['error_final_m']:.2f} m off; best, on the same scans, {rescued_final_m:.2f} m.",
         ]
     )
 
 
 def yaw_drift(rows: pd.DataFrame, bends: pd.DataFrame) -> str:
-    """Two sentences a flight on rows of `batch.cloud_table`, and one on `batch.bend_summary` of some clouds: errors
-    beside no correction, the report's order, and whether the cloud of GICP is intact."""
-    ate = rows.pivot_table(index="method", columns="trajectory", values="ate_rmse_m", sort=False)
-    claimed = [name for name in CLAIMED_ORDER if name in ate.index]
-    order = ranking(rows, claimed).set_index("trajectory") if len(claimed) > 1 else pd.DataFrame()
-    lines = []
-    for flight in map(str, ate.columns):
-        none, own = ate[flight]["none"], ate[flight].drop("none").sort_values()
-        line = (
-            f"**{flight}**: root mean square errors from {own.iloc[0]:.3f} m ({own.index[0]}) to {own.iloc[-1]:.3f} m "
-            f"({own.index[-1]}); no correction {none:.3f} m. Better than none: {listed(own.index[own < none])}."
-        )
-        if flight in order.index:
-            holds = "holds" if order["as_claimed"][flight] else "does not hold"
-            line += f" The report's order, {' < '.join(reversed(claimed))}, {holds}: {order['order'][flight]}."
-        lines.append(line)
-    if "gicp" in bends.index:
-        gicp = bends.loc["gicp"]
-        intact = gicp["offset_max_m"] < INTACT_OFFSET_M and gicp["blur_mean_m"] < INTACT_BLUR_M
-        fixed = (
-            f" The cloud of 3-DoF ICP, which cannot turn back, turns by up to {bends['yaw_max_deg']['icp-3dof']:.1f}°."
-            if "icp-3dof" in bends.index
-            else ""
-        )
-        lines.append(
-            f"The cloud of GICP, intact in the report, is {'intact' if intact else 'not intact'} here: it turns by up "
-            f"to {gicp['yaw_max_deg']:.1f}°, tilts by up to {gicp['tilt_max_deg']:.1f}° and is off by up to "
-            f"{gicp['offset_max_m']:.2f} m.{fixed}"
-        )
-    return bullets(lines)
+    """On rows of `batch.cloud_table` and `batch.bend_summary` of some clouds: errors, the report's order, clouds."""
+    claimed = [name for name in CLAIMED_ORDER if name in set(rows["method"])]
+    turns = f"Clouds turn by up to {ascending(bends['yaw_max_deg'], unit='°')}; that of GICP is intact in the report."
+    return bullets([*ranked(rows), *orders(rows, claimed), turns])
+
+
+def segmentation(means: pd.DataFrame, ms: Mapping[str, float]) -> str:
+    """A sentence a method on `segmentation.over_cases` by method and the median milliseconds of a frame."""
+    return bullets(
+        f"`{name}`: recall {row['recall']:.3f}, precision {row['precision']:.3f}, {ms[name]:.0f} ms a frame, "
+        f"{ms[name] / ms['hough']:.1f} times the time of Hough."
+        for name, row in zip(map(str, means.index), means.to_dict("records"), strict=True)
+    )
+
+
+def noise_and_tuning(noisy: pd.DataFrame, votes: pd.DataFrame, rules: pd.DataFrame) -> str:
+    """On the cases of `segmentation.over_cases` with the most noise, and on the rows of `segmentation.tuning_map` that
+    have a fixed dx or, ``rules``, one that needs no tuning."""
+    row = noisy.set_index("method").loc["hough"]
+    best = votes[["recall", "precision"]].max()
+    good = (votes[["recall", "precision"]] > best - GOOD).all(axis=1).sum()
+    lost = [
+        f"{rule} ({100 * own['dx_m'].mean():.1f} cm) {best['recall'] - own['recall'].max():.2f}"
+        for rule, own in rules.groupby("rule", sort=False)
+    ]
+    return bullets(
+        [
+            f"With {100 * row['noise_m']:g} cm of noise Hough has a recall of {row['recall']:.2f} and a precision of "
+            f"{row['precision']:.2f}, a median angle of {row['angle_deg']:.2f}°, a median offset of "
+            f"{100 * row['offset_m']:.1f} cm.",
+            f"Recall and precision stay within {GOOD} of their best at {good} of {len(votes)} settings of dx and "
+            f"votes. Without tuning, dx loses of recall: {', '.join(lost)}.",
+        ]
+    )
 
 
 def recording(numbers: Mapping[str, float]) -> str:
-    """Two sentences on the numbers of a corrected recording, the second where its truth is there."""
+    """On the numbers of a corrected recording; of errors where its truth is there."""
     used = f"Of {numbers['frames']} scans, {numbers['used']} corrected the pose."
     if "corrected_ate_rmse_m" not in numbers:
         return f"{used} There is no truth beside this recording, so nothing is said of errors."
     prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
-    removed = numbers.get("drift_removed_percent", 0.0)
-    change = f"{removed:.0f} % of the drift is gone" if removed > 0 else "the correction did not help"
+    change = "less" if corrected_m < prior_m else "no less"
     return (
         f"{used} The recorded poses are off by {100 * prior_m:.1f} cm (ATE), the corrected ones by "
-        f"{100 * corrected_m:.1f} cm: {change}."
+        f"{100 * corrected_m:.1f} cm, {change} than those."
     )
 
 
 def structure(rows: pd.DataFrame, near_side: pd.DataFrame, goals: pd.DataFrame) -> str:
-    """Four sentences on `structure_tables.structure_table` of one flight, `near_side_summary` and `structure_goals`:
-    corrected poses beside drifting and true ones, frame by frame, the near side, the goals."""
-    of: dict[Any, dict[Any, float]] = rows.set_index(["poses", "method"]).to_dict("index")
-    fixed, raw, true = (of[poses, "final"] for poses in ("corrected", "raw", "true"))
-    live = of["corrected", "incremental"]
-    median_cm = 100 * near_side[near_side["kind"] == "all"].set_index("axis")["median_m"]
+    """On `structure_tables.structure_table` of one flight, `near_side_summary` and `structure_goals`."""
+    median_cm = near_side[near_side["kind"] == "all"].set_index("axis")["median_m"]
     return bullets(
         [
-            f"Corrected poses (ATE {100 * fixed['ate_rmse_m']:.1f} cm) give {fixed['bars']:.0f} bars and "
-            f"{fixed['joints']:.0f} joints: {fixed['recall']:.0%} of the {fixed['observed']:.0f} members observed, "
-            f"{fixed['precision']:.0%} of the bars on a member, axes off by {100 * fixed['offset_median_m']:.1f} cm "
-            f"(median); {fixed['joint_recall']:.0%} of the {fixed['joints_observed']:.0f} joints, off by "
-            f"{100 * fixed['joint_error_median_m']:.1f} cm. The drifting poses (ATE {100 * raw['ate_rmse_m']:.1f} cm) "
-            f"give a recall of {raw['recall']:.0%}, the true ones {true['recall']:.0%}.",
-            f"Frame by frame, the same corrected poses give a recall of {live['recall']:.0%}, a precision of "
-            f"{live['precision']:.0%} and axes off by {100 * live['offset_median_m']:.1f} cm.",
-            f"Bars in the middle of their points lie {median_cm['middle of points']:.1f} cm nearer to the sensor than "
-            f"the members (median); with the section fitted, {median_cm['section fitted']:+.1f} cm.",
-            _reached(goals),
+            *(
+                f"{row['poses']} poses (ATE {100 * row['ate_rmse_m']:.1f} cm), {row['method']}: recall "
+                f"{row['recall']:.2f}, precision {row['precision']:.2f}, axes off by "
+                f"{100 * row['offset_median_m']:.1f} cm (median), recall of joints {row['joint_recall']:.2f}."
+                for row in rows.to_dict("records")
+            ),
+            f"Bars lie nearer to the sensor than the members by (median): {ascending(median_cm, 100, 'cm')}.",
+            reached(goals),
         ]
     )
 
 
 def structure_over_seeds(rows: pd.DataFrame, goals: pd.DataFrame) -> str:
-    """Three sentences on rows of `structure_tables.structure_table`, whose first method is judged by the ``goals``:
-    means and worst, goals, and the near side of each method and tower."""
-    method = rows["method"].iloc[0]
-    own, towers = rows[rows["method"] == method], rows["tower"].unique()
-    nearer_cm = 100 * rows.groupby(["method", "tower"], sort=False)["toward_sensor_median_m"].mean()
-    by_tower = "; ".join(
-        f"{name} {', '.join(f'{tower} {value:+.1f}' for tower, value in nearer_cm[name].items())}"
-        for name in rows["method"].unique()
-    )
-    return bullets(
-        [
-            f"{method}, mean (worst) of {len(own)} flights over {len(towers)} towers: recall "
-            f"{own['recall'].mean():.2f} ({own['recall'].min():.2f}), precision {own['precision'].mean():.2f} "
-            f"({own['precision'].min():.2f}), axes off by {100 * own['offset_median_m'].mean():.1f} cm "
-            f"({100 * own['offset_median_m'].max():.1f}), joints by "
-            f"{100 * own['joint_error_median_m'].mean():.1f} cm ({100 * own['joint_error_median_m'].max():.1f}).",
-            _reached(goals),
-            f"Axes lie nearer to the sensor than the true ones by (cm, median): {by_tower}.",
-        ]
-    )
+    """On rows of `structure_tables.structure_table`, whose first method is judged by the ``goals``."""
+    lines = [
+        f"{method}, mean of {len(own)} flights over {own['tower'].nunique()} towers: recall "
+        f"{own['recall'].mean():.2f}, precision {own['precision'].mean():.2f}, axes off by "
+        f"{100 * own['offset_median_m'].mean():.1f} cm."
+        for method, own in rows.groupby("method", sort=False)
+    ]
+    return bullets([*lines, reached(goals)])
 
 
-def _reached(goals: pd.DataFrame) -> str:
+def reached(goals: pd.DataFrame) -> str:
+    """The goals that are reached, of a table with the columns ``goal`` and ``reached``."""
     missed = goals.loc[~goals["reached"], "goal"]
     return f"{goals['reached'].sum()} of {len(goals)} goals are reached; not reached: {listed(missed)}."
 
 
-def accuracy(summary: pd.DataFrame, runs: pd.DataFrame, goal_m: float) -> str:
-    """Three sentences a method on `study_figures.summarise` of runs without and with gaps in sight."""
-    lines = []
-    for name, own in summary.groupby("method", sort=False):
-        blind = own["case"].str.endswith("blind")
-        seen, mean_cm = own[~blind], 100 * own.loc[~blind, "ate_mean_m"]
-        its = runs[runs["method"] == name]
-        ms, s = (its[columns].median() for columns in (["frame_median_ms", "frame_p95_ms"], ["duration_s", "seconds"]))
-        gaps = f" Through gaps, the worst seed is off by {100 * own.loc[blind, 'ate_worst_m'].max():.1f} cm."
-        lines.append(
-            f"**{name}**: mean ATE {mean_cm.min():.1f} to {mean_cm.max():.1f} cm, worst seed "
-            f"{100 * seen['ate_worst_m'].max():.1f} cm; the goal of {100 * goal_m:g} cm is reached under "
-            f"{(seen['ate_mean_m'] <= goal_m).sum()} of {len(seen)} noises."
-            + (gaps if blind.any() else "")
-            + f" A frame takes {ms.iloc[0]:.1f} ms, p95 {ms.iloc[1]:.1f} ms; "
-            f"a flight of {s.iloc[0]:g} s takes {s.iloc[1]:.0f} s."
-        )
-    return bullets(lines)
+def accuracy(runs: pd.DataFrame, other: pd.DataFrame, goal_m: float) -> str:
+    """On runs of a study by ``case``, and on those in other worlds by ``world``: mean errors, and the goal."""
+    means = runs[~runs["case"].str.endswith("blind")].groupby(["case", "method"])["ate_rmse_m"].mean()
+    goal = f"{(means <= goal_m).sum()} of {len(means)} means without gaps reach the goal of {100 * goal_m:g} cm."
+    return bullets([*ranked(runs, "case"), goal, *ranked(other, "world")])
+
+
+def limit(table: pd.DataFrame) -> str:
+    """On `limit.limit_table`: the bounds, the methods as multiples of them, and what is left without range noise."""
+    error = table.set_index("name")
+    bounds = error.loc[error["kind"] == "bound", "ate_mm"].replace(np.inf, np.nan)
+    return bullets(
+        [
+            f"Bounds of the error over many flights: {ascending(bounds, unit='mm')}.",
+            f"Errors in multiples of the bound: {ascending(error['times_bound'])}.",
+            f"Without range noise, where all that is left is bias: {ascending(error['noise_free_mm'], unit='mm')}.",
+        ]
+    )
+
+
+def honest(faults: pd.DataFrame, table: pd.DataFrame, wrong: pd.DataFrame, found: pd.DataFrame) -> str:
+    """On `honest.error_table`, `honest.honest_table`, `self_calibration.fault_runs` and the errors it found."""
+    cost = table.pivot_table("ate_mean_m", "case", "method", sort=False)
+    inside = (found["found_imu"] - found["true"]).abs() < 2 * found["sigma_imu"]
+    gained = wrong.loc[wrong["calibrated"] < 0.5 * wrong["smoothed"], "fault"]
+    return bullets(
+        [
+            f"Median size of the range error: {ascending(faults.set_index('fault')['median_mm'], unit='mm')}.",
+            *(f"Mean ATE, {case}: {ascending(row, 100, 'cm')}." for case, row in cost.iterrows()),
+            f"Calibrated in flight, poses err by less than half of what they do without it in {len(gained)} of "
+            f"{len(wrong)} cases: {listed(gained)}. {inside.sum()} of the {len(found)} errors of the sensor are found "
+            "within two standard deviations with the IMU.",
+        ]
+    )
+
+
+def planned_flights(table: pd.DataFrame) -> str:
+    """On `planned_flights.flight_table`: sight, error and coverage."""
+    of: Any = table.set_index("flight")
+    return bullets(
+        [
+            f"Scans that have lost sight: {ascending(of['few_share'], 100, '%')}.",
+            f"Error of the corrected position (ATE): {ascending(of['ate_rmse_m'], 1e3, 'mm', 0)}.",
+            f"Share of the steel seen: {ascending(of['seen_share'], 100, '%')}.",
+        ]
+    )
+
+
+def literature(runs: pd.DataFrame, other: str = "combined") -> str:
+    """On `literature.literature_runs`: the error of each method beside that of another, on the flights of both."""
+    case = ["sensor", "trajectory", "noise"]
+    both = runs.merge(runs.loc[runs["method"] == other, [*case, "seed", "ate_rmse_m"]], on=[*case, "seed"])
+    means = both.groupby([*case, "method"], sort=False)[["ate_rmse_m_x", "ate_rmse_m_y"]].mean()
+    ratio = (means["ate_rmse_m_x"] / means["ate_rmse_m_y"]).map(math.log).groupby(["sensor", "method"]).mean()
+    return bullets(
+        f"Sensor {sensor}, error in multiples of that of {LABELS[other]} on the same flights (geometric mean): "
+        f"{ascending(own.droplevel('sensor').map(math.exp))}."
+        for sensor, own in ratio.groupby("sensor", sort=False)
+    )

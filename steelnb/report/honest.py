@@ -1,4 +1,4 @@
-"""Notebook 15: the faults of a real Time-of-Flight camera and of an IMU, each alone, and what they cost an odometry."""
+"""Notebook 15: the faults of a real Time-of-Flight camera and of an IMU, each alone."""
 
 from typing import Any
 
@@ -6,20 +6,8 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.report.conclusions import bullets
-from steelnb.report.style import (
-    BLACK,
-    COLOURS,
-    GREY,
-    LABELS,
-    ORANGE,
-    VERMILION,
-    Figure,
-    draw_sample,
-    gather_legend,
-    style,
-)
-from steelnb.report.worlds import OURS
+from steelnb.report.study_runs import OURS, whole_flights
+from steelnb.report.style import BLACK, GREY, ORANGE, Figure, gather_legend, style
 from steelnb.settings import ExperimentSettings, ImuSettings, TofFaultSettings, TrajectoryName
 from steelnb.simulation import measured_imu
 from steelnb.types import Array, Imu, RangeScans
@@ -40,8 +28,6 @@ FAULTS: dict[str, tuple[str, ...]] = {
 }
 """Faults that bias a range, and their settings; range noise is left out beside one of them."""
 NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
-MARKERS = dict(zip(CASES.values(), (("o", False), ("^", False), ("o", True)), strict=True))
-"""Marker of the runs of a case, and whether it is filled."""
 FAR_M = 0.05
 GROUND_M = 0.1
 ERROR_MAX_MM = 60.0
@@ -130,50 +116,11 @@ def imu_table(settings: ImuSettings, seed: int, duration_s: float = IMU_S) -> pd
 def honest_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """The runs of a study under the random walk that are one of `CASES`, as their column ``case`` says, of our own
     methods that flew with the honest sensor; nothing else differs from a preset."""
-    which = pd.MultiIndex.from_frame(runs[["sensor", "variant"]])
-    chosen = which.isin(CASES) & (runs["noise"] == "random-walk") & (runs["duration_s"] == 200.0)
-    chosen &= (runs["blind"] == "") & (runs["status"] == "ok") & runs["method"].isin(OURS)
-    chosen &= runs["method"].isin(runs.loc[chosen & (runs["sensor"] == HONEST), "method"])
-    return runs[chosen].assign(case=[CASES[pair] for pair in which[chosen]])
-
-
-def honest_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row a flight, method and case of `honest_runs`: seeds, mean and worst ATE, metres, and that of the drift."""
-    return (
-        runs.groupby(["trajectory", "method", "case"])
-        .agg(
-            seeds=("seed", "nunique"), ate_mean_m=("ate_rmse_m", "mean"), ate_worst_m=("ate_rmse_m", "max"),
-            drift_mean_m=("raw_ate_rmse_m", "mean"),
-        )
-        .reset_index()
-    )  # fmt: skip
-
-
-def honest_sentences(errors: pd.DataFrame, runs: pd.DataFrame) -> str:
-    """What the faults do to ranges, and to the error of each method."""
-    row: dict[Any, dict[Any, Any]] = errors.set_index("fault").to_dict("index")
-    alone = errors[errors["fault"].isin(FAULTS)].sort_values("p95_mm", ascending=False)
-    worst = alone.iloc[0]
-    lines = [
-        f"The honest sensor errs by {row[ALL]['median_mm']:.0f} mm (median; 95 %: {row[ALL]['p95_mm']:.0f} mm), the "
-        f"ideal one by {row[NOISE]['median_mm']:.0f} ({row[NOISE]['p95_mm']:.0f}), and it loses "
-        f"{100 * row[ALL]['lost_share']:.0f} % of the returns. Of the faults that bias a range the largest is "
-        f"{worst['fault']}: {worst['mean_mm']:+.0f} mm on average, for one return in 20 more than "
-        f"{worst['p95_mm']:.0f} mm either way."
-    ]
-    cm = honest_table(runs)
-    cm[["ate_mean_m", "ate_worst_m"]] *= 100
-    lines.append(f"Mean ATE of each method, by sensor: {' → '.join(CASES.values())}.")
-    for method in dict.fromkeys(runs["method"]):
-        said = []
-        for trajectory in ("vertical", "orbit"):
-            one = cm[(cm["method"] == method) & (cm["trajectory"] == trajectory)].set_index("case")["ate_mean_m"]
-            if "honest" in one.index and len(one) > 1:
-                each = [f"{one[case]:.1f}" if case in one else "–" for case in CASES.values()]
-                said.append(f"{' → '.join(each)} cm ({trajectory})")
-        if said:
-            lines.append(f"{LABELS[method]}: {', '.join(said)}.")
-    return bullets(lines)
+    flights = sorted(set(runs["trajectory"]))
+    found = whole_flights(runs, noise=["random-walk"], trajectory=flights, method=sorted(OURS), sensor=[IDEAL, HONEST])
+    cases = [CASES.get(pair, "") for pair in zip(found["sensor"], found["variant"], strict=True)]
+    found = found.assign(case=cases)[[case != "" for case in cases]]
+    return found[found["method"].isin(found.loc[found["sensor"] == HONEST, "method"])]
 
 
 @style()
@@ -197,7 +144,6 @@ def figure_frame(errors: dict[str, Array], frame: int = -1) -> Figure:
         right.plot(np.maximum(np.percentile(size_mm, share), 0.1), share, color=colour, ls=kind, label=name)
     right.set(xscale="log", xlabel="size of the range error (mm)", ylabel="share of the returns below (%)")
     right.set(xlim=(0.1, 1000), ylim=(0, 100.5))
-    right.xaxis.set_major_formatter("{x:g}")
     gather_legend(figure, ncols=4, fontsize=10)
     return figure
 
@@ -211,31 +157,4 @@ def figure_imu(table: pd.DataFrame) -> Figure:
         panel.loglog(table["tau_s"], table[name], "o", color=ORANGE, ms=5, label="simulated, at rest")
         panel.set(title=name, xlabel="averaging time τ (s)", ylabel=f"Allan deviation ({unit})")
     gather_legend(figure, ncols=2)
-    return figure
-
-
-@style()
-def figure_honest(runs: pd.DataFrame) -> Figure:
-    """ATE of each run of `honest_runs`: a column a method, a marker a case."""
-    flown = set(runs["method"])
-    methods = [method for method in COLOURS if method in flown]
-    figure = Figure(figsize=(9.0, 4.9))
-    for panel, trajectory in zip(figure.subplots(1, 2, sharey=True), ("vertical", "orbit"), strict=True):
-        here = runs[runs["trajectory"] == trajectory]
-        for k, method in enumerate(methods):
-            for (case, (marker, filled)), side in zip(MARKERS.items(), (-0.25, 0.0, 0.25), strict=True):
-                ate = 100 * here.loc[(here["method"] == method) & (here["case"] == case), "ate_rmse_m"].to_numpy()
-                face = COLOURS[method] if filled else "white"
-                if len(ate):
-                    draw_sample(panel, k + side, ate, COLOURS[method], marker=marker, width=0.2, markersize=6, mfc=face)
-        drift_cm = 100 * here.drop_duplicates("seed")["raw_ate_rmse_m"].mean()
-        panel.axhline(drift_cm, color=VERMILION, lw=1.2, label=f"{LABELS['none']}, mean")
-        panel.set_xticks(range(len(methods)), [LABELS[method] for method in methods], rotation=25, ha="right")
-        panel.set(title=f"{trajectory} flight", yscale="log", xlim=(-0.6, len(methods) - 0.4))
-        panel.grid(axis="x", visible=False)
-    figure.axes[0].set_ylabel("ATE, root mean square (cm)")
-    figure.axes[0].yaxis.set_major_formatter("{x:g}")
-    for label, (marker, filled) in MARKERS.items():
-        figure.axes[0].plot([], [], marker, color=GREY, mfc=GREY if filled else "white", ms=7, label=f"sensor: {label}")
-    gather_legend(figure, ncols=4)
     return figure

@@ -9,10 +9,9 @@ from matplotlib.axes import Axes
 
 from steelnb.experiment import Result
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
-from steelnb.metrics import position_error_m
 from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, batch, causal, gather, one_scan, see
 from steelnb.report.batch import caption, case_of
-from steelnb.report.conclusions import bullets, listed
+from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import BLACK, COLOURS, DARK_GREY, GREY, LABELS, Figure, gather_legend, style
 from steelnb.types import Array
 
@@ -29,9 +28,7 @@ BOUNDS: dict[str, dict[str, Any]] = {
     "one scan": {"color": DARK_GREY, "linestyle": ":", "label": "bound: one scan, surface known"},
 }
 """The bounds, as a table names them and a figure draws them."""
-SMOOTHED_S = 10.0
 WITH, WITHOUT = "with range noise", "without range noise"
-TICKS_MM = [0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000, 3000]
 
 
 Limits = dict[str, Array]
@@ -99,47 +96,6 @@ def assumptions() -> dict[str, Any]:
     }
 
 
-def limit_sentences(table: pd.DataFrame) -> str:
-    """Three sentences on `limit_table`: the bounds, the methods beside them, and what is left without range noise."""
-    row: dict[Any, dict[Any, Any]] = table.set_index("name").to_dict("index")
-    methods = table[table["kind"] == "method"]
-    lines = [
-        f"**{row['causal']['trajectory']}**, sensor {row['causal']['sensor']}: no odometry can err by less than "
-        f"{row['causal']['ate_mm']:.1f} mm, and nothing that has the whole flight by less than "
-        f"{row['batch']['ate_mm']:.1f} mm (ATE, root mean square over many flights); one scan on a known surface tells "
-        f"{_single(row['one scan']['ate_mm'])}."
-    ]
-    best = [
-        f"{LABELS[each['name']]} has {each['ate_mm']:.1f} mm, {each['times_bound']:.1f} times the bound "
-        f"{'of the whole flight' if each['name'] in AFTERWARDS else 'of the scans so far'}"
-        for each in methods.sort_values("ate_mm").head(2).to_dict("records")
-    ]
-    worst = methods.sort_values("ate_mm").to_dict("records")[-1]
-    below = [LABELS[name] for name in methods.loc[methods["times_bound"] < 1, "name"]]
-    lines.append(
-        f"{'; '.join(best)}; the worst, {LABELS[worst['name']]}, {worst['times_bound']:.0f} times."
-        + (f" Below the bound, which is of the mean over flights: {listed(below)}." if below else "")
-    )
-    known = methods[methods["noise_free_mm"].notna()]
-    if len(known):
-        share = (known["noise_free_mm"] / known["ate_mm"]) ** 2
-        left = [
-            f"{LABELS[each['name']]} {each['noise_free_mm']:.1f} mm instead of {each['ate_mm']:.1f}"
-            for each in known.to_dict("records")
-        ]
-        most = [LABELS[name] for name in known.loc[share > 0.5, "name"]]
-        rest = [LABELS[name] for name in known.loc[share <= 0.5, "name"]]
-        lines.append(
-            f"Without range noise: {', '.join(left)}. More than half of the squared error is bias, there "
-            f"without any noise, with: {listed(most)}; less than half with: {listed(rest)}."
-        )
-    return bullets(lines)
-
-
-def _single(sigma_mm: float) -> str:
-    return f"the place to {sigma_mm:.1f} mm" if np.isfinite(sigma_mm) else "not always the whole place"
-
-
 @style()
 def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> Figure:
     """The error of each method over time as a running root mean square, and the bounds below it (left); the error of
@@ -148,7 +104,7 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     curve, whole = figure.subplots(1, 2, sharey=True, width_ratios=[4.2, 1.0])
     for result in runs:
         method = result.settings.odometry.method
-        rms_mm = running_rms_mm(result)
+        rms_mm = 1e3 * running_rms_m(result, SMOOTHED_S)
         curve.plot(result.corrected.stamp_s, rms_mm, color=COLOURS[method], label=LABELS[method])
     stamp_s = runs[0].corrected.stamp_s
     for name, look in BOUNDS.items():
@@ -159,21 +115,12 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     largest_mm = 1.6 * max(1e3 * result.metrics["error_max_m"] for result in runs)
     curve.fill_between(stamp_s, 0.01 * lowest_mm, 1e3 * limits["batch"], color=GREY, alpha=0.18, lw=0)
     curve.set(yscale="log", xlim=(0, float(stamp_s[-1])))
-    curve.set_yticks(TICKS_MM, [f"{tick:g}" for tick in TICKS_MM])
-    curve.minorticks_off()
     curve.set_ylim(lowest_mm, largest_mm)
     curve.set(xlabel="time (s)", ylabel=f"error of the position (mm), RMS over {SMOOTHED_S:g} s")
     _draw_whole(whole, runs, exact, limits)
     gather_legend(figure, ncols=3, fontsize=10)
     figure.suptitle(caption(runs), fontsize=12)
     return figure
-
-
-def running_rms_mm(result: Result) -> pd.Series:
-    """Position error of each scan ``(K,)`` as a root mean square over `SMOOTHED_S` around it, millimetres."""
-    square = pd.Series((1e3 * position_error_m(result.corrected, result.truth.trajectory)) ** 2)
-    window = max(1, round(SMOOTHED_S * result.settings.tof.rate_hz))
-    return np.sqrt(square.rolling(window, center=True, min_periods=1).mean())
 
 
 def _draw_whole(panel: Axes, runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> None:

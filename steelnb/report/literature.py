@@ -1,111 +1,108 @@
-"""Notebook 17: odometries of the literature beside the others, over the flights of a study, and what they match."""
+"""Notebook 17: matches of ORB features between images (Figure 2.1), and what LOAM takes from a scan."""
 
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from steelnb import experiment
+from steelnb.errors import RecordingError
+from steelnb.images import CameraImages, GreyImage, project, unproject
 from steelnb.odometry import make_odometry, run
+from steelnb.odometry.features import Features, features_with_depth, match
 from steelnb.points.features import loam_features, midlines
-from steelnb.report.conclusions import bullets
 from steelnb.report.style import (
-    BLACK,
     BLUE,
     COLOURS,
-    GREY,
     LABELS,
     LIGHT_GREY,
     VERMILION,
     Figure,
     draw_bars,
     draw_legend,
-    draw_sample,
+    draw_lines,
     frame_perspective,
     project_perspective,
     style,
 )
 from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryName
 from steelnb.simulation import Truth
-from steelnb.types import Array, Estimate, Flight
+from steelnb.types import Array, Estimate, Flight, Trajectory
 
-METHODS = (
-    "average", "least_squares_yaw", "icp", "icp-3dof", "gicp", "kiss-icp", "small-gicp", "deepvo", "orb",
-    "orb-monocular", "loam", "loam-midlines", "best", "combined", "combined-camera", "faces", "smoothed",
-)  # fmt: skip
-"""In the order of the table: by segments, the ICP family, published ones by their own wheels, the literature's, by all
-points."""
 LOAM = ("loam", "loam-midlines")
-LITERATURE = ("kiss-icp", "small-gicp", "deepvo", "orb", "orb-monocular", *LOAM, "combined-camera")
-FLIGHTS = ("vertical", "orbit")
-SENSORS = {"starling2": "Starling 2", "starling2-honest": "with a real one's faults", "report": "the report's"}
-NOISES = {"random-walk": "o", "constant-drift": "^", "random-walk+yaw-random-walk": "s"}
-"""Noise → its marker."""
 FLOOR_M = OdometrySettings.preset(LOAM[0]).preprocess.floor_m
-LOST_SHARE = 0.9
-"""An odometry whose error is above this share of the drift's has lost its way."""
-
-
-def literature_runs(study: pd.DataFrame, sensors: list[str], noises: list[str], methods: list[str]) -> pd.DataFrame:
-    """Whole flights without gaps or other settings among the rows of a study, in the order of the three lists."""
-    chosen = (study["status"] == "ok") & (study["variant"] == "") & (study["blind"] == "") & (study["duration_s"] > 100)
-    axes = {"sensor": sensors, "noise": noises, "method": methods, "trajectory": list(FLIGHTS)}
-    for name, wanted in axes.items():
-        chosen &= study[name].isin(wanted)
-    runs = study[chosen]
-    ranks = [runs[name].map(axes[name].index).to_numpy() for name in ("noise", "method", "trajectory", "sensor")]
-    return runs.iloc[np.lexsort(np.array([runs["seed"].to_numpy(), *ranks]))]
-
-
-def literature_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each sensor, flight, noise and method: the number of seeds, mean and worst ATE, and that of the drift,
-    metres."""
-    groups = runs.groupby(["sensor", "trajectory", "noise", "method"], sort=False)
-    return groups.agg(
-        seeds=("seed", "count"), ate_mean_m=("ate_rmse_m", "mean"), ate_worst_m=("ate_rmse_m", "max"),
-        raw_ate_mean_m=("raw_ate_rmse_m", "mean"),
-    ).reset_index()  # fmt: skip
+FEATURES = 400
+RATIO, HAMMING_MAX = 0.8, 60
+RIGHT_PX = 4.0
+"""A match is right if the depth of its first feature and the motion of the camera put it this near."""
+GAP_PX = 12
 
 
 @style()
-def figure_literature(runs: pd.DataFrame) -> Figure:
-    """ATE of each run on a logarithmic scale: a column for each sensor, a row for each flight, a line of dots for each
-    method and a marker for each noise, with their mean; the drift without correction as a band behind."""
-    sensors, flights = list(dict.fromkeys(runs["sensor"])), list(dict.fromkeys(runs["trajectory"]))
-    methods = [method for method in METHODS if method in set(runs["method"])]
-    figure = Figure(figsize=(3.2 + 3.0 * len(sensors), 1.5 + 0.32 * len(methods) * len(flights)))
-    grid = figure.subplots(len(flights), len(sensors), sharex=True, sharey=True, squeeze=False)
-    for (row, column), panel in np.ndenumerate(grid):
-        here = runs[(runs["trajectory"] == flights[row]) & (runs["sensor"] == sensors[column])]
-        drift = 1e3 * here["raw_ate_rmse_m"]
-        if len(here):
-            panel.axvspan(drift.min(), drift.max(), color=LIGHT_GREY, alpha=0.35, linewidth=0)
-        for k, method in enumerate(methods):
-            own = here[here["method"] == method]
-            for noise, marker in NOISES.items():
-                values = 1e3 * own.loc[own["noise"] == noise, "ate_rmse_m"].to_numpy()
-                if len(values):
-                    draw_sample(
-                        panel, k, values, COLOURS[method], marker=marker, width=0.5, across=True, ms=4, alpha=0.8
-                    )
-        panel.set_xscale("log")
-        panel.set_yticks(range(len(methods)), [LABELS[method] for method in methods])
-        panel.set_ylim(len(methods) - 0.5, -0.5)
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.grid(axis="y", visible=False)
-        if row == 0:
-            panel.set_title(SENSORS.get(sensors[column], sensors[column]))
-        if row == len(flights) - 1:
-            panel.set_xlabel("ATE (mm)")
-        if column == len(sensors) - 1:
-            panel.annotate(flights[row], (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center")
-    keys: dict[str, dict[str, Any]] = {
-        noise.replace("+yaw-random-walk", " + yaw walk"): {"color": GREY, "marker": marker, "ls": ""}
-        for noise, marker in NOISES.items() if noise in set(runs["noise"])
-    }  # fmt: skip
-    keys |= {"mean": {"color": BLACK, "lw": 2.0}, "without correction": {"fc": LIGHT_GREY, "alpha": 0.35}}
-    draw_legend(figure, keys, fontsize=10)
+def figure_matches(
+    flight: Flight, first: int, second: int, corrected: Trajectory | None = None, count: int = FEATURES
+) -> Figure:
+    """Matches of ORB features between the images of two scans of a flight, by their descriptors alone.
+
+    A match is the best of all features of the other image, if it is better than the second best (Lowe's ratio test),
+    and if no other feature has a better claim. Where the sensor saw the first feature's depth, ``corrected`` poses of
+    the flight, by default its prior, tell right from wrong matches. Raises `RecordingError` for scans without an image.
+    """
+    (image_a, a), (image_b, b) = (seen_features(flight, scan, count) for scan in (first, second))
+    found = match(
+        b.pixel, b.octave, b.descriptor, b.depth, a.pixel, a.octave, np.full(len(a.pixel), np.nan), a.descriptor,
+        np.inf, HAMMING_MAX, RATIO,
+    )  # fmt: skip
+    pairs = np.flatnonzero(found >= 0)
+    poses = (corrected or flight.prior).T_world_drone[[first, second]] @ _images(flight).T_drone_camera
+    apart = _apart_px(poses, _images(flight).K, a, b.pixel[found])[pairs]
+    right = apart <= RIGHT_PX
+    figure = Figure(figsize=(11.0, 5.0))
+    panel = figure.subplots()
+    shift = np.array([image_a.shape[1] + GAP_PX, 0])
+    white = np.full((image_a.shape[0], GAP_PX), 255, np.uint8)
+    panel.imshow(np.hstack([image_a, white, image_b]), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    panel.set_axis_off()
+    lines = np.stack([a.pixel[pairs], b.pixel[found[pairs]] + shift], axis=1)
+    keys = {}
+    for name, chosen, colour in (
+        ("depth unknown", np.isnan(apart), COLOURS["undecided"]),
+        ("right", right, COLOURS["right"]),
+        ("wrong", np.isfinite(apart) & ~right, COLOURS["wrong"]),
+    ):
+        draw_lines(panel, lines[chosen], colors=colour, linewidths=0.9, alpha=0.9)
+        ends = lines[chosen].reshape(-1, 2)
+        panel.plot(ends[:, 0], ends[:, 1], "o", mfc="none", mec=colour, ms=4.5, mew=1.0)
+        keys[f"{name}: {np.count_nonzero(chosen)}"] = {"color": colour, "marker": "o", "mfc": "none", "lw": 1.2}
+    draw_legend(figure, keys)
+    times = " and ".join(f"{flight.prior.stamp_s[scan]:.1f} s" for scan in (first, second))
+    panel.set_title(f"{len(pairs)} matches of {len(a.pixel)} and {len(b.pixel)} ORB features, images at {times}")
     return figure
+
+
+def seen_features(flight: Flight, scan: int, count: int = FEATURES) -> tuple[GreyImage, Features]:
+    """The image ``(H, W)`` of a scan, and its ORB features with depths from the scan. Raises `RecordingError` where
+    there is none."""
+    images, stamp_s = _images(flight), float(flight.prior.stamp_s[scan])
+    number = images.at(stamp_s)
+    image = None if number is None else images.images[number]
+    if image is None:
+        raise RecordingError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
+    T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ flight.T_drone_sensor
+    return image, features_with_depth(image, flight.scans[scan].points, T_camera_sensor, images.K, count)
+
+
+def _images(flight: Flight) -> CameraImages:
+    if flight.images is None:
+        raise RecordingError(f"{flight.name}: no images; expected a flight with a camera")
+    return flight.images
+
+
+def _apart_px(T_world_camera: Array, K: Array, a: Features, shown: Array) -> Array:
+    """Distances ``(N,)`` in pixels of the places ``shown (N, 2)`` in a second image from where the depths of the
+    features of the first and both poses ``T_world_camera (2, 4, 4)`` put them; NaN without a depth."""
+    T = np.linalg.inv(T_world_camera[1]) @ T_world_camera[0]
+    points = (a.depth[:, None] * unproject(a.pixel, K)) @ T[:3, :3].T + T[:3, 3]
+    return np.asarray(np.linalg.norm(shown - project(points, K), axis=1))
 
 
 def fly(
@@ -146,7 +143,11 @@ def figure_features(flight: Flight, truth: Truth, estimates: dict[str, Estimate]
         panel.set(title=LABELS[method], aspect="equal")
         panel.set_axis_off()
         panel.legend(loc="upper left", fontsize=9, markerscale=2.5)
-        _draw_map(below, truth, estimates[method], method)
+        points = estimates[method].points
+        draw_bars(below, truth.tower.axes, points, color=LIGHT_GREY, linewidth=2.2)
+        below.plot(*project_perspective(points, points).T, ".", ms=1.6, color=COLOURS[method])
+        frame_perspective(below, points)
+        below.set_title(f"map of {len(points)} points", fontsize=11)
     return figure
 
 
@@ -158,51 +159,3 @@ def _above_floor(points: Array, T_world_sensor: Array) -> Array:
 def _picture(points: Array) -> Array:
     """Where points ``(N, 3)`` of the sensor's frame are seen, ``(2, N)``: to the right and upwards."""
     return np.stack([-points[:, 1] / points[:, 0], points[:, 2] / points[:, 0]])
-
-
-def _draw_map(panel: Any, truth: Truth, estimate: Estimate, method: str) -> None:
-    """The points of a map over the part of the tower that it covers."""
-    points, axes = estimate.points, truth.tower.axes
-    low, high = points[:, 2].min() - 0.5, points[:, 2].max() + 0.5
-    near = axes[(axes[..., 2].max(axis=1) > low) & (axes[..., 2].min(axis=1) < high)]
-    clipped = np.array([_between(bar, low, high) for bar in near])
-    draw_bars(panel, clipped, clipped.reshape(-1, 3), color=LIGHT_GREY, linewidth=2.2)
-    panel.plot(*project_perspective(points, clipped.reshape(-1, 3)).T, ".", ms=1.6, color=COLOURS[method])
-    frame_perspective(panel, clipped.reshape(-1, 3))
-    panel.set_title(f"map of {len(points)} points", fontsize=11)
-
-
-def _between(bar: Array, low: float, high: float) -> Array:
-    """The part of a bar ``(2, 3)`` between two heights."""
-    start, end = bar
-    rise = end[2] - start[2]
-    if abs(rise) < 1e-9:
-        return bar
-    share = np.clip(np.sort([(low - start[2]) / rise, (high - start[2]) / rise]), 0, 1)
-    return np.asarray(start + share[:, None] * (end - start))
-
-
-def literature_sentences(runs: pd.DataFrame) -> str:
-    """What the runs of `literature_runs` say of each of the literature's odometries, and beside which other it lies, on
-    the seeds that both flew."""
-    lines = []
-    for sensor, of_sensor in runs.groupby("sensor", sort=False):
-        where, table = SENSORS.get(str(sensor), str(sensor)), literature_table(of_sensor)
-        for method in LITERATURE:
-            own, flown = table[table["method"] == method], of_sensor[of_sensor["method"] == method]
-            if own.empty:
-                continue
-            span = f"{1e3 * own['ate_mean_m'].min():.0f} to {1e3 * own['ate_mean_m'].max():.0f} mm"
-            lost = (own["ate_mean_m"] > LOST_SHARE * own["raw_ate_mean_m"]).sum()
-            beside = []
-            for other in ("gicp", "best", "combined", "faces"):
-                rows = of_sensor[of_sensor["method"] == other]
-                both = flown.merge(rows, on=["trajectory", "noise", "seed"], suffixes=("", "_other"))
-                if len(both):
-                    means = both.groupby(["trajectory", "noise"])[["ate_rmse_m", "ate_rmse_m_other"]].mean()
-                    ratio = np.exp(np.log(means["ate_rmse_m"] / means["ate_rmse_m_other"]).mean())
-                    beside.append(f"{float(f'{ratio:.2g}'):g} times that of {LABELS[other]}")
-            tail = f"; its error is {', '.join(beside)} (geometric mean)" if beside else ""
-            worse = f", and in {lost} of {len(own)} cases it is no better than the drift" if lost else ""
-            lines.append(f"{LABELS[method]}, sensor {where}: {span} over flights and noises{worse}{tail}.")
-    return bullets(lines)

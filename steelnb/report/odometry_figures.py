@@ -1,12 +1,12 @@
 """Notebooks 02 to 06: figures of odometries (3.2, 3.3, 3.5–3.10, 5.2, 5.3): errors, methods side by side, clouds."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator
 
 from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
@@ -14,23 +14,18 @@ from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY,
 from steelnb.report.style import (
     BLACK,
     COLOURS,
-    GREY,
     LABELS,
     REPORT_BAND,
     Figure,
     draw_bars,
-    draw_legend,
     draw_paths,
     gather_legend,
     style,
     thinned,
 )
-from steelnb.settings import SEGMENT_METHODS
 from steelnb.types import Array
 
 POINTS_MAX = 60_000
-DECADES = ([0.01, 0.03, 0.1, 0.3, 1, 3], ["0.01", "0.03", "0.1", "0.3", "1", "3"])
-"""Ticks of a logarithmic axis of errors in metres."""
 ERROR_MIN_M = 0.005
 """Where a logarithmic axis of errors begins, as errors do at zero."""
 REPORT_FIGURES = {
@@ -106,106 +101,50 @@ def _draw_report(panel: Axes, shown: Range | None, raw_end: Range | None, label:
         look: dict[str, Any] = {"color": COLOURS["none"], "marker": "D", "ms": 7, "mec": "white", "clip_on": False}
         place = panel.get_xlim()[1]
         panel.plot([place, place], raw_end, lw=2.5, zorder=5, label="report: drift at the end", **look)
-    panel.set(yscale="log")
-    panel.set_yticks(*DECADES)
-    panel.minorticks_off()
-    panel.set_ylim(ERROR_MIN_M, 6.0)
+    panel.set(yscale="log", ylim=(ERROR_MIN_M, 6.0))
 
 
 @style()
-def figure_cloud_errors(results: Sequence[Result], methods: Sequence[str]) -> Figure:
+def figure_errors(results: Sequence[Result], rows: Sequence[Sequence[str]], smoothed_s: float = 0.0) -> Figure:
     """Rows of methods × columns of flights, all with the same axes: the distance to the truth over the scans, raw and
-    corrected. ``results`` hold one noise and sensor; drawn is the first of each of the ``methods`` and flight. The grey
-    band is the range that the report's figure shows."""
+    corrected, or its running root mean square over a time.
+
+    ``results`` hold one noise and sensor; drawn is the first of each method and flight, as far as they are there. The
+    grey band is the range that the report's figure shows of the only method of a row.
+    """
     cases: dict[tuple[str, str], Result] = {}
     for result in results:
         cases.setdefault((result.settings.odometry.method, result.settings.flight.trajectory), result)
     flights = list(dict.fromkeys(flight for _, flight in cases))
     report = REPORT_CLOUD_ODOMETRY.get(results[0].settings.noise_name, {})
-    figure = Figure(figsize=(5.4 * len(flights) + 0.4, 2.6 * len(methods) + 1.0))
-    panels = figure.subplots(len(methods), len(flights), squeeze=False, sharex="col", sharey=True)
+    figure = Figure(figsize=(5.4 * len(flights) + 0.4, (2.6 if len(rows) > 2 else 3.6) * len(rows) + 1.0))
+    panels = figure.subplots(len(rows), len(flights), squeeze=False, sharex="col", sharey=True)
     for (row, column), panel in np.ndenumerate(panels):
-        method, flight = methods[row], flights[column]
-        result = cases[method, flight]
-        raw, error = (position_error_m(path, result.truth.trajectory) for path in (result.prior, result.corrected))
-        panel.plot(raw, color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
-        panel.plot(error, color=COLOURS[method], linewidth=1.8, label=LABELS[method])
-        panel.set(xlim=(0, len(error) - 1), ylabel="error (m)", xlabel=_scans(result))
-        shown, raw_end = (report.get(name, {}).get(flight) for name in (method, "none"))
-        _draw_report(panel, shown, raw_end, "report: corrected error")
-        panel.set_title(f"{LABELS[method]}, {flight}: mean {error.mean():.2f} m, max {error.max():.2f} m", fontsize=11)
-        panel.label_outer()
-    gather_legend(figure, ncols=3)
-    figure.suptitle(caption(results))
-    return figure
-
-
-@style()
-def figure_methods(rows: pd.DataFrame) -> Figure:
-    """Mean (dot) to largest (bar's end) error of every method and kind of map, a panel for each flight and noise.
-
-    ``rows`` are those of `batch.cloud_table`. The dashed line is the root mean square of the raw drift.
-    """
-    groups = list(rows.groupby(["trajectory", "noise"], sort=False))
-    kinds = dict.fromkeys(zip(rows["method"], rows["map"], strict=True))
-    names = sorted(kinds, key=lambda name: list(LABELS).index(name[0]))
-    figure = Figure(figsize=(5.2 * len(groups) + 2.2, 0.42 * len(names) + 2.2))
-    panels = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
-    for panel, ((flight, noise), group) in zip(panels, groups, strict=True):
-        place = [names.index(name) for name in zip(group["method"], group["map"], strict=True)]
-        colours = [COLOURS[name] for name in group["method"]]
-        panel.hlines(place, group["error_mean_m"], group["error_max_m"], colors=colours, linewidth=3, alpha=0.45)
-        panel.scatter(group["error_mean_m"], place, s=64, c=colours, zorder=3)
-        panel.axvline(group["raw_ate_rmse_m"].iloc[0], color=COLOURS["none"], linestyle="--", linewidth=1.2)
-        panel.set(xscale="log", xlabel="error (m)", title=f"{flight}, {noise}")
-        panel.set_xticks(*DECADES)
-        largest_m = rows[["error_max_m", "raw_ate_rmse_m"]].to_numpy().max()
-        panel.set_xlim(min(0.012, 0.8 * rows["error_mean_m"].min()), 1.3 * largest_m)
-        panel.minorticks_off()
-    panels[0].set_yticks(range(len(names)), [f"{LABELS[m]}\n{kind} map" for m, kind in names], fontsize=9)
-    panels[0].set_ylim(len(names) - 0.5, -0.5)
-    keys: dict[str, dict[str, Any]] = {
-        "mean": {"color": GREY, "marker": "o", "ls": "", "ms": 8},
-        "up to the largest": {"color": GREY, "lw": 3, "alpha": 0.45},
-        "drift without correction, RMS": {"color": COLOURS["none"], "ls": "--"},
-    }
-    draw_legend(figure, keys)
-    figure.suptitle(caption(rows))
-    return figure
-
-
-@style()
-def figure_error_curves(results: Sequence[Result]) -> Figure:
-    """The error of every method over the scans as a running root mean square: a column for each flight, corrections by
-    segments above, by clouds below, and ``combined``, by both, in both rows.
-
-    Logarithmic, since methods differ tenfold; all panels have the same axes.
-    """
-    flights = list(dict.fromkeys(result.settings.flight.trajectory for result in results))
-    figure = Figure(figsize=(5.6 * len(flights) + 0.4, 8.0))
-    panels = figure.subplots(2, len(flights), squeeze=False, sharex="col", sharey=True)
-    for (row, column), panel in np.ndenumerate(panels):
-        of_flight = [result for result in results if result.settings.flight.trajectory == flights[column]]
-        shown = {"none": of_flight[0].prior}
-        for result in of_flight:
-            method = result.settings.odometry.method
-            if method == "combined" or (method in SEGMENT_METHODS) == (row == 0):
-                shown[method] = result.corrected
-        for method, path in shown.items():
-            square = pd.Series(position_error_m(path, of_flight[0].truth.trajectory) ** 2)
-            window = round(SMOOTHED_S * of_flight[0].settings.tof.rate_hz)
-            rms = np.sqrt(square.rolling(window, center=True, min_periods=1).mean())
-            panel.plot(rms, color=COLOURS[method], linestyle="--" if method == "none" else "-", label=LABELS[method])
-        panel.set_xlim(0, len(square) - 1)
-        panel.set(xlabel=_scans(of_flight[0]), ylabel=f"error (m), RMS over {SMOOTHED_S:g} s")
-        panel.set(
-            yscale="log", title=f"{flights[column]} flight, by {('segments', 'clouds')[row]}", ylim=(ERROR_MIN_M, None)
-        )
-        panel.set_yticks(*DECADES)
+        flight = flights[column]
+        drawn = [cases[method, flight] for method in rows[row] if (method, flight) in cases]
+        first = drawn[0] if drawn else results[0]
+        raw = running_rms_m(replace(first, corrected=first.prior), smoothed_s)
+        panel.plot(raw, "--", color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
+        for result in drawn:
+            error, method = running_rms_m(result, smoothed_s), result.settings.odometry.method
+            panel.plot(error, color=COLOURS[method], label=LABELS[method])
+            title = f"{LABELS[method]}, {flight}: mean {error.mean():.2f} m, max {error.max():.2f} m"
+            panel.set_title(title if len(rows[row]) == 1 else flight, fontsize=11)
+        over = f", RMS over {smoothed_s:g} s" if smoothed_s else ""
+        panel.set(xlim=(0, len(raw) - 1), ylabel=f"error (m){over}", xlabel=_scans(first))
+        shown = report.get(rows[row][0], {}).get(flight) if len(rows[row]) == 1 else None
+        _draw_report(panel, shown, report.get("none", {}).get(flight), "report: corrected error")
         panel.label_outer()
     gather_legend(figure, ncols=4)
     figure.suptitle(caption(results))
     return figure
+
+
+def running_rms_m(result: Result, smoothed_s: float) -> pd.Series:
+    """Position error of each scan ``(K,)`` as a root mean square over a time around it, metres."""
+    square = pd.Series(position_error_m(result.corrected, result.truth.trajectory) ** 2)
+    window = max(1, round(smoothed_s * result.settings.tof.rate_hz))
+    return np.sqrt(square.rolling(window, center=True, min_periods=1).mean())
 
 
 @style()
@@ -287,12 +226,6 @@ def figure_bend(bends: Mapping[str, Bend], axis: Array, result: Result) -> Figur
     panels[1].set(xlabel="turn about the vertical (°)")
     panels[1].set_xscale("symlog", linthresh=0.1)
     panels[2].set(xlabel="offset (m)", xscale="log")
-    for panel in panels:
-        panel.minorticks_off()
-        panel.xaxis.set_major_formatter("{x:g}")
-        if panel.get_xscale() == "log":  # beyond three decades the labels of every half would run into each other
-            wide = np.ptp(np.log10(panel.get_xlim())) > 3
-            panel.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 3.0)))
     gather_legend(figure, ncols=len(bends))
     figure.suptitle(caption([result]))
     return figure

@@ -1,6 +1,5 @@
 """Notebook 16: flights that a planner steers beside those along waypoints: sight, information, error, coverage."""
 
-import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +17,7 @@ from steelnb.experiment import Result
 from steelnb.metrics import score_trajectory
 from steelnb.metrics.limit import gather, see
 from steelnb.report.batch import Progress, caption, case_of, share_of
-from steelnb.report.conclusions import bullets
-from steelnb.report.limit import SMOOTHED_S, running_rms_mm
+from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import (
     COLOURS,
     Figure,
@@ -157,33 +155,6 @@ def clearance_m(result: Result) -> float:
     return float(slices.query(result.truth.trajectory.position)[0].min())
 
 
-def flight_sentences(table: pd.DataFrame) -> str:
-    """Sentences on `flight_table`: sight, error beside the orbit's, what was seen, and which barrier matters."""
-    row: dict[Any, dict[Any, Any]] = table.set_index("flight").to_dict("index")
-    few = [f"{name} {each['few_share']:.1%}" for name, each in row.items()]
-    lines = [f"**Sight.** Scans with fewer than {FEW} returns from steel: {', '.join(few)}."]
-    for name, orbit in itertools.product(("planned", "whole"), ("wide orbit", "orbit")):
-        if orbit in row and name in row:
-            times = row[name]["ate_rmse_m"] / row[orbit]["ate_rmse_m"]
-            word = "no more than half of" if times <= 0.5 else "less than" if times < 1 else "no less than"
-            lines.append(
-                f"**Error.** {name} errs by {1e3 * row[name]['ate_rmse_m']:.0f} mm, the {orbit} by "
-                f"{1e3 * row[orbit]['ate_rmse_m']:.0f} mm: {times:.2f} times, {word} the {orbit}'s."
-            )
-    most = max(row, key=lambda name: row[name]["seen_share"])
-    seen = ", ".join(f"{name} {each['seen_share']:.1%}" for name, each in row.items())
-    lines.append(f"**Coverage.** Of the steel's length were seen: {seen}; most by {most}.")
-    single = {name: row[name]["ate_rmse_m"] for name in ("view only", "information only") if name in row}
-    if len(single) == 2 and "planned" in row:
-        better = min(single, key=lambda name: single[name])
-        alone = ", ".join(f"{name} {1e3 * error_m:.0f} mm" for name, error_m in single.items())
-        lines.append(
-            f"**Barriers.** With one kind alone: {alone}; "
-            f"with both {1e3 * row['planned']['ate_rmse_m']:.0f} mm; the smaller error of the two has {better}."
-        )
-    return bullets(lines)
-
-
 @style()
 def figure_paths(flown: Mapping[str, Flown]) -> Figure:
     """The true path of each flight about the tower, from its start (dark) to its end (light)."""
@@ -218,15 +189,11 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
     for name, each in flown.items():
         stamp_s, look = each.result.corrected.stamp_s, {"color": COLOURS[name], "lw": 1.2, "label": name}
         returns.plot(stamp_s, np.maximum(each.returns, 1), **look)
-        errors.plot(stamp_s, running_rms_mm(each.result), **look)
+        errors.plot(stamp_s, 1e3 * running_rms_m(each.result, SMOOTHED_S), **look)
         seen.plot(stamp_s, 100 * each.seen, **look)
     returns.axhline(FEW, color=COLOURS["report"], lw=1.0, ls=":")
-    returns.set(ylabel="returns from steel")
-    errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s")
-    for panel in (returns, errors):
-        panel.set(yscale="log")
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter("")
+    returns.set(ylabel="returns from steel", yscale="log")
+    errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s", yscale="log")
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
     gather_legend(figure, ncols=min(len(flown), 4 if len(flown) > 6 else 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)
@@ -280,8 +247,3 @@ def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> lis
         f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
         f"seen      {pilot.planner.coverage.summary()}",
     ]
-
-
-def provenance(flown: Mapping[str, Flown]) -> dict[str, Any]:
-    """The settings of each flight, for the provenance of results."""
-    return {name: each.result.settings.model_dump(mode="json") for name, each in flown.items()}

@@ -23,13 +23,13 @@ from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
 from steelnb.odometry import KnownStructureOdometry, Odometry
 from steelnb.report.calibration import error_lines
-from steelnb.report.changes import changes_line, figure_changes, write_changes
-from steelnb.report.recording_figures import figure_recorded_errors, figure_recorded_trajectories
+from steelnb.report.changes import changes_line, write_changes
+from steelnb.report.recording_figures import figure_distances, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
 from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
-from steelnb.report.three_views import figure_segments
+from steelnb.report.three_views import figure_changes, figure_segments
 from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
@@ -238,8 +238,9 @@ def _figures(
     prior, corrected, name = estimate.prior, estimate.corrected, flight.name
     figures = {"trajectories": figure_recorded_trajectories(prior, corrected, truth, method, name)}
     if truth is not None:
-        before_m, after_m = (position_error_m(t.at(truth.stamp_s), truth) for t in (prior, corrected))
-        figures["errors"] = figure_recorded_errors(truth.stamp_s, before_m, after_m, method, name)
+        paths = {"drifting": prior, method: corrected}
+        curves = {key: (truth.stamp_s, position_error_m(t.at(truth.stamp_s), truth)) for key, t in paths.items()}
+        figures["errors"] = figure_distances(curves, "distance to the truth (m)", name)
     if len(estimate.points) > 1:
         title = f"{name}: {len(estimate.points)} points of the map, {len(segments)} bars"
         figures["map"] = figure_segments(estimate.points, segments, orientation(segments), title)

@@ -12,7 +12,7 @@ from steelnb.errors import SettingsError
 from steelnb.files import new_folder, replace_files
 from steelnb.metrics import position_error_m
 from steelnb.report.recording import FILES, RecordingReport, check_folder, default_folder, run_recording
-from steelnb.report.recording_figures import figure_comparison
+from steelnb.report.recording_figures import figure_distances
 from steelnb.report.recording_files import TIMES
 from steelnb.report.style import Figure
 from steelnb.settings import ExperimentSettings, StructureSettings
@@ -81,12 +81,12 @@ def compare_recording(
             rows.append({"odometry": name, **_row(report)})
             curves[methods[name]], times_ms[methods[name]] = _distances(report), 1e3 * report.estimate.update_s
             notes |= dict.fromkeys(line for line in report.summary if line.startswith(("read", "skipped", "note")))
-            judged, period_s = report.truth is not None, report.estimate.period_s
+            judged = report.truth is not None
         on_stage("drawing the comparison")
         table = pd.DataFrame(rows)
         table.to_csv(folder / "comparison.csv", index=False, float_format="%.6g", lineterminator="\n")
         what = "distance to the truth (m)" if judged else "distance from the recorded poses (m)"
-        figure = figure_comparison(curves, times_ms, 1e3 * float(np.median(period_s)), what, flight.name)
+        figure = figure_distances(curves, what, flight.name, times_ms)
         figure.savefig(folder / "comparison.png", dpi=150)
         for name in settings:
             if (target / name).is_dir():  # of an earlier run: folders, unlike files, cannot be renamed over others

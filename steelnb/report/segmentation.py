@@ -1,5 +1,6 @@
-"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials and tables."""
+"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials, tables, and Hough's parameters."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
@@ -12,11 +13,11 @@ import pandas as pd
 
 from steelnb import rng
 from steelnb.errors import FileMissingError
+from steelnb.hough import suggest_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
-from steelnb.points import voxel_grid
 from steelnb.report.batch import flat
-from steelnb.settings import FlightSettings, TofSettings, TowerSettings
+from steelnb.settings import FlightSettings, SegmentationSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.views import View, Viewer, pose_on_path
 from steelnb.types import Array, Segments
@@ -26,9 +27,16 @@ USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
 """The conditions at which the methods are compared."""
 CASE = ("scene", "noise_m", "clutter", "kept", "method")
 MEASURES = ("recall", "precision", "duplicates", "angle_deg", "offset_m")
+GOALS = {
+    "recall": (0.95, "at least"), "precision": (0.98, "at least"), "duplicates": (1.0, "at most"),
+    "angle_deg": (0.4, "at most"), "offset_m": (0.012, "at most"),
+}  # fmt: skip
+"""For the Hough transform over seeds, as `batch.goal_table` takes them."""
 ANGLE_MAX_RAD = math.radians(10)
 """A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
 LEAN_SIGMA_RAD = math.radians(2)
+FIXED, CHOSEN, REFERENCE = "fixed", "from the points", "diagonal/64"
+"""Origin of a dx of `tuning_map`: given, `steelnb.hough.suggest_dx`, or the reference program's default."""
 Options = Mapping[str, Mapping[str, Any]]
 """Method → its options."""
 
@@ -41,7 +49,6 @@ class Scene:
     the sensor's returns that was kept. ``across (3,)`` points to the right in the first view.
     """
 
-    name: str
     seed: int
     noise_m: float
     clutter: float
@@ -78,41 +85,19 @@ class Scenes:
             place = rng.stream(seed, "place", k)
             flight = FlightSettings.preset(("vertical", "orbit")[k % 2])  # type: ignore[arg-type]
             view = self._view(seed, k, flight, place.random(), noise_m)
-            scenes.append(self._scene("frame", seed, k, [view], noise_m, clutter, kept))
+            scenes.append(self._scene(seed, k, view, noise_m, clutter, kept))
         return scenes
-
-    def sequence(self, seed: int, count: int) -> list[Scene]:
-        """Views one after the other along the path of the vertical flight."""
-        flight, shares = FlightSettings.preset("vertical"), np.linspace(0.0, 1.0, count)
-        views = [self._view(seed, k, flight, float(share), NOISE_M) for k, share in enumerate(shares)]
-        return [self._scene("sequence", seed, k, [view], NOISE_M, CLUTTER, 1.0) for k, view in enumerate(views)]
-
-    def whole(self, seed: int, count: int, leaf_m: float = 0.04) -> Scene:
-        """``count`` views along both flights, placed at their true poses, voxel-filtered, with clutter."""
-        orbit = FlightSettings.preset("orbit").replace(height_max_m=15.0, levels=10)
-        flights, shares = (FlightSettings.preset("vertical"), orbit), (np.arange(count) // 2 + 0.5) / -(-count // 2)
-        views = [self._view(seed, k, flights[k % 2], float(share), NOISE_M) for k, share in enumerate(shares)]
-        return self._scene("tower", seed, 0, views, NOISE_M, CLUTTER, 1.0, leaf_m)
 
     def _view(self, seed: int, k: int, flight: FlightSettings, share: float, noise_m: float) -> View:
         lean = rng.stream(seed, "lean", k).normal(scale=LEAN_SIGMA_RAD, size=3)
         self._viewer.tof = self._viewer.tof.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
         return self._viewer.view(pose_on_path(self.tower, flight, share, lean), rng.stream(seed, "tof", k))
 
-    def _scene(
-        self, name: str, seed: int, k: int, views: Sequence[View], noise_m: float, clutter: float, kept: float,
-        leaf_m: float | None = None,
-    ) -> Scene:  # fmt: skip
-        points, surface = np.concatenate([v.points for v in views]), np.concatenate([v.surface for v in views])
-        member = np.concatenate([v.member for v in views])
-        if kept < 1:
-            chosen = rng.stream(seed, "kept", k).random(len(points)) < kept
-            points, surface, member = points[chosen], surface[chosen], member[chosen]
-        members = seen_members(self.tower.axes, surface, member)
-        if leaf_m is not None:
-            points = voxel_grid(points, leaf_m)
-        points = _with_clutter(points, clutter, seed, k)
-        return Scene(name, seed, noise_m, clutter, kept, points, members, views[0].across)
+    def _scene(self, seed: int, k: int, view: View, noise_m: float, clutter: float, kept: float) -> Scene:
+        chosen = rng.stream(seed, "kept", k).random(len(view.points)) < kept
+        members = seen_members(self.tower.axes, view.surface[chosen], view.member[chosen])
+        points = _with_clutter(view.points[chosen], clutter, seed, k)
+        return Scene(seed, noise_m, clutter, kept, points, members, view.across)
 
 
 def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
@@ -122,17 +107,14 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
     return np.concatenate([points, random.uniform(points.min(axis=0), points.max(axis=0), (more, 3))])
 
 
-def attempt(method: str, scene: Scene, label: str | None = None, **options: Any) -> Trial:
-    """Segment a scene by one of `steelnb.hough.peers.METHODS` with options of its own, and score it.
-
-    ``label`` names the method in tables, by default as it is called.
-    """
+def attempt(method: str, scene: Scene, **options: Any) -> Trial:
+    """Segment a scene by one of `steelnb.hough.peers.METHODS` with options of its own, and score it."""
     begin = time.perf_counter()
     segments = METHODS[method](scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
     members = scene.members
     score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)
-    return Trial(label or method, scene, segments, score, seconds)
+    return Trial(method, scene, segments, score, seconds)
 
 
 def attempt_all(
@@ -154,37 +136,22 @@ def attempt_all(
     return trials
 
 
-def attempt_variants(views: Mapping[int, Sequence[Scene]], trials: int, sample: int) -> list[Trial]:
-    """Variants of the methods on views by seed: RANSAC whose two points are drawn anywhere, a single pass of the Hough
-    transform, and mixtures, on the first view of a seed, that are told the number of bars."""
-    scenes = [scene for some in views.values() for scene in some]
-    found = [attempt("ransac-lines", each, "ransac-lines-uniform", trials=trials, sample_m=1e3) for each in scenes]
-    found += [attempt("hough-once", each) for each in scenes]
-    for first, *_ in views.values():
-        bars = int(first.members.observed().sum())
-        found.append(attempt("gmm", first, "gmm-told", components=[2 * bars], sample=sample))
-    return found
-
-
 def attempt_conditions(
     scenes: Scenes,
-    trials: Iterable[Trial],
-    usual: Mapping[int, Sequence[Scene]],
+    seeds: Sequence[int],
+    count: int,
     levels: Mapping[str, Iterable[float]],
     methods: Sequence[str],
     options: Options,
     slow: Container[str] = (),
     on_progress: Callable[[float], None] | None = None,
 ) -> list[Trial]:
-    """The methods under other values of one of `USUAL` at a time, ``levels``, on as many views of each seed as
-    ``usual`` has; before them those of the ``trials`` on ``usual`` itself. Slow methods see the first seed alone, under
-    other conditions its first view."""
-    seeds = list(usual)
-    every, first = ({scene for seed in some for scene in usual[seed]} for some in (seeds, seeds[:1]))
-    found = [t for t in trials if t.method in methods and t.scene in (first if t.method in slow else every)]
+    """The methods under other values of one of `USUAL` at a time, ``levels``, on ``count`` views a seed; slow ones on
+    the first view alone."""
+    found = []
     others = [(name, value) for name, values in levels.items() for value in values if value != USUAL[name]]
     for k, (name, value) in enumerate(others):
-        views = [scene for seed in seeds for scene in scenes.frames(seed, len(usual[seed]), **{name: value})]
+        views = [scene for seed in seeds for scene in scenes.frames(seed, count, **{name: value})]
         found += attempt_all(methods, views, options, slow, every=len(views))
         if on_progress:
             on_progress((k + 1) / len(others))
@@ -223,7 +190,7 @@ def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
     """One row a trial; the errors of its right segments are arrays."""
     return pd.DataFrame(
         {
-            "scene": t.scene.name,
+            "scene": "frame",
             **{name: getattr(t.scene, name) for name in USUAL},
             "method": t.method,
             "seed": t.scene.seed,
@@ -277,3 +244,28 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
     case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "variant": "", "blind": ""}
     return rows.assign(f1=f1, status="ok", **case)
+
+
+def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
+    """Hough on the scenes of each noise with every dx × every least number of votes: means over all frames, a row each.
+
+    The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
+    """
+    rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
+    rows = []
+    for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
+        settings = SegmentationSettings(points_min=votes)
+        own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
+        trials = [
+            attempt("hough", scene, settings=settings, dx=each)
+            for scene, each in zip(scenes[noise_m], own, strict=True)
+        ]
+        means = over_cases(trial_table(trials)).iloc[0][list(MEASURES)].to_dict()
+        rows.append({"noise_m": noise_m, "rule": rule, "dx_m": float(np.mean(own)), "min_votes": votes, **means})
+    return pd.DataFrame(rows)
+
+
+def _dx(rule: str, width: float, points: Array) -> float:
+    if rule == CHOSEN:
+        return suggest_dx(points)
+    return width if rule == FIXED else float(np.linalg.norm(np.ptp(points, axis=0))) / 64

@@ -1,20 +1,21 @@
 """Figures of notebooks 07 and 13: segments found by each method, curves over conditions, maps over tuning, seeds."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 
 from steelnb.report.batch import seeds_text
-from steelnb.report.segmentation import CLUTTER, NOISE_M, USUAL, Scene, Trial
-from steelnb.report.segmentation_tuning import CHOSEN, FIXED, REFERENCE
+from steelnb.report.segmentation import CHOSEN, CLUTTER, FIXED, NOISE_M, REFERENCE, USUAL, Trial
 from steelnb.report.style import (
     BLACK,
     COLOURS,
     GREY,
     Figure,
+    draw_grid,
     draw_legend,
     draw_lines,
     draw_sample,
@@ -27,10 +28,7 @@ from steelnb.types import Array
 
 MARKS = {
     "hough": ("o", "Hough"),
-    "hough-once": ("p", "Hough, one pass"),
-    "hough-blocks": ("D", "Hough in blocks"),
     "ransac-lines": ("s", "RANSAC lines"),
-    "ransac-lines-uniform": ("P", "RANSAC lines, any two points"),
     "ransac-planes": ("v", "RANSAC planes"),
     "gmm": ("^", "GMM"),
     "dbscan": ("X", "DBSCAN"),
@@ -59,20 +57,13 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
     """The segments of each method in one scene, seen from where the sensor was: right and wrong ones over the points,
     and the bars missed."""
     wide, high = np.ptp(_project(trials[0].scene.points, trials[0].scene.across), axis=0) + 0.2
-    columns = len(trials) if high > 1.3 * wide else 3
-    rows = -(-len(trials) // columns)
-    width = 12.0 / columns
-    figure = Figure(figsize=(columns * width + 0.5, rows * (width * high / wide + 0.9) + 0.4))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for k, (panel, trial) in enumerate(zip(panels.ravel(), trials, strict=False)):
+    width = max(12.0 / len(trials), 2.3)
+    figure = Figure(figsize=(len(trials) * width + 0.5, width * high / wide + 1.5))
+    panels = figure.subplots(1, len(trials), sharex=True, sharey=True, squeeze=False)[0]
+    for panel, trial in zip(panels, trials, strict=True):
         _draw_found(panel, trial)
-        if k % columns == 0:
-            panel.set_ylabel("height (m)")
-        if k + columns >= len(trials):  # also above an empty place
-            panel.set_xlabel("across (m)")
-            panel.tick_params(labelbottom=True)
-    for panel in panels.ravel()[len(trials) :]:
-        panel.set_axis_off()
+        panel.set(xlabel="across (m)", ylabel="height (m)")
+        panel.label_outer()
     keys = {
         "right segment": {"color": COLOURS["right"], "lw": 2},
         "wrong segment": {"color": COLOURS["wrong"], "lw": 2},
@@ -80,15 +71,8 @@ def figure_found(trials: Sequence[Trial]) -> Figure:
         "points": {"color": COLOURS["points"], "marker": "o", "ls": "", "ms": 4},
     }
     draw_legend(figure, keys)
-    figure.suptitle(_caption([trial.scene for trial in trials]))
+    figure.suptitle(f"a frame, seed {trials[0].scene.seed}, {USUALLY}")
     return figure
-
-
-def _caption(scenes: Iterable[Scene]) -> str:
-    """The scenes of some trials at the usual conditions."""
-    scenes = list(dict.fromkeys(scenes))
-    what = {"frame": "single frames", "sequence": "vertical flight", "tower": "both flights at once"}[scenes[0].name]
-    return f"{what}, {seeds_text(scene.seed for scene in scenes)}, {USUALLY}"
 
 
 def _draw_found(panel: Axes, trial: Trial) -> None:
@@ -151,34 +135,10 @@ def figure_conditions(cases: pd.DataFrame, seeds: Sequence[int]) -> Figure:
 
 
 @style()
-def figure_sequence(trials: Sequence[Trial]) -> Figure:
-    """Recall, precision and points of each frame of a sequence, a curve a method."""
-    scenes = list(dict.fromkeys(trial.scene for trial in trials))
-    frames = pd.DataFrame(
-        {"method": t.method, "frame": scenes.index(t.scene), "recall": t.score.recall, "precision": t.score.precision}
-        for t in trials
-    )
-    figure = Figure(figsize=(9.0, 7.0))
-    *panels, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
-    for number, panel in zip(("recall", "precision"), panels, strict=True):
-        for method, own in frames.groupby("method", sort=False):
-            marker, label = MARKS[str(method)]
-            dash = "-" if len(own) == len(scenes) else ""
-            shown = own[number] if number == "recall" else own[number].where(own["recall"] >= RECALL_MIN)
-            panel.plot(own["frame"], shown, dash, color=COLOURS[str(method)], marker=marker, ms=5, label=label)
-        panel.set(ylabel=number, ylim=(-0.03, 1.03))
-    bottom.plot([scene.members.observed().sum() for scene in scenes], color=BLACK, marker=".")
-    bottom.set(ylabel="bars observed", xlabel="frame", ylim=(0, None), xlim=(-0.5, len(scenes) - 0.5))
-    gather_legend(figure, ncols=3)
-    figure.suptitle(f"{_caption(scenes)}\n({UNDRAWN})", fontsize=11)
-    return figure
-
-
-@style()
 def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame, seeds: Sequence[int]) -> Figure:
     """Maps of recall and precision over dx: by least number of votes (left) and by range noise (right).
 
-    Both are `segmentation_tuning.tuning_map` of a frame of each of these seeds. Beside the fixed dx stand the two rules
+    Both are `segmentation.tuning_map` of a frame of each of these seeds. Beside the fixed dx stand the two rules
     that need no tuning, with their dx.
     """
     figure = Figure(figsize=(12.0, 8.6))
@@ -193,24 +153,20 @@ def figure_tuning(votes: pd.DataFrame, noise: pd.DataFrame, seeds: Sequence[int]
     return figure
 
 
-def _draw_map(panel: Axes, table: pd.DataFrame, by: str, number: str, low: float):  # type: ignore[no-untyped-def]
+def _draw_map(panel: Axes, table: pd.DataFrame, by: str, number: str, low: float) -> AxesImage:
+    """One of the maps of `figure_tuning`; the dx of the rules, in cm, in brackets."""
     grid = table[table["rule"] == FIXED].pivot_table(index=by, columns="dx_m", values=number)
-    rules = [table[table["rule"] == rule].set_index(by).loc[grid.index].reset_index() for rule in (CHOSEN, REFERENCE)]
-    values = np.column_stack([grid.to_numpy(), *(rule[number] for rule in rules)])
-    image = panel.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=1.0)
-    for (row, column), value in np.ndenumerate(values):
-        colour = "black" if value > (low + 1.0) / 2 + 0.1 * (1 - low) else "white"
-        text = f"{value:.2f}"
-        if column >= grid.shape[1]:
-            text += f"\n({100 * rules[column - grid.shape[1]]['dx_m'][row]:.1f})"
-        panel.annotate(text, (column, row), ha="center", va="center", fontsize=8.5, color=colour)
-    panel.axvline(grid.shape[1] - 0.5, color="white", lw=4)
-    names = [f"{100 * dx:g}" for dx in grid.columns] + ["from\npoints", "diag.\n/ 64"]
-    panel.set_xticks(range(len(names)), names, fontsize=9)
-    panel.set_yticks(range(len(grid)), [f"{100 * v:g}" if by == "noise_m" else f"{v}" for v in grid.index])
+    grid.columns = pd.Index([f"{100 * dx:g}" for dx in grid.columns])
+    texts = grid.map("{:.2f}".format)
+    for rule, name in ((CHOSEN, "from\npoints"), (REFERENCE, "diag.\n/ 64")):
+        own = table[table["rule"] == rule].set_index(by)
+        grid[name], dx_cm = own[number], 100 * own["dx_m"]
+        texts[name] = [f"{value:.2f}\n({dx:.1f})" for value, dx in zip(own[number], dx_cm, strict=True)]
+    if by == "noise_m":
+        grid.index = 100 * grid.index
+    image = draw_grid(panel, grid, (low, 1.0), texts=texts.to_numpy())
     words, fixed = ("range noise (cm)", "15 votes") if by == "noise_m" else ("least votes", "2 cm of noise")
     panel.set(title=f"{number} by {words.removesuffix(' (cm)')} (at {fixed})", ylabel=words)
-    panel.grid(False)
     return image
 
 
@@ -236,8 +192,6 @@ def figure_over_seeds(table: pd.DataFrame, timing: pd.DataFrame) -> Figure:
         panel.grid(axis="y", visible=False)
     panels[2].set(xlabel="time a frame (ms)", xscale="log")
     panels[2].autoscale(axis="x")
-    panels[2].xaxis.set_major_formatter("{x:g}")
-    panels[2].xaxis.set_minor_formatter("")
     panels[0].set_yticks(range(len(methods)), [MARKS[name][1] for name in methods])
     panels[0].set_ylim(len(methods) - 0.5, -0.5)
     dot: dict[str, Any] = {"color": GREY, "marker": "o", "ls": "", "ms": 4}

@@ -13,8 +13,7 @@ from steelnb.metrics import score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.odometry.run import smoothed
-from steelnb.report.calibration import SHOWN, TOLD_SHARE
-from steelnb.report.conclusions import bullets
+from steelnb.report.calibration import SHOWN
 from steelnb.report.honest import HONEST
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, VERMILION, Figure, gather_legend, style
 from steelnb.rng import stream
@@ -126,29 +125,6 @@ def error_table(of: dict[str, SensorErrors], seed: int) -> pd.DataFrame:
     table = pd.DataFrame({name: column * factor for name, column in columns.items()})
     table.insert(0, "error", found.NAMES)
     return table.assign(unit=[SHOWN[unit][1] for unit in found.UNITS])
-
-
-def calibration_sentences(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
-    """What a wrong sensor costs, what calibration takes back, and where it costs."""
-    mm = runs.set_index("fault") * 1e3
-    gained = mm[mm["calibrated"] < 0.5 * mm["smoothed"]].index
-    none, inside = mm.loc["none"], (errors["found_imu"] - errors["true"]).abs() < 2 * errors["sigma_imu"]
-    told, by_imu = (errors[errors[sigma] < TOLD_SHARE * errors["before"]]["error"] for sigma in ("sigma", "sigma_imu"))
-    less = [
-        f"{fault} ({mm.loc[fault, 'smoothed']:.0f} → {mm.loc[fault, 'calibrated']:.0f} mm, "
-        f"with the IMU {mm.loc[fault, WITH_IMU]:.0f})"
-        for fault in gained
-    ]
-    lines = [
-        f"Calibrated in flight, poses err by less than half of what they do without it in {len(gained)} of {len(mm)} "
-        f"cases: {', '.join(less)}.",
-        f"Nothing is free: with a sensor that has no fault they err by {none['calibrated']:.0f} mm instead of "
-        f"{none['smoothed']:.0f}, since its scale is then known as well as the drifting prior knows lengths; with the "
-        f"readings of an IMU, which know metres too, by {none[WITH_IMU]:.0f}.",
-        f"This flight tells {', '.join(told)}: their σ is at most half of what it was before. With the IMU it tells "
-        f"{', '.join(by_imu)}; {int(inside.sum())} of the nine are then found within two standard deviations.",
-    ]
-    return bullets(lines)
 
 
 def bar_style(method: str) -> tuple[str, str, str]:

@@ -24,7 +24,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
 from steelnb.odometry import SegmentOdometry
-from steelnb.report.batch import Progress, case_of, share_of
+from steelnb.report.batch import Progress, case_of, goal_table, share_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 from steelnb.types import Array, Flight, IntArray, Segments
 
@@ -208,14 +208,12 @@ def structure_summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def structure_goals(table: pd.DataFrame, trajectory: TrajectoryName) -> pd.DataFrame:
-    """The goals beside the means of some runs: ``goal``, ``side``, ``limit``, ``mean``, ``reached`` (by the mean)."""
-    goals = pd.DataFrame(
-        {"goal": name, "side": side, "limit": limit[trajectory] if isinstance(limit, dict) else limit}
+    """The `batch.goal_table` of some runs on a flight."""
+    of_flight = {
+        name: (limit[trajectory] if isinstance(limit, dict) else limit, side)
         for name, (limit, side) in STRUCTURE_GOALS.items()
-    )
-    goals["mean"] = [table[name].mean() for name in goals["goal"]]
-    above, below = goals["mean"] >= goals["limit"], goals["mean"] <= goals["limit"]
-    return goals.assign(reached=above.where(goals["side"] == "at least", below))
+    }
+    return goal_table(table[list(of_flight)].mean(), of_flight)
 
 
 def recall_by_points(runs: Sequence[Rebuilt]) -> pd.DataFrame:

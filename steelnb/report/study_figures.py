@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
 from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, Verdict, cell_name
-from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, draw_sample, style
+from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, style
 from steelnb.types import Array
 
 PERCENTILES = (10, 50, 90)
@@ -22,16 +22,6 @@ LINE_IN, LETTERS, FRAME_LINES = 0.17, 100, 2.4
 MINUS = "\N{MINUS SIGN}"
 
 
-def summarise(runs: pd.DataFrame) -> pd.DataFrame:
-    """Mean, worst and number of seeds of ``ate_rmse_m`` for each case and method, and of what lies outside gaps."""
-    named = {"seeds": ("seed", "count"), "ate_mean_m": ("ate_rmse_m", "mean"), "ate_worst_m": ("ate_rmse_m", "max")}
-    if "ate_outside_gaps_rmse_m" in runs:
-        named["outside_gaps_mean_m"] = ("ate_outside_gaps_rmse_m", "mean")
-        named["outside_gaps_worst_m"] = ("ate_outside_gaps_rmse_m", "max")
-        named["after_gaps_worst_m"] = ("error_after_gaps_max_m", "max")
-    return runs.groupby(["case", "method"], sort=False).agg(**named).reset_index()
-
-
 def percentile_bands(runs: pd.DataFrame, name: str) -> tuple[Array, Array]:
     """Times ``(T,)`` and `PERCENTILES` ``(3, T)`` over the runs of a curve, at the times of the longest run."""
     time = max(runs["curve_time_s"], key=lambda stamps: stamps[-1])
@@ -40,38 +30,6 @@ def percentile_bands(runs: pd.DataFrame, name: str) -> tuple[Array, Array]:
         for stamps, values in zip(runs["curve_time_s"], runs[name], strict=True)
     ]
     return np.asarray(time, dtype=float), np.nanpercentile(np.asarray(curves, dtype=float), PERCENTILES, axis=0)
-
-
-@style()
-def figure_accuracy(table: pd.DataFrame, goal_m: float, worst_m: float) -> Figure:
-    """``ate_rmse_m`` of each row of a table of runs as a dot, means as bars, a column for each noise and method.
-
-    ``goal_m`` (for the mean) is drawn as a line, and a mean that misses it says so; ``worst_m`` (for any seed) is drawn
-    where a seed comes near, and is always in the legend.
-    """
-    groups = table.groupby(["case", "method"], sort=False)["ate_rmse_m"]
-    figure = Figure(figsize=(1.6 + 1.15 * len(groups), 5.0))
-    panel = figure.add_subplot()
-    top, labels = 100 * max(1.15 * table["ate_rmse_m"].max(), 1.3 * goal_m), []
-    for k, (key, values) in enumerate(groups):
-        case, method = map(str, cast(tuple, key))
-        mean = draw_sample(panel, k, 100 * values.to_numpy(), COLOURS[method], width=0.45, alpha=0.8)
-        text = f"{mean:.1f}" + ("\nmisses\nthe goal" if mean > 100 * goal_m else "")
-        panel.annotate(text, (k + 0.27, mean), va="center", fontsize=10, bbox=WHITE)
-        short = case.replace("+yaw-random-walk", "\n+ yaw walk").replace(", blind", ",\nblind")
-        labels.append(f"{short}\n{LABELS[method]}")
-    seeds = {"color": GREY, "marker": "o", "ls": ""}
-    keys: dict[str, dict[str, Any]] = {"a seed": seeds, "mean": {"color": COLOURS["truth"], "lw": 2.0}}
-    for limit, dash, whom in ((100 * goal_m, "--", "the mean"), (100 * worst_m, ":", "any seed")):
-        outside = "" if limit < top else " (above)"
-        keys[f"goal for {whom}, {limit:g} cm{outside}"] = {"color": COLOURS["report"], "ls": dash}
-        panel.axhline(limit, color=COLOURS["report"], linestyle=dash)
-    panel.set_xticks(range(len(groups)), labels, fontsize=9)
-    panel.set(ylabel="ATE, root mean square (cm)", xlim=(-0.5, len(groups) - 0.3), ylim=(0, top))
-    panel.grid(axis="x", visible=False)
-    draw_legend(figure, keys)
-    figure.suptitle(caption(table.drop(columns="noise")))
-    return figure
 
 
 @style()
@@ -98,7 +56,6 @@ def figure_error_bands(runs: pd.DataFrame, methods: Sequence[str]) -> Figure:
                 panel.set_title(f"{trajectory}\n{noise.replace('+yaw-random-walk', ' + yaw')}", fontsize=11)
     grid[0, 0].set_yscale("log")
     lowest_m = grid[0, 0].get_ylim()[0]
-    grid[0, 0].yaxis.set_major_formatter("{x:g}")
     for (row, column), panel in np.ndenumerate(grid):
         of_report |= _draw_report(panel, *cases[column], methods[row], lowest_m)
     keys: dict[str, dict[str, Any]] = {LABELS["none"]: {"color": COLOURS["none"], "ls": "--"}}

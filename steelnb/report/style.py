@@ -8,8 +8,10 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.figure
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -52,8 +54,7 @@ METHODS = {
 """Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
 by images red, learned lime, of others nearly black."""
 DETECTORS = {
-    "hough": INDIGO, "hough-once": MAGENTA, "hough-blocks": WINE, "ransac-lines": GREEN,
-    "ransac-lines-uniform": LIGHT_GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
+    "hough": INDIGO, "ransac-lines": GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
 }  # fmt: skip
 """Methods of segmentation, which no figure shows beside odometries."""
 KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
@@ -75,6 +76,11 @@ BAR_M = 2.0
 
 class Figure(matplotlib.figure.Figure):
     """A figure that notebooks show by itself: pyplot, whose state is global, is never needed."""
+
+    def savefig(self, *args: Any, **options: Any) -> None:
+        """As matplotlib's; labels of logarithmic axes are plain numbers, which is decided while drawing."""
+        with mpl.rc_context({"axes.formatter.min_exponent": 5}):
+            super().savefig(*args, **options)
 
     def _repr_png_(self) -> bytes:
         file = io.BytesIO()
@@ -130,6 +136,23 @@ def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower ce
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
+
+
+def draw_grid(
+    panel: Axes, grid: pd.DataFrame, limits: tuple[float, float], colours: str = "viridis", texts: Any = None
+) -> AxesImage:
+    """Draw a table of numbers as a map with its values, or ``texts``, in its cells, rows upwards; give the image."""
+    low, high = limits
+    image = panel.imshow(grid, cmap=colours, vmin=low, vmax=high, origin="lower", aspect="auto")
+    for (row, column), value in np.ndenumerate(grid.to_numpy(float)):
+        red, green, blue, _ = image.to_rgba(value)
+        text = f"{value:.2f}" if texts is None else texts[row][column]
+        colour = BLACK if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "white"
+        panel.text(column, row, text, ha="center", va="center", fontsize=9, color=colour)
+    panel.set_xticks(range(grid.shape[1]), [f"{name:g}" if isinstance(name, float) else name for name in grid.columns])
+    panel.set_yticks(range(grid.shape[0]), [f"{name:g}" for name in grid.index])
+    panel.grid(False)
+    return image
 
 
 def draw_sample(

@@ -1,16 +1,16 @@
 """Front, side and perspective of bars: the pictures of `steelnb segment`, `steelnb run` and `steelnb structure A B`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
+from steelnb.fusion.changes import Changes
 from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
 from steelnb.report.style import (
     COLOURS,
+    INDIGO,
     LIGHT_GREY,
     PINK,
     Figure,
@@ -24,111 +24,107 @@ from steelnb.report.style import (
 from steelnb.types import Array, Segments
 
 GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
-CHANGES = {"same": LIGHT_GREY, "missing": COLOURS["wrong"], "extra": COLOURS["right"], "moved": PINK}
+LOOKS: dict[str, dict[str, Any]] = {
+    "same": {"color": LIGHT_GREY, "lw": 1.0}, "not seen": {"color": LIGHT_GREY, "lw": 1.0, "ls": ":"},
+    "moved": {"color": PINK, "lw": 2.4}, "bent": {"color": INDIGO, "lw": 2.4},
+    "missing": {"color": COLOURS["wrong"], "lw": 2.4}, "extra": {"color": COLOURS["right"], "lw": 2.4},
+    "new": {"color": COLOURS["right"], "lw": 2.4},
+}  # fmt: skip
+CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
+"""Kinds of `Changes` in the order in which they are drawn: nothing that has changed may lie below what has not."""
 POINTS_MAX = 60_000
+Layer = tuple[str, dict[str, Any], Array]
 
 
 @style()
 def figure_segments(points: Array, segments: Segments, groups: Sequence[str], title: str) -> Figure:
-    """Points ``(N, 3)`` in grey, segments coloured by their class of orientation, in the views of `three_views`."""
-    turn, ends = upright_box(points), end_points(segments)
-    points = thinned(points, POINTS_MAX)
-    figure, panels, project = three_views(np.concatenate([points, ends.reshape(-1, 3)]), turn)
-    colours = [GROUPS[group] for group in groups]
-    for name, panel in panels.items():
-        x, y = project(points, name).T
-        panel.scatter(x, y, s=1.0, c=COLOURS["points"], linewidths=0, rasterized=True)
-        draw_lines(panel, project(ends, name), colors=colours, linewidths=1.1, alpha=0.9)
-    keys: dict[str, dict[str, Any]] = {
-        f"{name.replace('_', ' ')} ({sum(other == name for other in groups)})": {"color": colour, "lw": 2}
+    """Points ``(N, 3)`` in grey, segments coloured by their class of orientation."""
+    ends, of = end_points(segments), np.array(groups)
+    layers = [
+        (f"{name.replace('_', ' ')} ({np.count_nonzero(of == name)})", {"color": colour, "lw": 1.1}, ends[of == name])
         for name, colour in GROUPS.items()
-    }
-    keys["points"] = {"color": COLOURS["points"], "marker": "o", "ls": "", "ms": 3}
-    draw_legend(figure, keys, ncols=4 if figure.get_figwidth() > 9 else 2)
-    figure.suptitle(title, fontsize=12)
-    return figure
+    ]
+    return figure_layers(layers, title, thinned(points, POINTS_MAX))
 
 
 @style()
 def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str) -> Figure:
-    """Both structures, with the missing, extra and moved parts in colour, in the views of `three_views`.
-
-    Bars are lines, joints rings; of bars that have moved, the place in ``a`` is dashed.
-    """
-    ends = [end_points(structure.segments).reshape(-1, 3) for structure in (a, b)]
-    both = np.concatenate([*ends, a.joint, b.joint])
-    figure, panels, project = three_views(both, upright_box(both))
+    """Both structures, with the missing, extra and moved parts in colour; joints are rings, and of bars that have moved
+    the place in ``a`` is dashed."""
     moved, moved_joint = found.bar_moved, found.joint_moved | found.joint_retied
-    # Nothing that has changed may lie below what has not.
-    layers = [
-        ("same", "-", b, found.bar[~moved, 1], found.joint[~moved_joint, 1]),
-        ("moved", "--", a, found.bar[moved, 0], found.joint[[]][:, 0]),
-        ("moved", "-", b, found.bar[moved, 1], found.joint[moved_joint, 1]),
-        ("missing", "-", a, found.bar_missing, found.joint_missing),
-        ("extra", "-", b, found.bar_extra, found.joint_extra),
-    ]
-    for name, panel in panels.items():
-        for kind, dash, structure, bars, joints in layers:
-            width = 1.0 if kind == "same" else 2.2 if dash == "-" else 1.2
-            flat = project(end_points(structure.segments)[bars], name)
-            draw_lines(panel, flat, colors=CHANGES[kind], linewidths=width, linestyles=dash)
-            if kind != "same":
-                at = project(structure.joint[joints], name)
-                panel.plot(at[:, 0], at[:, 1], "o", mfc="none", mec=CHANGES[kind], mew=1.3, ms=7)
-    counts = {kind: (len(bars), len(joints)) for kind, dash, _, bars, joints in layers if dash == "-"}
-    keys = {
-        f"{kind}: {counts[kind][0]} bars, {counts[kind][1]} joints": {"color": colour, "lw": 2.5}
-        for kind, colour in CHANGES.items()
+    before, after = end_points(a.segments), end_points(b.segments)
+    parts = {
+        "same": (after[found.bar[~moved, 1]], b.joint[found.joint[~moved_joint, 1]]),
+        "moved": (after[found.bar[moved, 1]], b.joint[found.joint[moved_joint, 1]]),
+        "missing": (before[found.bar_missing], a.joint[found.joint_missing]),
+        "extra": (after[found.bar_extra], b.joint[found.joint_extra]),
     }
-    figure.set_figheight(figure.get_figheight() + 0.5)  # a legend of two rows
-    draw_legend(figure, keys, ncols=4 if figure.get_figwidth() > 11 else 2)
-    figure.suptitle(title, fontsize=12)
-    return figure
+    layers: list[Layer] = [("", LOOKS["moved"] | {"ls": "--", "lw": 1.2}, before[found.bar[moved, 0]])]
+    for kind, (bars, joints) in parts.items():
+        layers.append((f"{kind}: {len(bars)} bars, {len(joints)} joints", LOOKS[kind], bars))
+        if kind != "same":
+            layers.append(("", LOOKS[kind], joints))
+    return figure_layers([layers[1], layers[0], *layers[2:]], title)
 
 
-def three_views(points: Array, turn: Array) -> tuple[Figure, dict[str, Axes], Callable[[Array, str], Array]]:
-    """A figure with a panel for each view of ``points (N, 3)`` at one scale, and the projection into a view by name.
+@style()
+def figure_changes(changes: Changes, title: str) -> Figure:
+    """The bars of a map and the new ones, coloured by kind."""
+    ends = end_points(changes.segments)
+    layers = [(f"{kind}: {len(changes.of(kind))}", LOOKS[kind], ends[changes.of(kind)]) for kind in CHANGES]
+    return figure_layers(layers, title)
+
+
+def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = None) -> Figure:
+    """Bars from the front, from the side and in perspective at one scale, one layer over the other, above points
+    ``(N, 3)`` in grey: the label of each layer, its look, and its bars ``(M, 2, 3)`` or the places ``(M, 3)`` of its
+    joints.
 
     The front is the widest view: the structure is turned about z until the box around it is smallest, its wider side
     first. Lengths are metres from the middle of that box and from the lowest point. Towers stand side by side, long
     structures lie below each other.
     """
-    turned = points @ turn.T
+    cloud = np.zeros((0, 3)) if cloud is None else cloud
+    everything = np.concatenate([cloud, *(shapes.reshape(-1, 3) for _, _, shapes in layers)])
+    turn = upright_box(cloud if len(cloud) else everything)
+    turned = everything @ turn.T
     low, high = turned.min(axis=0), turned.max(axis=0)
     shift = np.array([*(low + high)[:2] / 2, low[2]])
     columns = {"front": [0, 2], "side": [1, 2]}
 
     def project(world: Array, name: str) -> Array:
         near = world @ turn.T - shift
-        if name in columns:
-            return near[..., columns[name]]
-        return project_perspective(near, turned - shift)
+        return near[..., columns[name]] if name in columns else project_perspective(near, turned - shift)
 
-    names = [*columns, "perspective"]
-    extents = {name: (project(points, name).min(axis=0), project(points, name).max(axis=0)) for name in names}
-    sizes = np.array([1.06 * (high - low) for low, high in extents.values()])
+    flat = {name: project(everything, name) for name in (*columns, "perspective")}
+    sizes = np.array([1.06 * np.ptp(points, axis=0) for points in flat.values()])
     sizes = np.maximum(sizes, max(0.1 * sizes.max(), 1e-3))  # a flat cloud still needs space for its axes
-    beside = sizes[0, 0] <= 1.5 * sizes[0, 1]
-    inches = min(7.0 / sizes[:, 1].max(), 8.0 / sizes[:, 0].sum()) if beside else 9.0 / sizes[:, 0].max()
-    if beside:
-        size = np.array([sizes[:, 0].sum(), sizes[:, 1].max()]) * inches + (2.4, 2.2)
-        shape: dict[str, Any] = {"nrows": 1, "ncols": 3, "width_ratios": sizes[:, 0].tolist()}
+    if sizes[0, 0] <= 1.5 * sizes[0, 1]:
+        extent = np.array([sizes[:, 0].sum(), sizes[:, 1].max()])
+        shape: dict[str, Any] = {"ncols": 3, "width_ratios": sizes[:, 0].tolist()}
     else:
-        size = np.array([sizes[:, 0].max(), sizes[:, 1].sum()]) * inches + (1.4, 3.4)
-        shape = {"nrows": 3, "ncols": 1, "height_ratios": sizes[:, 1].tolist()}
-    figure = Figure(figsize=(max(size[0], 6.0), size[1]))
-    panels = dict(zip(names, figure.subplots(**shape), strict=True))
-    for (name, panel), extent in zip(panels.items(), sizes, strict=True):
-        low, high = (sum(extents[name]) + sign * extent for sign in (-1, 1))
-        panel.set(xlim=(low[0] / 2, high[0] / 2), ylim=(low[1] / 2, high[1] / 2), aspect="equal", title=name)
-        for axis in (panel.xaxis, panel.yaxis):
-            ticks = max(1, int(1.5 * inches * np.ptp(axis.get_view_interval())))  # three for every two inches
-            axis.set_major_locator(MaxNLocator(min(ticks, 10), steps=[1, 2, 5, 10]))
-        panel.set_xlabel("across (m)" if name == "front" else "along (m)")
-        if name == "front" or not beside:
-            panel.set_ylabel("height (m)")
-    panels["perspective"].set_axis_off()
-    return figure, panels, project
+        extent = np.array([sizes[:, 0].max(), sizes[:, 1].sum()])
+        shape = {"nrows": 3, "height_ratios": sizes[:, 1].tolist()}
+    width, height = extent * min(9.0 / extent[0], 9.0 / extent[1]) + (2.0, 2.6)
+    figure = Figure(figsize=(max(width, 6.0), height))
+    for panel, name, size in zip(figure.subplots(**shape), flat, sizes, strict=True):
+        panel.plot(*project(cloud, name).T, ".", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
+        for _, look, shapes in layers:
+            drawn = project(shapes, name)
+            if shapes.ndim == 3:
+                draw_lines(panel, drawn, colors=look["color"], linewidths=look["lw"], linestyles=look.get("ls", "-"))
+            else:
+                panel.plot(*drawn.T, "o", mfc="none", mec=look["color"], ms=6, mew=1.5)
+        middle = (flat[name].min(axis=0) + flat[name].max(axis=0)) / 2
+        (left, right), (bottom, top) = np.stack([middle - size / 2, middle + size / 2], axis=1)
+        panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", title=name, xlabel="(m)", ylabel="height (m)")
+    panel.set_axis_off()
+    keys: dict[str, Any] = {label: look for label, look, _ in layers if label}
+    if len(cloud):
+        keys["points"] = {"color": COLOURS["points"], "marker": "o", "ls": "", "ms": 3}
+    draw_legend(figure, keys, ncols=3 if width > 9 else 2)
+    figure.suptitle(title, fontsize=12)
+    return figure
 
 
 def upright_box(points: Array) -> Array:

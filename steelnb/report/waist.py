@@ -14,9 +14,7 @@ from steelnb.metrics.matching import match_members
 from steelnb.odometry.segments import segments_in
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, caption, case_of
-from steelnb.report.conclusions import bullets
-from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
-from steelnb.settings import TowerSettings
+from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, style
 from steelnb.types import Flight
 
 KINDS = ("leg", "ring", "bracing", "arm")
@@ -56,52 +54,6 @@ def waist_s(run: Result) -> float:
     """The last time at which the drone is below the waist of the tower, the end of the flight if it never passes it."""
     below = run.truth.trajectory.position[:, 2] < run.settings.tower.waist_height_m
     return float(run.truth.trajectory.stamp_s[below][-1]) if below.any() else 0.0
-
-
-def waist_table(pairs: pd.DataFrame, run: Result, every: int = 5) -> pd.DataFrame:
-    """Below and above the waist: pairs a scan, by kind of member, and the share of them that is on another member."""
-    stamps = run.corrected.stamp_s[::every]
-    rows = {}
-    for place, chosen, scans in (
-        ("below the waist", pairs["time_s"] <= waist_s(run), stamps <= waist_s(run)),
-        ("above the waist", pairs["time_s"] > waist_s(run), stamps > waist_s(run)),
-    ):
-        counts = pairs.loc[chosen, "kind"].value_counts() / max(scans.sum(), 1)
-        other = 1.0 - float(pairs.loc[chosen, "same"].mean()) if chosen.any() else np.nan
-        rows[place] = {**{kind: float(counts.get(kind, 0.0)) for kind in KINDS}, "on_another_member": other}
-    return pd.DataFrame(rows).T
-
-
-def leg_bend_deg(tower: TowerSettings) -> float:
-    """The angle between the lower and the upper piece of a leg, which meet at the waist."""
-    across = [0.5 * (tower.base_width_m - tower.waist_width_m), 0.5 * (tower.waist_width_m - tower.top_width_m)]
-    up = [tower.waist_height_m, tower.height_m - tower.waist_height_m]
-    lower, upper = (np.array([a, a, z]) / np.linalg.norm([a, a, z]) for a, z in zip(across, up, strict=True))
-    return float(np.degrees(np.arccos(np.clip(lower @ upper, -1, 1))))
-
-
-def conclusion(run: Result, pairs: pd.DataFrame, every: int = 5) -> str:
-    """What the pairs are, and what changes at the waist where the flight passes it, as a list in Markdown."""
-    table = waist_table(pairs, run, every)
-    counts, other = table[list(KINDS)].sum(axis=1), table["on_another_member"]
-    legs = table["leg"] / counts.clip(lower=1e-9)
-    apart = run.corrected.stamp_s > waist_s(run)
-    if not apart.any() or not counts.iloc[1]:
-        return bullets([f"A scan has {counts.iloc[0]:.1f} pairs, of which {legs.iloc[0]:.0%} are legs."])
-    offset = (run.corrected.position - run.truth.trajectory.at(run.corrected.stamp_s).position)[apart]
-    limit_deg = np.degrees(run.settings.odometry.fusion.angle_max_rad) if run.settings.odometry.fusion else np.nan
-    bend_deg = leg_bend_deg(run.settings.tower)
-    within = "within" if bend_deg < limit_deg else "beyond"
-    return bullets(
-        [
-            f"A scan has {counts.iloc[0]:.1f} pairs below the waist and {counts.iloc[1]:.1f} above it, of which legs "
-            f"are {legs.iloc[0]:.0%} and {legs.iloc[1]:.0%}. Legs stand upright and cannot tell the height, which is "
-            f"{np.mean(offset[:, 2] ** 2) / np.mean((offset**2).sum(axis=1)):.0%} of the squared error above.",
-            f"{other.iloc[0]:.0%} of the pairs below and {other.iloc[1]:.0%} above join a segment to the bar of "
-            f"another member. A leg bends by {bend_deg:.1f}° at the waist, {within} the {limit_deg:.0f}° that the rule "
-            "takes for one bar.",
-        ]
-    )
 
 
 @style()
@@ -155,18 +107,6 @@ def sweep_rows(runs: pd.DataFrame) -> pd.DataFrame:
     return chosen[chosen["status"] == "ok"].groupby(list(AXES)).agg(**named).reset_index()
 
 
-def sweep_sentence(rows: pd.DataFrame, limit_m: float = REPORT_MAX_M) -> str:
-    """For which combinations the report's largest error holds."""
-    within = rows[rows["error_max_m"] <= limit_m]
-    by_waist = within.groupby("waist").size().reindex(rows["waist"].unique(), fill_value=0)
-    each = rows.groupby("waist").size()
-    parts = [f"{by_waist[waist]} of {each[waist]} at {waist:g} m" for waist in by_waist.index]
-    return (
-        f"The report's largest error, {limit_m:g} m, is kept in {len(within)} of {len(rows)} combinations of what it "
-        f"does not say: by the width of the tower at the waist, {', '.join(parts)}."
-    )
-
-
 @style()
 def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float = REPORT_MAX_M) -> Figure:
     """Largest error over width at the waist and stand-off, a panel a crop; what is within the report's is framed."""
@@ -176,18 +116,10 @@ def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float = REPORT
     frame: dict[str, Any] = {"fc": "none", "ec": COLOURS["wrong"], "linewidth": 3}
     for panel, crop in zip(panels, crops, strict=True):
         grid = rows[rows["crop"] == crop].pivot(index="standoff", columns="waist", values="error_max_m")
-        image = panel.imshow(
-            grid, cmap="viridis_r", vmin=0, vmax=rows["error_max_m"].max(), origin="lower", aspect="auto"
-        )
-        for (row, column), value in np.ndenumerate(grid.to_numpy()):
-            dark = value > 0.55 * rows["error_max_m"].max()
-            panel.text(column, row, f"{value:.2f}", ha="center", va="center", color="white" if dark else BLACK)
-            if value <= limit_m:
-                panel.add_patch(Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, **frame))
-        panel.set_xticks(range(grid.shape[1]), [f"{value:g}" for value in grid.columns])
-        panel.set_yticks(range(grid.shape[0]), [f"{value:g}" for value in grid.index])
+        image = draw_grid(panel, grid, (0, rows["error_max_m"].max()), "viridis_r")
+        for row, column in np.argwhere(grid.to_numpy() <= limit_m):
+            panel.add_patch(Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, **frame))
         panel.set(xlabel="width at the waist (m)", title=f"crop at {crop:g} m")
-        panel.grid(False)
     panels[0].set_ylabel("stand-off (m)")
     figure.colorbar(image, ax=list(panels), label="largest error (m), mean of the seeds")
     draw_legend(figure, {f"within the report's {limit_m:g} m": frame})

@@ -1,17 +1,12 @@
-"""The tower (Figure 3.1), the flights, and the drift of each noise over time: notebook 01, and the first picture of
-others."""
+"""Notebook 01: the tower (Figure 3.1), the flights, and the drift of each noise over time."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
-from steelnb import experiment
 from steelnb.images import GreyImage
-from steelnb.metrics import position_error_m
 from steelnb.noise import drifting, random_walk_rms_m
-from steelnb.report.batch import caption, case_of
 from steelnb.report.style import (
     BLUE,
     COLOURS,
@@ -24,8 +19,8 @@ from steelnb.report.style import (
     gather_legend,
     style,
 )
-from steelnb.settings import CameraSettings, ExperimentSettings, NoiseSettings
-from steelnb.simulation import Tower, Truth, build_tower, photograph
+from steelnb.settings import CameraSettings, NoiseSettings
+from steelnb.simulation import Tower, Truth, photograph
 from steelnb.types import Array, Flight, Trajectory
 
 RATE_HZ = 125.0
@@ -103,37 +98,6 @@ def drift_metrics(drift: pd.DataFrame) -> dict[str, float]:
     """The measured values of `drift_table` in one flat map, ``<noise>.rms_<unit>_after_<time>_s``."""
     named = "{noise}.rms_{unit}_after_{time_s:.0f}_s"
     return {named.format_map(row): float(row["rms"]) for row in drift.to_dict("records")}
-
-
-def fly_and_drift(cases: Sequence[ExperimentSettings]) -> tuple[Tower, Trajectory, dict[str, Trajectory]]:
-    """The tower, the true poses at the scans, and by noise the drifting ones, of cases on one flight. No scan is cast:
-    that takes a second. Raises `CollisionError`."""
-    of_noise = {case.noise_name: case for case in cases}
-    flight, truth = experiment.simulate_anew(cases[0])
-    stamps = flight.prior.stamp_s
-    drifts = {name: drifting(truth, case.noise, case.seed).at(stamps) for name, case in of_noise.items()}
-    return build_tower(cases[0].tower), truth.at(stamps), drifts
-
-
-@style()
-def figure_flight(cases: Sequence[ExperimentSettings]) -> Figure:
-    """The flight that some cases share, before any correction: true and drifting paths, and how far each noise drifts.
-
-    The paths are those of the first noise.
-    """
-    tower, truth, drifts = fly_and_drift(cases)
-    figure = Figure(figsize=(11, 4.4))
-    scene, curve = figure.subplots(1, 2, width_ratios=(1, 2.2))
-    draw_bars(scene, tower.axes, tower.vertices, colors=COLOURS["member"], linewidths=0.5)
-    first = next(iter(drifts.values()))
-    draw_paths(scene, {"truth": truth.position, "none": first.position}, tower.vertices, {"truth": "true path"})
-    for (name, drift), dash in zip(drifts.items(), itertools.cycle(["-", "--", ":", "-."])):
-        error, label = position_error_m(drift, truth), f"drifting: {name}"
-        curve.plot(truth.stamp_s - truth.stamp_s[0], error, dash, color=COLOURS["none"], label=label)
-    curve.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, None), ylim=(0, None))
-    gather_legend(figure, ncols=len(drifts) + 1)
-    figure.suptitle(f"{caption(pd.DataFrame(map(case_of, cases[:1])).drop(columns='noise'))}, no correction yet")
-    return figure
 
 
 def drone_views(truth: Truth, seed: int) -> dict[str, GreyImage]:

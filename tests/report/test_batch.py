@@ -6,7 +6,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import SettingsError
-from steelnb.report import batch, false_convergence, world
+from steelnb.report import batch, false_convergence
 from steelnb.study.row import paired_clouds
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -101,18 +101,6 @@ def test_the_ranking_says_which_pairs_are_in_the_order_claimed(monkeypatch):
 def test_the_first_run_of_each_method_on_a_flight(runs):
     assert list(batch.by_method(runs, "vertical").items()) == [("icp-3dof", runs[0]), ("gicp", runs[2])]
     assert batch.by_method(runs, "orbit") == {}
-
-
-def test_the_flight_is_drawn_with_every_drift_before_anything_is_corrected(runs):
-    noises = ["random-walk", "constant-drift"]
-    cases = batch.make_cases(["vertical"], "starling2", noises, ["none", "gicp"], 3, 6.0, SHORT)
-    _, truth, drifts = world.fly_and_drift(cases)
-    np.testing.assert_array_equal(drifts["random-walk"].T_world_drone, runs[0].prior.T_world_drone)
-    np.testing.assert_array_equal(truth.stamp_s, runs[0].prior.stamp_s)
-    assert not np.allclose(drifts["constant-drift"].position, drifts["random-walk"].position)
-    scene, curve = world.figure_flight(cases).axes
-    assert [line.get_label() for line in curve.lines] == ["drifting: random-walk", "drifting: constant-drift"]
-    assert "true path" in scene.get_legend_handles_labels()[1]
 
 
 def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():

@@ -5,7 +5,8 @@ import pandas as pd
 
 from steelnb.fusion import Structure
 from steelnb.fusion.changes import Changes
-from steelnb.report.changes import LOOKS, changes_line, figure_changes, write_changes
+from steelnb.report.changes import changes_line, write_changes
+from steelnb.report.three_views import CHANGES, figure_changes
 from tests.fusion.made import ladder, structure_of_bars
 
 KINDS = ("same", "missing", "moved", "bent", "not seen", "same", "same", "same", "new")
@@ -33,7 +34,7 @@ def test_the_picture_draws_every_bar_once_in_the_colour_of_its_kind():
         figure = figure_changes(changes, "a tower")
         for panel in figure.axes:
             drawn = [len(lines.get_segments()) for lines in panel.collections]
-            assert drawn[: len(LOOKS)] == [len(changes.of(kind)) for kind in LOOKS]
+            assert drawn[: len(CHANGES)] == [len(changes.of(kind)) for kind in CHANGES]
         assert "missing: 1" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 

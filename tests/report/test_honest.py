@@ -70,20 +70,12 @@ def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
         ]
     )  # fmt: skip
     found = honest.honest_runs(runs)
-    assert found["case"].to_dict() == {0: "ideal", 1: "honest", 2: "honest", 10: "honest, ideal's settings"}
-    table = honest.honest_table(found).set_index("case")
-    assert table.loc["honest", "ate_mean_m"] == pytest.approx(0.08)
-    assert table.loc["honest", ["seeds", "ate_worst_m"]].tolist() == [2, 0.1]
-    errors = pd.DataFrame(
-        [
-            {"fault": name, "median_mm": k, "p95_mm": 10.0 * k, "mean_mm": -k, "far_share": 0.1, "lost_share": 0.25}
-            for k, name in enumerate([honest.NOISE, *honest.FAULTS, honest.ALL])
-        ]
-    )
-    said = honest.honest_sentences(errors, found)
-    assert "loses 25 % of the returns" in said
-    assert "the largest is offset and scale of a camera: -5 mm" in said
-    assert "best: 2.0 → 30.0 → 8.0 cm (vertical)." in said
+    assert found.sort_index()["case"].to_dict() == {
+        0: "ideal",
+        1: "honest",
+        2: "honest",
+        10: "honest, ideal's settings",
+    }
 
 
 def test_the_study_runs_the_cases_that_are_compared():
@@ -96,9 +88,3 @@ def test_the_figures_show_both_sensors(errors):
     frame = honest.figure_frame(errors)
     assert [panel.get_title() for panel in frame.axes[:2]] == ["ideal", "honest"]
     assert len(frame.axes[2].lines) == len(errors)
-    runs = pd.DataFrame([row(*case, seed=seed) for case in honest.CASES for seed in (1, 2)])
-    figure = honest.figure_honest(honest.honest_runs(runs))
-    for marker, filled in honest.MARKERS.values():
-        faces = [line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == marker]
-        assert any((face != "white") == filled for face in faces)
-    assert len(figure.legends[0].get_texts()) == 4  # a case each, and the drift

@@ -1,13 +1,9 @@
 """The table, the sentences and the figure of the bound, from a short flight and from made-up tables."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from steelnb.report import batch, limit
-
-CASE = {"trajectory": "orbit", "noise": "random-walk", "sensor": "starling2", "seed": 1}
-MISSING = float("nan")
 
 
 @pytest.fixture(scope="module")
@@ -17,20 +13,6 @@ def flown():
     runs = batch.run_all(batch.make_cases(*given, ["icp-3dof", "best"], 1, 4.0))
     exact = batch.run_all(batch.make_cases(*given, ["best"], 1, 4.0, limit.EXACT))
     return runs, exact, limit.bounds(runs[0])
-
-
-def rows(bounds_mm: dict[str, float], methods: dict[str, tuple[float, float, float]]) -> pd.DataFrame:
-    """A table of bounds, and of ATE, noise-free ATE and multiple of the bound of methods."""
-    made = [{"name": name, "kind": "bound", "ate_mm": value} for name, value in bounds_mm.items()]
-    columns = ("ate_mm", "noise_free_mm", "times_bound")
-    made += [
-        {"name": name, "kind": "method", **dict(zip(columns, values, strict=True))} for name, values in methods.items()
-    ]
-    return pd.DataFrame(made).assign(**CASE)
-
-
-BOUNDS_MM = {"causal": 1.6, "batch": 1.1, "one scan": 0.7}
-METHODS = {"icp": (200.0, MISSING, 125.0), "combined": (12.0, 9.0, 7.5), "smoothed": (3.3, 1.0, 3.0)}
 
 
 def test_every_scan_has_each_bound_and_later_scans_help_earlier_poses(flown):
@@ -66,32 +48,6 @@ def test_over_several_flights_best_does_not_err_by_less_than_the_bound(flown):
     error_mm = 1e3 * np.sqrt(np.mean([run.metrics["ate_rmse_m"] ** 2 for run in runs]))
     # One flight can have the luck to err by less; seed 1 does.
     assert limit.ate_mm(bounds["causal"]) < error_mm < 2 * limit.ate_mm(bounds["causal"])
-
-
-def test_the_sentences_name_the_bounds_the_nearest_methods_and_the_bias():
-    first, second, third = limit.limit_sentences(rows(BOUNDS_MM, METHODS)).splitlines()
-    assert first.startswith("- **orbit**, sensor starling2: no odometry can err by less than 1.6 mm")
-    assert "whole flight by less than 1.1 mm" in first
-    assert first.endswith("one scan on a known surface tells the place to 0.7 mm.")
-    assert second == (
-        "- smoothed has 3.3 mm, 3.0 times the bound of the whole flight; combined has 12.0 mm, 7.5 times the bound of "
-        "the scans so far; the worst, ICP, 125 times."
-    )
-    assert "combined 9.0 mm instead of 12.0, smoothed 1.0 mm instead of 3.3" in third
-    assert third.endswith("with: combined; less than half with: smoothed.")
-
-
-def test_a_method_below_the_bound_and_scans_that_do_not_tell_the_place_are_said():
-    said = limit.limit_sentences(rows(BOUNDS_MM | {"one scan": np.inf}, METHODS | {"smoothed": (0.9, 0.9, 0.8)}))
-    assert "one scan on a known surface tells not always the whole place." in said
-    assert "Below the bound, which is of the mean over flights: smoothed." in said
-    assert said.endswith("with: combined, smoothed; less than half with: none.")
-
-
-def test_without_exact_ranges_nothing_is_said_of_bias():
-    said = limit.limit_sentences(rows(BOUNDS_MM, {"icp": (200.0, MISSING, 125.0)}))
-    assert len(said.splitlines()) == 2
-    assert "bias" not in said
 
 
 def test_the_figure_has_every_method_and_bound_once(flown):

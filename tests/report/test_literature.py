@@ -1,74 +1,64 @@
-import itertools
+"""Figures of images, of their features and of what LOAM takes, on a flight of a second."""
+
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from steelnb.report import literature
-
-ATE_MM = {"loam": 120.0, "loam-midlines": 12.0, "best": 24.0, "combined": 8.0, "orb": 9.0}
-
-
-@pytest.fixture
-def study():
-    """Rows of a study in any order, and some that do not belong to it."""
-    cases = itertools.product(("orbit", "vertical"), ("random-walk", "constant-drift"), (22, 21), ATE_MM)
-    rows = [
-        {"sensor": "starling2", "trajectory": flight, "noise": noise, "seed": seed, "method": method, "variant": "",
-         "blind": "", "status": "ok", "duration_s": 200.0, "raw_ate_rmse_m": 0.4,
-         "ate_rmse_m": 1e-3 * ATE_MM[method] * (1.5 if seed == 22 else 0.5)}
-        for flight, noise, seed, method in cases
-    ]  # fmt: skip
-    lost = [{**row, "sensor": "report", "ate_rmse_m": 0.39} for row in rows if row["method"] == "loam"]
-    others = [
-        {**rows[0], "variant": "clouds.dof=se3"}, {**rows[0], "blind": "60-65"}, {**rows[0], "status": "failed"},
-        {**rows[0], "duration_s": 40.0}, {**rows[0], "trajectory": "planned"}, {**rows[0], "method": "icp"},
-    ]  # fmt: skip
-    return pd.DataFrame([*lost, *rows, *others])
+from steelnb import experiment
+from steelnb.errors import RecordingError
+from steelnb.report.literature import LOAM, figure_features, figure_matches, fly, seen_features
+from steelnb.settings import ExperimentSettings
 
 
-def chosen(study):
-    noises, methods = ["random-walk", "constant-drift"], ["orb", "loam", "loam-midlines", "best", "combined"]
-    return literature.literature_runs(study, ["starling2", "report"], noises, methods)
+@pytest.fixture(scope="module")
+def world():
+    flight, truth = experiment.simulate(ExperimentSettings.preset(method="orb", seed=11, duration_s=1.0))
+    return flight, truth.trajectory.at(flight.prior.stamp_s)
 
 
-def test_runs_are_whole_flights_in_the_order_asked_for(study):
-    runs = chosen(study)
-    assert len(runs) == 48
-    assert (runs["ate_rmse_m"] > 0).all()
-    assert list(dict.fromkeys(runs["sensor"])) == ["starling2", "report"]
-    assert list(dict.fromkeys(runs["trajectory"])) == ["vertical", "orbit"]
-    assert list(dict.fromkeys(runs["method"])) == ["orb", "loam", "loam-midlines", "best", "combined"]
-    assert runs["seed"].iloc[:2].tolist() == [21, 22]
+def counts(figure):
+    """Number of matches by verdict, from the legend."""
+    pairs = (text.get_text().rsplit(": ") for text in figure.legends[0].get_texts())
+    return {name: int(number) for name, number in pairs}
 
 
-def test_the_table_has_mean_and_worst_of_the_seeds(study):
-    table = literature.literature_table(chosen(study))
-    assert len(table) == 24
-    row = table[(table["method"] == "best") & (table["trajectory"] == "orbit")].iloc[0]
-    assert (row["seeds"], row["noise"]) == (2, "random-walk")
-    np.testing.assert_allclose(row[["ate_mean_m", "ate_worst_m", "raw_ate_mean_m"]].astype(float), [0.024, 0.036, 0.4])
+def test_most_matches_of_successive_images_are_right_by_the_true_poses(world):
+    flight, true = world
+    shown = counts(figure_matches(flight, 2, 3, true))
+    assert shown["right"] > 40
+    assert shown["right"] > 5 * shown["wrong"]
+    turned = replace(true, T_world_drone=true.T_world_drone.copy())
+    turned.T_world_drone[3, :3, 3] += (0.0, 0.3, 0.0)
+    assert counts(figure_matches(flight, 2, 3, turned))["right"] < 0.2 * shown["right"]
+    figure = figure_matches(flight, 2, 3, true)
+    assert f"{sum(shown.values())} matches of " in figure.axes[0].get_title()
+    assert sum(len(lines.get_segments()) for lines in figure.axes[0].collections) == sum(shown.values())
 
 
-def test_sentences_say_how_far_off_beside_the_others_and_what_is_lost(study):
-    runs = chosen(study)
-    alone = runs[runs["method"] == "best"].assign(seed=23, ate_rmse_m=9.0)  # a seed that no other flew
-    said = literature.literature_sentences(pd.concat([runs, alone])).splitlines()
-    assert len(said) == 4
-    midlines = next(line for line in said if "midlines" in line)
-    assert "12 to 12 mm" in midlines
-    assert "0.5 times that of best" in midlines
-    assert "1.5 times that of combined" in midlines
-    assert "no better than the drift" not in midlines
-    assert "in 4 of 4 cases it is no better than the drift" in next(line for line in said if "the report's" in line)
+def test_features_are_those_of_the_scan_s_image_with_its_depths(world):
+    flight, _ = world
+    image, features = seen_features(flight, 2)
+    np.testing.assert_array_equal(image, flight.images.images[flight.images.at(flight.prior.stamp_s[2])])
+    known = features.depth[np.isfinite(features.depth)]
+    assert 20 < len(known) < len(features.depth)
+    assert known.max() < np.nanmax(flight.scans[2].points[..., 0]) + 0.05
 
 
-def test_the_figure_has_a_panel_for_each_flight_and_sensor_and_every_run_in_it(study):
-    runs = chosen(study)
-    figure = literature.figure_literature(runs)
-    assert len(figure.axes) == 4
-    dots = sum(
-        len(line.get_xdata()) for panel in figure.axes for line in panel.lines if line.get_linestyle() == "None"
-    )  # fmt: skip
-    assert dots == len(runs)
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()][1] == "LOAM"
+def test_flights_without_images_are_refused(world):
+    flight, _ = world
+    with pytest.raises(RecordingError, match="no images"):
+        figure_matches(replace(flight, images=None), 0, 1)
+    late = replace(flight, images=replace(flight.images, stamp_s=flight.images.stamp_s + 9.0))
+    with pytest.raises(RecordingError, match="no image at scan 1"):
+        seen_features(late, 1)
+
+
+def test_both_kinds_of_loam_are_drawn_over_one_scan_and_with_their_maps():
+    flight, truth, estimates = fly("orbit", "random-walk", "starling2", 11, 1.0)
+    figure = figure_features(flight, truth, estimates, 2)
+    assert [panel.get_title() for panel in figure.axes[:2]] == ["LOAM", "LOAM by midlines"]
+    maps = [f"map of {len(estimates[method].points)} points" for method in LOAM]
+    assert [panel.get_title() for panel in figure.axes[2:]] == maps
+    labels = [line.get_label().partition(" ")[2] for panel in figure.axes[:2] for line in panel.lines]
+    assert labels == ["edges", "planes", "midlines"]

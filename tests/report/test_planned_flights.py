@@ -1,5 +1,4 @@
 import numpy as np
-import pandas as pd
 import pytest
 
 from steelnb import experiment
@@ -56,33 +55,6 @@ def test_the_table_has_a_row_a_flight(flown):
     assert table["few_share"].tolist() == [
         float((flown[name].returns < planned_flights.FEW).mean()) for name in ("orbit", "whole")
     ]
-
-
-def row(flight: str, ate_m: float, few: float, seen: float) -> dict[str, object]:
-    return {"flight": flight, "ate_rmse_m": ate_m, "few_share": few, "seen_share": seen}
-
-
-def test_the_sentences_follow_from_the_table():
-    rows = [row("orbit", 0.1, 0.06, 0.6), row("planned", 0.12, 0.0, 0.7), row("whole", 0.05, 0.0, 0.98)]
-    rows += [
-        row("view only", 0.15, 0.0, 0.7),
-        row("information only", 0.09, 0.0, 0.7),
-        row("wide orbit", 0.3, 0.9, 0.5),
-    ]
-    sight, wide, first, _, second, seen, barriers = planned_flights.flight_sentences(pd.DataFrame(rows)).splitlines()
-    assert "orbit 6.0%, planned 0.0%" in sight
-    assert wide.endswith(
-        "planned errs by 120 mm, the wide orbit by 300 mm: 0.40 times, no more than half of the wide orbit's."
-    )
-    assert first.endswith("planned errs by 120 mm, the orbit by 100 mm: 1.20 times, no less than the orbit's.")
-    assert second.endswith("0.50 times, no more than half of the orbit's.")
-    assert seen.endswith("most by whole.")
-    assert barriers.endswith("with both 120 mm; the smaller error of the two has information only.")
-
-
-def test_without_an_orbit_there_is_nothing_to_compare():
-    lines = planned_flights.flight_sentences(pd.DataFrame([row("planned", 0.12, 0.0, 0.7)])).splitlines()
-    assert len(lines) == 2
 
 
 def test_the_figures_show_every_flight(flown):

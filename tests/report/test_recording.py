@@ -403,7 +403,6 @@ def test_one_scan_can_be_compared(tmp_path):
     chosen = {name: (recording_settings(name)[0], None) for name in ("none", "best")}
     found = compare_recording(made(lattice, scans=1), tmp_path / "out", chosen, rrd=False)
     assert found.table["moved_max_m"].tolist() == [0, 0]
-    assert [line.get_label() for line in found.figure.axes[1].lines if line.get_linestyle() == ":"] == []
 
 
 def test_where_one_of_several_odometries_fails_nothing_is_left(simulated, tmp_path):

@@ -1,7 +1,6 @@
 """`report.self_calibration`: each fault costs what it should, and the errors drawn are those of the estimator's σ."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from steelnb import experiment
@@ -70,16 +69,3 @@ def test_a_wrongly_told_flight_differs_by_the_errors_alone():
     moved_m = np.linalg.norm(told.prior.position - flight.prior.position, axis=1)
     assert 0 < moved_m[-1] < 0.2  # where the drone was 40 ms before
     np.testing.assert_allclose(told.imu.stamp_s - flight.imu.stamp_s, 0.04)
-
-
-def test_its_sentences_say_what_calibration_costs():
-    runs = pd.DataFrame({"fault": ["none", "range × 1.02"], "smoothed": [0.003, 0.1], "calibrated": [0.014, 0.02],
-                         self_calibration.WITH_IMU: [0.008, 0.009]})  # fmt: skip
-    errors = pd.DataFrame({"error": ["range scale", "mount z"], "true": [1.0, 1.0], "before": [1.0, 1.1],
-                           "sigma": [0.2, 1.0], "found_imu": [1.1, 9.0], "sigma_imu": [0.1, 0.5]})  # fmt: skip
-    said = self_calibration.calibration_sentences(runs, errors)
-    assert "in 1 of 2 cases: range × 1.02 (100 → 20 mm, with the IMU 9)" in said
-    assert "they err by 14 mm instead of 3" in said
-    assert "know metres too, by 8." in said
-    assert "This flight tells range scale: " in said
-    assert "it tells range scale, mount z; 1 of the nine are then found within two standard deviations" in said

@@ -10,7 +10,6 @@ import pytest
 from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, Claim, Verdict
 from steelnb.report.study_figures import (
     claim_goal,
-    figure_accuracy,
     figure_claims,
     figure_error_bands,
     figures_by_section,
@@ -192,20 +191,6 @@ def test_small_errors_are_within_the_panels_of_bands():
     runs["curve_error_m"] = runs["curve_error_m"] / 1000
     (panel,) = figure_error_bands(runs, ["best"]).axes
     assert panel.get_ylim()[0] < 4e-5, "the lower end of the band"
-
-
-def test_a_mean_that_misses_its_goal_says_so_and_a_far_goal_does_not_squeeze_the_seeds():
-    table = pd.DataFrame(
-        {"case": case, "method": "best", "ate_rmse_m": ate, "seed": seed, "sensor": "report", "trajectory": "orbit"}
-        for case, ates in {"calm": (0.02, 0.024), "blind": (0.027, 0.03)}.items()
-        for seed, ate in enumerate(ates)
-    ).assign(noise="random-walk")
-    figure = figure_accuracy(table, 0.025, 0.08)
-    said = [text.get_text().replace("\n", " ") for text in figure.axes[0].texts]
-    assert said == ["2.2", "2.9 misses the goal"]
-    assert figure.axes[0].get_ylim()[1] < 4
-    assert "goal for any seed, 8 cm (above)" in {text.get_text() for text in figure.legends[0].get_texts()}
-    assert figure.get_suptitle() == "orbit flight, sensor report, 2 seeds"
 
 
 def test_the_range_of_the_report_stands_behind_what_it_shows_alone():

@@ -12,6 +12,6 @@ def test_bars_that_reach_beyond_the_points_are_not_cut():
     bars = Segments(start=start, end=end, count=np.array([9, 9]), radius=np.array([0.1, 0.1]))
     figure = figure_segments(points, bars, ["near_vertical"] * 2, "a tower")
     for panel in figure.axes:
-        ends = np.concatenate(panel.collections[-1].get_segments())
+        ends = np.concatenate(panel.collections[0].get_segments())
         for values, (low, high) in zip(ends.T, (panel.get_xlim(), panel.get_ylim()), strict=True):
             assert low < values.min() < values.max() <= high or np.ptp(values) < 1e-9

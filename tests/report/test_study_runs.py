@@ -1,9 +1,9 @@
-"""The table of other worlds, from made-up runs."""
+"""Runs of a study that are compared, their tables and their figure, from made-up runs."""
 
 import pandas as pd
 import pytest
 
-from steelnb.report.worlds import figure_worlds, world_of, world_runs, world_table, worlds_sentence
+from steelnb.report.study_runs import figure_runs, over_seeds, whole_flights, world_of, world_runs
 
 NARROW = "tower.base_width_m=1.6"
 
@@ -37,25 +37,43 @@ def test_worlds_are_named_for_readers():
     assert world_of("hough.dx_m=3", "random-walk", "report", "orbit") == "hough.dx_m=3"
 
 
-def test_a_world_in_which_the_correction_is_worse_than_the_drift_is_named():
+def test_runs_are_whole_flights_in_the_order_asked_for():
+    runs = whole_flights(flown(), variant=[NARROW, ""], trajectory=["orbit"], sensor=["report", "starling2"])
+    assert runs["sensor"].tolist() == ["starling2"] * 2 + ["report"] * 2 + ["starling2"] * 4
+    assert runs["seed"].tolist()[:2] == [1, 2]
+    assert whole_flights(flown(), trajectory=["planned"]).empty
+
+
+def test_the_worlds_of_one_flight_in_their_order_with_means_over_the_seeds():
     runs = world_runs(flown(), "orbit")
     assert len(runs) == 7, "one flight, random walk, methods of both sensors, ended well, always in sight"
-    table = world_table(runs).set_index("world")
+    table = over_seeds(runs, ["world", "method"]).set_index("world")
     order = ["as preset", "roll and pitch off by 1°", "stand-off + 1 m", "tower 1.6 m wide at the base"]
     assert table.index.tolist() == [*order, "the report's sensor"]
     assert table["ate_mean_m"].tolist() == pytest.approx([0.015, 0.08, 0.05, 1.0, 0.04])
-    assert table["worse_than_drift"].tolist() == [0, 0, 0, 2, 0]
-    text = worlds_sentence(world_table(runs))
-    assert text.startswith(
-        "Mean ATE in the other worlds: best: 4.0 to 100.0 cm. Worse than the drift: best with tower 1.6"
-    )
-    assert "(2 of 2 seeds, 100 cm against 30)" in text
-    assert worlds_sentence(world_table(runs[runs["variant"] != NARROW])).endswith("None is worse than the drift.")
+    assert table["ate_worst_m"]["as preset"] == 0.02
+    assert table["seeds"].tolist() == [2, 1, 1, 2, 1]
 
 
 def test_the_figure_has_a_row_a_world_and_a_dot_a_run():
     runs = world_runs(flown(), "orbit")
-    (panel,) = figure_worlds(runs).axes
-    assert [label.get_text() for label in panel.get_yticklabels()] == list(world_table(runs)["world"])
+    (panel,) = figure_runs(runs, "world", limits_m={"goal": 0.03}).axes
+    assert [label.get_text() for label in panel.get_yticklabels()] == list(dict.fromkeys(runs["world"]))
     dots = [line for line in panel.lines if line.get_marker() == "o"]
     assert sorted(x for line in dots for x in line.get_xdata()) == pytest.approx([1, 2, 4, 5, 8, 100, 100])
+    assert [line.get_xdata()[0] for line in panel.lines if line.get_linestyle() == "--"] == [3.0]
+
+
+def test_panels_and_markers_tell_flights_sensors_and_noises_apart():
+    runs = pd.DataFrame(
+        [
+            run(trajectory=flight, sensor=sensor, noise=noise, method=method)
+            for flight in ("vertical", "orbit") for sensor in ("starling2", "report")
+            for noise in ("random-walk", "constant-drift") for method in ("gicp", "icp")
+        ]
+    )  # fmt: skip
+    figure = figure_runs(runs, "method", "noise", down="trajectory", across="sensor")
+    assert [panel.get_title() for panel in figure.axes][:2] == ["vertical, starling2", "vertical, report"]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["ICP", "GICP"]
+    markers = [line.get_marker() for line in figure.axes[0].lines if line.get_linestyle() == "None"]
+    assert markers == ["o", "^", "o", "^"]
