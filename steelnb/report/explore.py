@@ -3,7 +3,7 @@
 import functools
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +13,7 @@ from steelnb import experiment
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.tube import MIN_VOTES, tube_radius
 from steelnb.metrics import position_error_m
-from steelnb.report.batch import at_level, caption
+from steelnb.report.batch import caption
 from steelnb.report.style import (
     COLOURS,
     LABELS,
@@ -26,7 +26,7 @@ from steelnb.report.style import (
     style,
     thinned,
 )
-from steelnb.settings import ExperimentSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Tower, build_tower
 from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
@@ -70,23 +70,6 @@ class View:
             f"{numbers['raw_ate_rmse_m']:.3f} m without correction{after}; {len(self.segments)} bars in the map. "
             f"{len(self.result.prior)} scans in {s.flight.duration_s:g} s of flight."
         )
-
-
-def flight_settings(
-    trajectory: TrajectoryName,
-    noise: str,
-    level: float,
-    sensor: str,
-    method: str,
-    seed: int,
-    duration_s: float,
-    overrides: Mapping[str, Any] | None = None,
-) -> ExperimentSettings:
-    """The settings of a flight with ``level`` times the drift of a noise. Raises `SettingsError`."""
-    return ExperimentSettings.preset(
-        trajectory, at_level(noise, level), sensor=sensor, seed=seed, duration_s=duration_s,
-        overrides=dict(overrides or {}), method=method,
-    )  # fmt: skip
 
 
 def fly(
@@ -135,8 +118,9 @@ def figure_scene(
     from plotly.subplots import make_subplots
 
     tracks, errors = tracks_and_errors(prior, corrected, truth)
-    colours = {name: COLOURS[key] for name, key in track_keys(method).items()}
-    low, high = corners(np.zeros((0, 3)) if cloud is None else cloud, tracks)
+    colours = {"true": COLOURS["truth"], "drifting": COLOURS["none"], "corrected": COLOURS[method]}
+    around = np.concatenate([np.zeros((0, 3)) if cloud is None else cloud, *tracks.values()])
+    low, high = np.floor(around.min(axis=0)), np.ceil(around.max(axis=0))
     rows = {"rows": 2, "row_heights": (0.7, 0.3), "specs": [[{"type": "scene"}], [{"type": "xy"}]]}
     if not errors:
         rows = {"rows": 1, "specs": [[{"type": "scene"}]]}
@@ -196,17 +180,6 @@ def tracks_and_errors(
     return {"true": truth.position, **tracks}, errors
 
 
-def track_keys(method: str) -> dict[str, str]:
-    """The key of the colour of each of `tracks_and_errors`, where a method corrected."""
-    return {"true": "truth", "drifting": "none", "corrected": method}
-
-
-def corners(cloud: Array, tracks: dict[str, Array]) -> tuple[Array, Array]:
-    """Lowest and highest corner ``(3,)`` around a cloud and trajectories, in whole metres."""
-    points = np.concatenate([cloud, *tracks.values()])
-    return np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
-
-
 def _columns(points: Array) -> dict[str, Any]:
     """``(N, 3)`` as the arguments x, y and z; single precision is half a page, and finer than a pixel."""
     return dict(zip("xyz", points.T.astype(np.float32), strict=True)) | {"hoverinfo": "skip"}
@@ -229,10 +202,9 @@ def figure_flight(view: View) -> Figure:
     figure = Figure(figsize=(11, 5.6))
     scene, curve = figure.subplots(1, 2, width_ratios=(1, 1.2))
     tracks, errors = tracks_and_errors(*view.trajectories)
-    method, highest_m = view.result.settings.odometry.method, corners(view.cloud, tracks)[1][2]
-    axes = view.result.truth.tower.axes
-    axes = axes[(axes[:, :, 2] <= highest_m).all(axis=1)]
-    around, keys = axes.reshape(-1, 3), track_keys(method)
+    method, axes = view.result.settings.odometry.method, view.result.truth.tower.axes
+    axes = axes[(axes[:, :, 2] <= np.ceil(view.cloud[:, 2].max())).all(axis=1)]
+    around, keys = axes.reshape(-1, 3), {"true": "truth", "drifting": "none", "corrected": method}
     draw_bars(scene, axes, around, colors=COLOURS["member"], linewidths=0.7, label="true members")
     x, y = project_perspective(view.cloud[::4], around).T
     scene.scatter(x, y, s=0.6, color=COLOURS["points"], linewidths=0, label="cloud")

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from steelnb.experiment import Result
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
@@ -28,7 +27,6 @@ BOUNDS: dict[str, dict[str, Any]] = {
     "one scan": {"color": DARK_GREY, "linestyle": ":", "label": "bound: one scan, surface known"},
 }
 """The bounds, as a table names them and a figure draws them."""
-WITH, WITHOUT = "with range noise", "without range noise"
 
 
 Limits = dict[str, Array]
@@ -98,10 +96,10 @@ def assumptions() -> dict[str, Any]:
 
 @style()
 def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> Figure:
-    """The error of each method over time as a running root mean square, and the bounds below it (left); the error of
-    the whole flight with and without range noise (right); logarithmic, in millimetres."""
+    """The error of each method over time as a running root mean square, and the bounds below it; at the right edge
+    the error of the whole flight without range noise; logarithmic, in millimetres."""
     figure = Figure(figsize=(9.0, 5.6))
-    curve, whole = figure.subplots(1, 2, sharey=True, width_ratios=[4.2, 1.0])
+    curve = figure.add_subplot()
     for result in runs:
         method = result.settings.odometry.method
         rms_mm = 1e3 * running_rms_m(result, SMOOTHED_S)
@@ -117,29 +115,10 @@ def figure_limit(runs: Sequence[Result], exact: Sequence[Result], limits: Limits
     curve.set(yscale="log", xlim=(0, float(stamp_s[-1])))
     curve.set_ylim(lowest_mm, largest_mm)
     curve.set(xlabel="time (s)", ylabel=f"error of the position (mm), RMS over {SMOOTHED_S:g} s")
-    _draw_whole(whole, runs, exact, limits)
+    for k, result in enumerate(exact):
+        label = "ATE without range noise" if k == 0 else None
+        look = {"color": COLOURS[result.settings.odometry.method], "mfc": "white", "mew": 1.6, "clip_on": False}
+        curve.plot(stamp_s[-1], 1e3 * result.metrics["ate_rmse_m"], "o", ms=8, zorder=4, label=label, **look)
     gather_legend(figure, ncols=3, fontsize=10)
     figure.suptitle(caption(runs), fontsize=12)
     return figure
-
-
-def _draw_whole(panel: Axes, runs: Sequence[Result], exact: Sequence[Result], limits: Limits) -> None:
-    """Draw the error of the whole flight of each method, with range noise filled, without hollow, and the bounds."""
-    place = {result.settings.odometry.method: k for k, result in enumerate(runs)}
-    for kind, results in ((WITH, runs), (WITHOUT, exact)):
-        for k, result in enumerate(results):
-            method = result.settings.odometry.method
-            colour = COLOURS[method]
-            face = colour if kind == WITH else "white"
-            at = (place[method], 1e3 * result.metrics["ate_rmse_m"])
-            panel.plot(*at, "o", color=colour, mfc=face, ms=8, mew=1.6, zorder=3 if kind == WITH else 4)
-            if k == 0:
-                panel.plot([], [], "o", color=GREY, mfc=GREY if kind == WITH else "white", ms=8, label=f"ATE {kind}")
-    for name, look in BOUNDS.items():
-        if np.isfinite(limits[name]).all():
-            panel.axhline(ate_mm(limits[name]), color=look["color"], linestyle=look["linestyle"], linewidth=1.4)
-    panel.set(xlim=(-0.6, len(runs) - 0.4), title="whole flight")
-    panel.title.set_fontsize(11)
-    panel.set_xticks(range(len(runs)), [LABELS[name] for name in place], rotation=90, fontsize=10)
-    panel.grid(axis="x", visible=False)
-    panel.tick_params(axis="y", labelleft=False)

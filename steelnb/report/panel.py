@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from steelnb.errors import SteelnbError
-from steelnb.report.explore import HEIGHT_PX, View, figure_scene, flight_settings, fly, plotly_bundle
+from steelnb.report.batch import at_level
+from steelnb.report.explore import HEIGHT_PX, View, figure_scene, fly, plotly_bundle
 from steelnb.report.style import LABELS
-from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, TrajectoryName
+from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings, TrajectoryName
 from steelnb.simulation import Tower
 from steelnb.types import Trajectory
 
@@ -34,9 +35,9 @@ class Panel:
         """The first flight; raises `SettingsError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
-        flight_settings(trajectory, noise, level, sensor, method, seed, duration_s, overrides)
         self.view: View | None = None
         self.duration_s, self.overrides = duration_s, dict(overrides or {})
+        self.settings(trajectory, noise, level, sensor, method, seed)
         wide, names = {"description_width": "5em"}, [(LABELS.get(name, name), name) for name in METHODS]
         self.controls = {
             "trajectory": widgets.ToggleButtons(options=TRAJECTORIES, value=trajectory),
@@ -54,6 +55,13 @@ class Panel:
         self.status = widgets.Label("flying …")
         self._sentence: DisplayHandle | None = None
         self._picture: DisplayHandle | None = None
+
+    def settings(
+        self, trajectory: TrajectoryName, noise: str, level: float, sensor: str, method: str, seed: int
+    ) -> ExperimentSettings:
+        """The settings of a flight with ``level`` times the drift of a noise. Raises `SettingsError`."""
+        noise = at_level(noise, level)
+        return ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, self.overrides)
 
     def show(self, on_progress: Callable[[float], None] | None = None) -> View:
         """Display controls, sentence and picture below the current cell: as soon as it is flown the drift, and when it
@@ -75,8 +83,7 @@ class Panel:
 
     def _fly(self, on_flown: Callable[..., object] | None = None, on_progress: Any = None) -> View:
         chosen = {name: control.value for name, control in self.controls.items()}
-        settings = flight_settings(**chosen, duration_s=self.duration_s, overrides=self.overrides)
-        self.view = view = fly(settings, on_flown, on_progress)
+        self.view = view = fly(self.settings(**chosen), on_flown, on_progress)
         members, method = view.result.truth.tower.axes, view.result.settings.odometry.method
         scene = figure_scene(*view.trajectories, view.cloud, view.segments, members, method)
         self._draw(view.summary, plotly_bundle(scene, view.summary))

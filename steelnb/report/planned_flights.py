@@ -132,7 +132,7 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
         rows.append(
             {
                 "flight": name,
-                **_case(each),
+                **case_of(result.settings),
                 "flown_s": float(result.corrected.stamp_s[-1]),
                 "few_share": float((each.returns < FEW).mean()),
                 "no_pair_share": float((result.matches[1:] == 0).mean()),
@@ -146,7 +146,7 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
                 "clearance_m": clearance_m(result),
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).drop(columns="trajectory")
 
 
 def clearance_m(result: Result) -> float:
@@ -220,14 +220,9 @@ def figure_strip(name: str, each: Flown) -> Figure:
     return figure
 
 
-def _case(each: Flown) -> dict[str, Any]:
-    """What `case_of` names of a flight, without the trajectory, for which the flight's own name stands."""
-    return {column: value for column, value in case_of(each.result.settings).items() if column != "trajectory"}
-
-
 def _caption(flown: Mapping[str, Flown]) -> str:
-    cases = pd.DataFrame(map(_case, flown.values()))
-    return f"{caption(cases)}, {cases['method'].iloc[0]}"
+    cases = pd.DataFrame([case_of(each.result.settings) for each in flown.values()])
+    return f"{caption(cases.drop(columns='trajectory'))}, {cases['method'].iloc[0]}"
 
 
 def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:

@@ -11,29 +11,31 @@ import pandas as pd
 from steelnb.errors import SettingsError
 from steelnb.files import new_folder, replace_files
 from steelnb.metrics import position_error_m
-from steelnb.report.recording import FILES, RecordingReport, check_folder, default_folder, run_recording
+from steelnb.report.recording import FILES, check_folder, default_folder, run_recording
 from steelnb.report.recording_figures import figure_distances
 from steelnb.report.recording_files import TIMES
 from steelnb.report.style import Figure
 from steelnb.settings import ExperimentSettings, StructureSettings
-from steelnb.types import Array, Flight
+from steelnb.types import Array, Flight, Trajectory
 
-DRIFTING = "drifting"
 ERRORS = {"ate_rmse_m": "rms_m", "error_max_m": "max_m", "error_final_m": "end_m"}
-MOVED = {"moved_rms_m": "rms_m", "moved_max_m": "max_m", "moved_final_m": "end_m"}
+MOVED = {"ate_rmse_m": "moved_rms_m", "error_max_m": "moved_max_m", "error_final_m": "moved_final_m"}
+"""The names of the same where they are distances from the recorded poses."""
 HEADINGS = {
-    "odometry": "odometry", **ERRORS, **MOVED, "used": "scans_used", "frame_median_ms": "median_ms",
-    "frame_p95_ms": "p95_ms", "frame_p99_ms": "p99_ms", "on_time_share": "on_time", "segments": "bars",
+    "odometry": "odometry", **ERRORS, **{MOVED[name]: heading for name, heading in ERRORS.items()},
+    "used": "scans_used", "frame_median_ms": "median_ms", "frame_p95_ms": "p95_ms",
+    "frame_p99_ms": "p99_ms", "on_time_share": "on_time", "segments": "bars",
 }  # fmt: skip
 """Columns of the table that are printed, and how."""
+MORE = ("frames", "map_points", "structure_bars", "structure_joints")
 
 
 @dataclass(frozen=True)
 class ComparisonReport:
     """The results of `compare_recording` and the ``folder`` that it wrote.
 
-    ``table`` has a row an odometry: scans, metres of error (``ate_rmse_m`` and others) or, without a truth, of distance
-    from the recorded poses (``moved_rms_m``), milliseconds a scan, bars. ``summary`` are lines of text.
+    ``table`` has a row an odometry: metres of error (``ate_rmse_m`` and others) or, without a truth, of distance from
+    the recorded poses (``moved_rms_m``); scans, milliseconds a scan, bars. ``summary`` are lines of text.
     """
 
     folder: Path
@@ -75,15 +77,18 @@ def compare_recording(
                 flight, folder / name, each, structure=structure,
                 on_stage=_named(name, on_stage), **options,
             )  # fmt: skip
+            estimate, true = report.estimate, report.truth or report.estimate.prior
             if report.truth is not None and not rows:
-                rows.append({"odometry": DRIFTING, **{column: report.numbers[f"prior_{column}"] for column in ERRORS}})
-                curves[DRIFTING] = _distances(report, drifting=True)
-            rows.append({"odometry": name, **_row(report)})
-            curves[methods[name]], times_ms[methods[name]] = _distances(report), 1e3 * report.estimate.update_s
+                rows.append({"odometry": "drifting", **_errors(estimate.prior, true)})
+                curves["drifting"] = true.stamp_s, position_error_m(estimate.prior.at(true.stamp_s), true)
+            numbers = {key: report.numbers[key] for key in (*HEADINGS, *TIMES, *MORE) if key in report.numbers}
+            rows.append({"odometry": name, **_errors(estimate.corrected, true), **numbers})
+            curves[methods[name]] = true.stamp_s, position_error_m(estimate.corrected.at(true.stamp_s), true)
+            times_ms[methods[name]] = 1e3 * estimate.update_s
             notes |= dict.fromkeys(line for line in report.summary if line.startswith(("read", "skipped", "note")))
             judged = report.truth is not None
         on_stage("drawing the comparison")
-        table = pd.DataFrame(rows)
+        table = pd.DataFrame(rows) if judged else pd.DataFrame(rows).rename(columns=MOVED)
         table.to_csv(folder / "comparison.csv", index=False, float_format="%.6g", lineterminator="\n")
         what = "distance to the truth (m)" if judged else "distance from the recorded poses (m)"
         figure = figure_distances(curves, what, flight.name, times_ms)
@@ -105,25 +110,10 @@ def _named(name: str, on_stage: Callable[[str], None]) -> Callable[[str], None]:
     return lambda stage: on_stage(f"{name}: {stage}")
 
 
-def _row(report: RecordingReport) -> dict[str, float]:
-    """Numbers of one run for its row of the table."""
-    numbers = report.numbers
-    if report.truth is not None:
-        metres = {column: numbers[f"corrected_{column}"] for column in ERRORS}
-    else:
-        distance_m = _distances(report)[1]
-        found = (float(np.sqrt((distance_m**2).mean())), float(distance_m.max()), float(distance_m[-1]))
-        metres = dict(zip(MOVED, found, strict=True))
-    more = ("map_points", "segments", "structure_bars", "structure_joints")
-    names = ("frames", "used", *TIMES, *(name for name in more if name in numbers))
-    return metres | {name: numbers[name] for name in names}
-
-
-def _distances(report: RecordingReport, drifting: bool = False) -> tuple[Array, Array]:
-    """Stamps, and distances in metres to the truth or, without one, to the recorded poses."""
-    estimate, truth = report.estimate, report.truth or report.estimate.prior
-    path = estimate.prior if drifting else estimate.corrected
-    return truth.stamp_s, position_error_m(path.at(truth.stamp_s), truth)
+def _errors(path: Trajectory, true: Trajectory) -> dict[str, float]:
+    """The `ERRORS` of a path at the poses of another."""
+    distance_m = position_error_m(path.at(true.stamp_s), true)
+    return dict(zip(ERRORS, (np.sqrt((distance_m**2).mean()), distance_m.max(), distance_m[-1]), strict=True))
 
 
 def _printed(table: pd.DataFrame) -> list[str]:

@@ -127,13 +127,6 @@ def error_table(of: dict[str, SensorErrors], seed: int) -> pd.DataFrame:
     return table.assign(unit=[SHOWN[unit][1] for unit in found.UNITS])
 
 
-def bar_style(method: str) -> tuple[str, str, str]:
-    """Colour, label and hatch of one of `METHODS`."""
-    if method == WITH_IMU:
-        return COLOURS["calibrated"], f"{LABELS['calibrated']}, IMU", "////"
-    return COLOURS[method], LABELS[method], ""
-
-
 @style()
 def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     """ATE by fault and method; and the nine errors drawn at once, true and found, over their σ before the flight."""
@@ -141,8 +134,13 @@ def figure_calibration(runs: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
     at = np.arange(len(runs))[::-1]
     for k, method in enumerate(METHODS):
-        colour, label, hatch = bar_style(method)
-        left.barh(at + 0.2 * (1.5 - k), 1e3 * runs[method], 0.18, color=colour, label=label, hatch=hatch, ec="white")
+        preset, _, imu = method.partition(",")
+        look = {
+            "color": COLOURS[preset],
+            "label": LABELS[preset] + (", IMU" if imu else ""),
+            "hatch": "////" if imu else "",
+        }
+        left.barh(at + 0.2 * (1.5 - k), 1e3 * runs[method], 0.18, ec="white", **look)
     left.plot(1e3 * runs["drift"], at, "|", color=VERMILION, ms=22, mew=1.5, label=LABELS["none"])
     left.set_yticks(at, runs["fault"])
     left.set(xlabel="ATE, root mean square (mm)", xlim=(0, None))

@@ -1,6 +1,6 @@
 """Figures of bars over a tower: maps and structures (Figures 3.4 and 5.1), errors, recall, near side and goals."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,44 +42,47 @@ TOWER_IN = 7.0
 OBSERVED_FROM = 100  # points
 
 
-@style()
 def figure_maps(results: Sequence[Result]) -> Figure:
-    """All segments of each run's map over the true members (grey), a panel a run, in perspective.
-
-    Segments within 5° and 10 cm of a true member along half their length are right, the others wrong.
-    """
-    tower = results[0].truth.tower
-    figure, panels = _panels(tower, len(results))
-    for panel, result in zip(panels, results, strict=True):
+    """All segments of each run's map over the true members (`figure_bars`)."""
+    tower, panels = results[0].truth.tower, {}
+    for result in results:
         right = score_segments(result.segments, tower.axes).right
-        _draw_judged(panel, tower, end_points(result.segments), right)
-        counts = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
-        panel.set_title(f"{LABELS[result.settings.odometry.method]}\n{counts}", fontsize=11)
-    draw_legend(figure, _keys("segment"))
-    figure.suptitle(caption(results))
-    return figure
+        panels[LABELS[result.settings.odometry.method]] = (end_points(result.segments), right, None)
+    return figure_bars(tower, panels, caption(results))
+
+
+def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
+    """The structure of each run over the true members (`figure_bars`); joints are dots."""
+    panels = {
+        f"{POSES[run.poses]}, {run.method}\nrecall {run.score.metrics['recall']:.0%}":
+        (end_points(run.structure.segments), run.score.member >= 0, run.structure.joint)
+        for run in runs
+    }  # fmt: skip
+    return figure_bars(runs[0].source.result.truth.tower, panels, _caption(runs[0].source))
 
 
 @style()
-def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
-    """The structure of each run, a panel a run, over the true members (grey), in perspective.
+def figure_bars(
+    tower: Tower, panels: Mapping[str, tuple[Array, NDArray[np.bool_], Array | None]], title: str
+) -> Figure:
+    """Bars ``(M, 2, 3)``, whether each is right ``(M,)``, and joints ``(J, 3)`` over the true members (grey), a panel
+    for each heading, in perspective.
 
-    Bars within 5° and 10 cm of a member along half their length are right, others wrong; joints are dots.
+    Bars within 5° and 10 cm of a true member along half their length are right, the others wrong.
     """
-    tower = runs[0].source.result.truth.tower
-    figure, panels = _panels(tower, len(runs))
-    for panel, run in zip(panels, runs, strict=True):
-        right, joints = run.score.member >= 0, run.structure.joint
-        _draw_judged(panel, tower, end_points(run.structure.segments), right)
-        at = project_perspective(joints, tower.vertices)
-        panel.plot(at[:, 0], at[:, 1], "o", color=BLACK, markersize=2.4, zorder=4)
-        panel.set_title(
-            f"{POSES[run.poses]}, {run.method}\n{np.count_nonzero(right)} bars on a member, "
-            f"{np.count_nonzero(~right)} not;\n{len(joints)} joints; recall {run.score.metrics['recall']:.0%}",
-            fontsize=11,
-        )
-    draw_legend(figure, _keys("bar") | {"joint": {"color": BLACK, "marker": "o", "ls": "", "ms": 4}})
-    figure.suptitle(_caption(runs[0].source))
+    figure, axes = _panels(tower, len(panels))
+    for panel, (heading, (bars, right, joints)) in zip(axes, panels.items(), strict=True):
+        draw_bars(panel, bars[~right], tower.vertices, colors=COLOURS["wrong"], linewidths=1.3, zorder=2)
+        draw_bars(panel, bars[right], tower.vertices, colors=COLOURS["right"], linewidths=1.5, zorder=3)
+        if joints is not None:
+            at = project_perspective(joints, tower.vertices)
+            panel.plot(at[:, 0], at[:, 1], "o", color=BLACK, markersize=2.4, zorder=4)
+        counts = f"{np.count_nonzero(right)} on a member, {np.count_nonzero(~right)} not"
+        counts += "" if joints is None else f", {len(joints)} joints"
+        panel.set_title(f"{heading}\n{counts}", fontsize=11)
+    labels = {"on a member": "right", "on none": "wrong", "true member": "member"}
+    draw_legend(figure, {label: {"color": COLOURS[key], "lw": 2} for label, key in labels.items()})
+    figure.suptitle(title)
     return figure
 
 
@@ -132,18 +135,6 @@ def _panels(tower: Tower, count: int) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _draw_judged(panel: Axes, tower: Tower, bars: Array, right: NDArray[np.bool_]) -> None:
-    """Add bars ``(M, 2, 3)``, those ``right (M,)`` over the wrong ones."""
-    draw_bars(panel, bars[~right], tower.vertices, colors=COLOURS["wrong"], linewidths=1.3, zorder=2)
-    draw_bars(panel, bars[right], tower.vertices, colors=COLOURS["right"], linewidths=1.5, zorder=3)
-
-
-def _keys(name: str) -> dict[str, dict[str, Any]]:
-    """Legend of `_draw_judged`."""
-    labels = {f"{name} on a member": "right", "on none": "wrong", "true member": "member"}
-    return {label: {"color": COLOURS[key], "lw": 2} for label, key in labels.items()}
-
-
 @style()
 def figure_recall(table: pd.DataFrame, source: StructureFlight) -> Figure:
     """Recall against the points seen of a member, a line for each poses and method, from `recall_by_points`.
@@ -162,15 +153,9 @@ def figure_recall(table: pd.DataFrame, source: StructureFlight) -> Figure:
             marker=MARKERS[str(method)], markersize=9 if true else 5, mfc="none" if true else None,
             zorder=2 if true else 3, label=f"{POSES[str(poses)]}, {method}",
         )  # fmt: skip
-    grey: dict[str, Any] = {"fontsize": 10, "color": DARK_GREY}
-    for row in table.drop_duplicates("middle").itertuples():
-        panel.annotate(str(row.members), (row.middle, 107), ha="center", va="center", **grey)
-    panel.annotate("members:", (0, 107), (-6, 0), ("axes fraction", "data"), "offset points", ha="right",
-                   va="center", annotation_clip=False, **grey)  # fmt: skip
-    panel.axvline(OBSERVED_FROM, color=DARK_GREY, linestyle=":", linewidth=1.2)
-    panel.annotate("observed\nfrom here on", (OBSERVED_FROM, 86), (4, 0), textcoords="offset points", **grey)
+    panel.axvline(OBSERVED_FROM, color=DARK_GREY, linestyle=":", linewidth=1.2, label="observed from here on")
     panel.set(xscale="log", xlabel="points seen of a member in the flight")
-    panel.set(ylabel="members found (%)", ylim=(0, 112), yticks=range(0, 101, 20))
+    panel.set(ylabel="members found (%)", ylim=(0, 103))
     figure.legend(loc="outside lower center", ncols=2, fontsize=10)
     figure.suptitle(_caption(source, ",\n"))
     return figure
@@ -189,14 +174,13 @@ def figure_near_side(bias: pd.DataFrame, source: StructureFlight) -> Figure:
     for (kind, axis), own in bias.dropna().sort_values("toward_sensor_m").groupby(["kind", "axis"]):
         place = list(kinds.index).index(kind) + (-0.2 if axis == "middle of points" else 0.2)
         values = 100 * own["toward_sensor_m"].to_numpy()
-        median = draw_sample(panel, place, values, AXES[str(axis)], "o", np.median, (-4, 6), alpha=0.55, markersize=3.5)
-        panel.annotate(f"{median:+.1f}", (place, 6.5), ha="center", fontsize=11, color=AXES[str(axis)])
+        draw_sample(panel, place, values, AXES[str(axis)], "o", np.median, (-4, 6), alpha=0.55, markersize=3.5)
     panel.set_xticks(range(len(kinds)), [f"{kind}\n{1000 * flange:.0f} mm" for kind, flange in kinds.items()])
-    panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 7.2), xlabel="kind of member, width of its flanges")
+    panel.set(xlim=(-0.5, len(kinds) - 0.5), ylim=(-4.2, 6.2), xlabel="kind of member, width of its flanges")
     panel.set_ylabel("axis nearer to the sensor than the true one (cm)")
     panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {axis: {"color": shade, "marker": "o", "ls": ""} for axis, shade in AXES.items()}
-    draw_legend(figure, keys | {"median (cm, above)": {"color": BLACK, "lw": 2.0}})
+    draw_legend(figure, keys | {"median": {"color": BLACK, "lw": 2.0}})
     figure.suptitle(f"{caption([source.result])},\ntower {source.tower}, true poses")
     return figure
 

@@ -14,7 +14,7 @@ from steelnb.metrics.matching import match_members
 from steelnb.odometry.segments import segments_in
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, caption, case_of
-from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, style
+from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, gather_legend, style
 from steelnb.types import Flight
 
 KINDS = ("leg", "ring", "bracing", "arm")
@@ -63,11 +63,13 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     figure = Figure(figsize=(9, 6.2))
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.2, 1])
     stamps = run.corrected.stamp_s
-    top.plot(stamps, position_error_m(run.prior, run.truth.trajectory), color=COLOURS["none"], linestyle="--")
-    top.plot(stamps, position_error_m(run.corrected, run.truth.trajectory), color=COLOURS[run.settings.odometry.method])
-    top.axhline(
-        REPORT_SEGMENT_ODOMETRY[run.settings.flight.trajectory]["max_m"], color=COLOURS["report"], linestyle="-."
+    top.plot(
+        stamps, position_error_m(run.prior, run.truth.trajectory), color=COLOURS["none"], ls="--", label=LABELS["none"]
     )
+    error, method = position_error_m(run.corrected, run.truth.trajectory), run.settings.odometry.method
+    top.plot(stamps, error, color=COLOURS[method], label=LABELS[method])
+    report_m = REPORT_SEGMENT_ODOMETRY[run.settings.flight.trajectory]["max_m"]
+    top.axhline(report_m, color=COLOURS["report"], linestyle="-.", label="the report's largest error")
     top.set(ylabel="error (m)", ylim=(0, None))
     edges = np.arange(0.0, stamps[-1] + WINDOW_S, WINDOW_S)
     scans = np.histogram(stamps[::every], edges)[0]
@@ -75,23 +77,16 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     bottom = np.zeros(len(middle))
     for kind in KINDS:
         mean = np.histogram(pairs.loc[pairs["kind"] == kind, "time_s"], edges)[0] / np.maximum(scans, 1)
-        below.bar(middle, mean, 0.9 * WINDOW_S, bottom=bottom, color=COLOURS[kind])
+        below.bar(middle, mean, 0.9 * WINDOW_S, bottom=bottom, color=COLOURS[kind], label=kind)
         bottom += mean
     other = np.histogram(pairs.loc[~pairs["same"], "time_s"], edges)[0] / np.maximum(scans, 1)
-    below.plot(middle, other, "o-", color=COLOURS["wrong"], markeredgecolor="white", markersize=7, linewidth=2.4)
+    look = {"color": COLOURS["wrong"], "mec": "white", "ms": 7, "lw": 2.4}
+    below.plot(middle, other, "o-", label="on another member", **look)
     below.set(xlabel="time (s)", ylabel="pairs a scan", xlim=(0, stamps[-1]))
     for panel in (top, below):
         if waist_s(run) < stamps[-1]:
-            panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":")
-    keys = {
-        LABELS["none"]: {"color": COLOURS["none"], "ls": "--"},
-        LABELS[run.settings.odometry.method]: {"color": COLOURS[run.settings.odometry.method]},
-        "the report's largest error": {"color": COLOURS["report"], "ls": "-."},
-        "the waist": {"color": GREY, "ls": ":"},
-        **{kind: {"fc": COLOURS[kind]} for kind in KINDS},
-        "on another member": {"color": COLOURS["wrong"], "marker": "o", "mec": "white"},
-    }
-    draw_legend(figure, keys, ncols=5, fontsize=10)
+            panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":", label="the waist")
+    gather_legend(figure, ncols=5, fontsize=10)
     figure.suptitle(caption(pd.DataFrame([case_of(run.settings)])))
     return figure
 

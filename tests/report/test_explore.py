@@ -20,7 +20,7 @@ FIRST = ("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
 
 @pytest.fixture(scope="module")
 def view() -> explore.View:
-    return explore.fly(explore.flight_settings(*FIRST))  # type: ignore[arg-type]
+    return explore.fly(Panel(*FIRST).settings(*FIRST[:6]))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

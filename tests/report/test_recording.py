@@ -370,8 +370,8 @@ def test_odometries_are_compared_with_the_numbers_of_their_runs(simulated, repor
     table = found.table.set_index("odometry")
     assert list(table.index) == ["drifting", "best", "segments"]
     for name in ("ate_rmse_m", "error_max_m", "error_final_m"):
-        assert table[name]["drifting"] == report.numbers[f"prior_{name}"]
-        assert table[name]["best"] == report.numbers[f"corrected_{name}"]
+        assert table[name]["drifting"] == pytest.approx(report.numbers[f"prior_{name}"], rel=1e-12)
+        assert table[name]["best"] == pytest.approx(report.numbers[f"corrected_{name}"], rel=1e-12)
     assert (table["used"]["best"], table["structure_bars"]["best"]) == (39, len(report.structure))
     assert len(shares) == 80
     assert [stage for stage in stages if "correcting" in stage] == [f"{name}: correcting the poses" for name in chosen]
