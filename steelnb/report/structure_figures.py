@@ -189,36 +189,21 @@ def figure_near_side(bias: pd.DataFrame, source: StructureFlight) -> Figure:
 def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
     """A panel for each goal: a dot a flight, by tower and method, from a `structure_table`.
 
-    The goal is the dashed line, the side of it that is aimed at is white; lines through dots are means.
+    The goal is the dashed line; lines through dots are means. Names and units are those of the table.
     """
     towers, methods = list(table["tower"].unique()), list(table["method"].unique())
     figure = Figure(figsize=(12.5, 8.6))
     for panel, goal in zip(figure.subplots(3, 4).ravel(), goals.to_dict("records"), strict=True):
-        name, factor, unit = _unit(goal["goal"])
         for (tower, method), own in table.groupby(["tower", "method"], sort=False):
             place = towers.index(tower) + (methods.index(method) - 0.5 * (len(methods) - 1)) * 0.36
-            values = factor * own[goal["goal"]].to_numpy()
+            values = own[goal["goal"]].to_numpy()
             draw_sample(panel, place, values, COLOURS[str(method)], MARKERS[str(method)], markersize=4.5)
-        limit, at_most = factor * goal["limit"], goal["side"] == "at most"
-        panel.axhline(limit, color=DARK_GREY, linestyle="--", linewidth=1.2)
-        low, high = panel.get_ylim()
-        low, high = (0.0, 1.15 * max(high, limit)) if at_most else (min(low, limit) - 1, 101.0)
-        panel.set(xlim=(-0.5, len(towers) - 0.5), ylim=(low, high), ylabel=unit)
-        panel.set_title(f"{name}: {goal['side']} {limit:g} {unit}", fontsize=11)
-        panel.axhspan(*((limit, high) if at_most else (low, limit)), color=COLOURS["misses"], zorder=0)
+        panel.axhline(goal["limit"], color=DARK_GREY, linestyle="--", linewidth=1.2)
+        panel.set_title(f"{goal['goal']}: {goal['side']} {goal['limit']:g}", fontsize=11)
         panel.set_xticks(range(len(towers)), towers)
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}
     keys |= {"mean": {"color": BLACK, "lw": 2.0}, "goal": {"color": DARK_GREY, "lw": 1.2, "ls": "--"}}
-    draw_legend(figure, keys | {"misses the goal": {"fc": COLOURS["misses"]}})
+    draw_legend(figure, keys)
     figure.suptitle(f"{caption(table.drop(columns='tower'))}, poses corrected by {LABELS[table['odometry'].iloc[0]]}")
     return figure
-
-
-def _unit(column: str) -> tuple[str, float, str]:
-    """The name of a column for a reader, and the factor and name of its unit."""
-    for ending, factor, unit in (("_m", 100.0, "cm"), ("_deg", 1.0, "°"), ("duplicates", 1.0, "bars")):
-        if column.endswith(ending):
-            name = column.removesuffix("_m").removesuffix("_deg").replace("_", " ").replace("ate rmse", "pose error")
-            return name, factor, unit
-    return column.replace("_", " "), 100.0, "%"

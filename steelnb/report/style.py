@@ -64,7 +64,7 @@ PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only"
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
-    "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "misses": "#f1e4dc", "refused": "#dddddd",
+    "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in METHODS.items()}

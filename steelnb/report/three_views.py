@@ -108,7 +108,7 @@ def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = Non
     width, height = extent * min(9.0 / extent[0], 9.0 / extent[1]) + (2.0, 2.6)
     figure = Figure(figsize=(max(width, 6.0), height))
     for panel, name, size in zip(figure.subplots(**shape), flat, sizes, strict=True):
-        panel.plot(*project(cloud, name).T, ".", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
+        panel.plot(*project(cloud, name).T, "o", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
         for _, look, shapes in layers:
             drawn = project(shapes, name)
             if shapes.ndim == 3:

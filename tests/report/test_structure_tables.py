@@ -137,7 +137,7 @@ def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
     drawn = figures.figure_goals(table, goals).axes
     assert [panel.get_title().split(":")[0] for panel in drawn[:2]] == ["recall", "precision"]
     assert len(drawn) == len(goals) == 12
-    assert drawn[0].lines[0].get_ydata() == pytest.approx(100 * table["recall"].iloc[:1])
+    assert drawn[0].lines[0].get_ydata() == pytest.approx(table["recall"].iloc[:1])
 
 
 def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
