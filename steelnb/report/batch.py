@@ -94,15 +94,6 @@ def run_all(
     return [results[k] for k in range(len(cases))]
 
 
-def by_method(results: Sequence[experiment.Result], trajectory: str) -> dict[str, experiment.Result]:
-    """The runs on one flight, by method; the first of each."""
-    found: dict[str, experiment.Result] = {}
-    for result in results:
-        if result.settings.flight.trajectory == trajectory:
-            found.setdefault(result.settings.odometry.method, result)
-    return found
-
-
 def share_of(on_progress: Progress | None, k: int, total: int) -> Progress | None:
     """The progress of part ``k`` of ``total`` as a share of the whole."""
     return None if on_progress is None else lambda fraction: on_progress((k + fraction) / total)
@@ -212,20 +203,6 @@ def ranking(rows: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
     agree = np.mean([wide[later] < wide[earlier] for earlier, later in pairs], axis=0)
     order = [" < ".join(wide.columns[np.argsort(values)]) for values in wide.to_numpy()]
     return wide.assign(order=order, as_claimed=agree == 1.0, pairs_as_claimed=agree).reset_index()
-
-
-def beside_report(rows: pd.DataFrame, noise: str) -> pd.DataFrame:
-    """The corrected error of each run next to the range (low, high) that the report's figure of a noise shows.
-
-    Runs that it does not show are left out, as are repeated ones.
-    """
-    shown = REPORT_CLOUD_ODOMETRY.get(noise, {})
-    ranges = [(flight, method, *span) for method, spans in shown.items() for flight, span in spans.items()]
-    report = pd.DataFrame(ranges, columns=["trajectory", "method", "report_low_m", "report_high_m"])
-    columns = ["trajectory", "noise", "method", "error_mean_m", "error_max_m", "error_final_m"]
-    first = rows.drop_duplicates(["trajectory", "noise", "method"])[columns]
-    beside = first.merge(report, on=["trajectory", "method"])
-    return beside.assign(within_report=beside["error_max_m"] <= beside["report_high_m"])
 
 
 def bend_table(results: Mapping[str, experiment.Result], bends: Mapping[str, Bend], axis: Array) -> pd.DataFrame:

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb.experiment import Result
-from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
-from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, batch, causal, gather, one_scan, see
+from steelnb.metrics.limit import batch, causal, gather, one_scan, see
 from steelnb.report.batch import caption, case_of
 from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import BLACK, COLOURS, DARK_GREY, GREY, LABELS, Figure, gather_legend, style
@@ -82,16 +81,6 @@ def limit_table(runs: Sequence[Result], exact: Sequence[Result], limits: Limits)
 def against(method: str) -> str:
     """The bound that a method is held against."""
     return "batch" if method in AFTERWARDS else "causal"
-
-
-def assumptions() -> dict[str, Any]:
-    """What the bounds take for granted, for the provenance of results."""
-    return {
-        "drift_sigma": DRIFT_SIGMA,
-        "drift_period_s": DRIFT_PERIOD_S,
-        "patch_m": PATCH_M,
-        "incidence_max_deg": float(np.degrees(INCIDENCE_MAX_RAD)),
-    }
 
 
 @style()

@@ -125,10 +125,11 @@ def _slices(axes: Array) -> Array:
 def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
     """A row a flight; lengths in metres, ``few_share`` of the scans with fewer than `FEW` returns from steel,
     ``no_pair_share`` of those without a pair, ``bound_ratio`` of the worst scan's bound to the median, ``recall`` of
-    the bars seen well enough, ``members_seen`` of all."""
+    the bars seen well enough, ``members_seen`` of all, ``clearance_m`` the least true distance from the middle of a
+    member."""
     rows = []
     for name, each in flown.items():
-        result = each.result
+        result, slices = each.result, cKDTree(_slices(each.result.truth.tower.axes))
         rows.append(
             {
                 "flight": name,
@@ -143,16 +144,10 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
                 "seen_share": float(each.seen[-1]),
                 "members_seen": float(result.truth.visibility.observed().mean()),
                 "recall": result.metrics.get("segment_recall", 0.0),
-                "clearance_m": clearance_m(result),
+                "clearance_m": float(slices.query(result.truth.trajectory.position)[0].min()),
             }
         )
     return pd.DataFrame(rows).drop(columns="trajectory")
-
-
-def clearance_m(result: Result) -> float:
-    """Least true distance of the drone's middle from the middle of a member."""
-    slices = cKDTree(_slices(result.truth.tower.axes))
-    return float(slices.query(result.truth.trajectory.position)[0].min())
 
 
 @style()

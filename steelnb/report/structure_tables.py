@@ -134,11 +134,6 @@ def rebuild(
     return runs
 
 
-def by_poses(runs: Sequence[Rebuilt], method: str) -> dict[str, Rebuilt]:
-    """The structures of one method, by the poses that they were built from."""
-    return {run.poses: run for run in runs if run.method == method}
-
-
 def _frame_by_frame(source: StructureFlight, poses: str) -> Structure:
     """The map of `SegmentOdometry`, which is given the poses and corrects nothing, as a structure."""
     s = source.result.settings
