@@ -16,7 +16,7 @@ from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import caption, case_of, make_cases
-from steelnb.report.style import BLACK, COLOURS, GREY, Figure, draw_legend, style
+from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
 from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.study.row import WRONG_M, paired_clouds
@@ -41,8 +41,7 @@ def basin_cases(
     """The registrations whose basins are compared, by label: 3-DoF ICP with each largest distance, GICP, ``best``."""
     methods: list[str | tuple[str, dict[str, Any]]] = [*narrowed(correspondence_m), "gicp", "best"]
     cases = make_cases([trajectory], sensor, [noise], methods, seed, duration_s, overrides)
-    labels = [*map(label, cases[: len(correspondence_m)]), f"GICP, {_reach_m(cases[-2]):g} m", "best"]
-    return dict(zip(labels, cases, strict=True))
+    return {label(case): case for case in cases}
 
 
 def search_cases(
@@ -73,8 +72,9 @@ def narrowed(correspondence_m: Sequence[float]) -> list[tuple[str, dict[str, Any
 
 
 def label(settings: ExperimentSettings) -> str:
-    """Name of 3-DoF ICP with its largest distance of a pair."""
-    return f"3-DoF ICP, {_reach_m(settings):g} m"
+    """Name of a registration, with its largest distance of a pair but for ``best``."""
+    method = settings.odometry.method
+    return method if method == "best" else f"{LABELS[method]}, {_reach_m(settings):g} m"
 
 
 def _reach_m(settings: ExperimentSettings) -> float:
