@@ -116,7 +116,7 @@ def test_a_frame_without_a_segment_has_precision_0(scenes):
 
 
 def test_the_map_holds_every_dx_and_both_rules(scenes):
-    frame = scenes.frames(5, 1)[0]
+    frame = scenes.frames(21, 1)[0]
     table = tuning_map({0.02: [frame]}, [0.05, 0.1], [15])
     assert table["rule"].tolist() == [FIXED, FIXED, CHOSEN, REFERENCE]
     recall = table.set_index("rule")["recall"]
