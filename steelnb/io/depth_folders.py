@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import FileContentError, FileMissingError, RecordingError, SettingsError, SteelnbError
-from steelnb.files import reading, text_lines
+from steelnb.files import reading
 from steelnb.images import CameraImages, GreyImage
 from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points
 from steelnb.io.folders import TRAJECTORY, folder_settings, named_file, walk_files
@@ -199,8 +199,7 @@ def _frame_poses(path: Path, files: Sequence[Path], stamp_s: Array, skipped: Cou
         pose_file = file.with_name(file.name.replace(".depth.png", ".pose.txt"))
         try:
             with reading(pose_file, "the 16 numbers of a 4 × 4 pose"):
-                words = [word for _, line in text_lines(pose_file) for word in line.split()]
-                poses.append(np.array(words, dtype=float).reshape(4, 4))
+                poses.append(np.array(pose_file.read_text().split(), dtype=float).reshape(4, 4))
             stamps.append(stamp)
         except FileMissingError:
             skipped["missing pose file"] += 1

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.errors import EmptyCloudError, FileContentError
-from steelnb.files import open_lines, text_lines
 from steelnb.types import Array
 
 _NAN = ("nan", "-nan", "NaN", "-NaN", "NAN")
@@ -29,28 +28,12 @@ class TextLayout:
     columns: tuple[int, int, int] = (0, 1, 2)
     rows: int | None = None
 
-    def fields(self, line: str) -> list[str]:
-        """Fields of a line, without the blanks around them and without a comment behind them."""
-        return [field.strip() for field in line.partition("#")[0].strip().split(self.separator)]
-
-    def check(self, path: Path, number: int, line: str) -> None:
-        """Raise `FileContentError` unless line ``number`` has numbers in the columns of x, y and z."""
-        try:
-            for column in self.columns:
-                float(self.fields(line)[column].replace(self.decimal, "."))
-        except (ValueError, IndexError):
-            where = ", ".join(str(column + 1) for column in self.columns)
-            raise FileContentError(
-                f"{path}, line {number}: {line.strip()[:60]!r}; expected numbers between "
-                f"{repr(self.separator) if self.separator else 'blanks or tabs'}, with x, y and z in columns {where}"
-            ) from None
-
 
 def text_chunks(path: Path, layout: TextLayout, size: int) -> Iterator[Array]:
     """Points ``(n, 3)``, at most ``size`` at a time, NaN where NaN is written.
 
-    Raises `FileContentError` with the number of the first bad line, for fewer points than promised, and for a last
-    number that is cut short.
+    Raises `EmptyCloudError`, `FileContentError` for another number of points than promised and for a last number that
+    is cut short, and ValueError, as pandas words it, for what is no number.
     """
     import pandas as pd
 
@@ -58,23 +41,17 @@ def text_chunks(path: Path, layout: TextLayout, size: int) -> Iterator[Array]:
     if layout.rows == 0:
         return
     try:
-        with open_lines(path) as file, pd.read_csv(
+        with path.open("rb") as file, pd.read_csv(
             file, sep=layout.separator or r"\s+", decimal=layout.decimal, header=None, usecols=sorted(layout.columns),
             dtype=np.float64, skiprows=layout.skip, nrows=layout.rows, comment="#", skipinitialspace=True,
             quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=list(_NAN), encoding="utf-8",
             encoding_errors="replace", chunksize=size,
         ) as frames:  # fmt: skip
             for frame in frames:
-                points = np.ascontiguousarray(frame[list(layout.columns)].to_numpy(dtype=np.float64))
-                if np.isnan(points).any():  # written as NaN, or a line with too few columns, which pandas fills up
-                    _refuse_bad_line(path, layout)
-                count += len(points)
-                yield points
+                count += len(frame)
+                yield np.ascontiguousarray(frame[list(layout.columns)].to_numpy(dtype=np.float64))
     except pd.errors.EmptyDataError:
         raise EmptyCloudError(f"{path}: no line with a point") from None
-    except ValueError:  # pandas' ParserError is one
-        _refuse_bad_line(path, layout)
-        raise
     if layout.rows is not None and count != layout.rows:
         raise FileContentError(f"{path}: {count} points, expected the {layout.rows} that its header promises")
     _refuse_cut_end(path, layout)
@@ -85,10 +62,9 @@ def sniff(path: Path) -> TextLayout:
 
     Comment lines (``#``, ``//``), a count of points on its own line (PTS) and one line of column names may come first.
     Columns named x, y and z are used wherever they are; without such names, the first three. A comma is a decimal sign
-    beside semicolons or tabs. Raises `EmptyCloudError`, or `FileContentError` where the file is not text or its first
-    line of data holds no three numbers.
+    beside semicolons or tabs. Raises `EmptyCloudError`.
     """
-    with open_lines(path) as file:
+    with path.open("rb") as file:
         sample = file.read(_SAMPLE_BYTES)
     columns: tuple[int, int, int] | None = None
     rows: int | None = None
@@ -104,9 +80,7 @@ def sniff(path: Path) -> TextLayout:
         else:
             separator = ";" if ";" in text else "," if "," in text and "\t" not in text else None
             decimal = "," if separator != "," and "," in text else "."
-            layout = TextLayout(number - 1, separator, decimal, columns or (0, 1, 2), rows)
-            layout.check(path, number, line)
-            return layout
+            return TextLayout(number - 1, separator, decimal, columns or (0, 1, 2), rows)
     raise EmptyCloudError(f"{path}: no line with a point in its first {len(sample)} bytes")
 
 
@@ -117,28 +91,16 @@ def _named_columns(names: str) -> tuple[int, int, int] | None:
     return (found["x"], found["y"], found["z"]) if len(found) == 3 else None
 
 
-def _refuse_bad_line(path: Path, layout: TextLayout) -> None:
-    """Name the first line that is at fault, the slow way."""
-    found = 0
-    for number, line in text_lines(path):
-        if number > layout.skip and found != layout.rows:
-            layout.check(path, number, line)
-            found += 1
-
-
 def _refuse_cut_end(path: Path, layout: TextLayout) -> None:
-    """Refuse a last line without line end that has fewer columns or decimals than 95 % of those before it."""
+    """Refuse a last line without line end whose last coordinate has fewer decimals than in the lines before it."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - _SAMPLE_BYTES, 0))
-        tail = file.read().decode("utf-8", errors="replace")
+        *lines, last = file.read().decode("utf-8", errors="replace").split("\n")
     column = max(layout.columns)
-    lines = [layout.fields(line) for line in tail.splitlines() if _NUMBER.match(line.strip())]
-    *others, last = [fields for fields in lines if len(fields) > column] or [[]]
-    if tail.endswith(("\n", "\r")) or len(last) != column + 1 or len(others) < 2:
-        return  # the coordinates of the last line are whole, or there is nothing to judge them by
-    shown = [(len(fields), len(fields[column].partition(layout.decimal)[2])) for fields in (*others, last)]
-    if shown[-1] < sorted(shown[:-1])[len(others) // 20]:
+    fields = [line.split(layout.separator) for line in [*lines[-100:], last] if _NUMBER.match(line.strip())]
+    decimals = [len(each[column].strip().partition(layout.decimal)[2]) for each in fields if len(each) > column]
+    if last.strip() and len(decimals) > 1 and decimals[-1] < min(decimals[:-1]):
         raise FileContentError(
-            f"{path}: its last line, {last}, has no line end and less in it than the others; "
+            f"{path}: its last line, {last[:60]!r}, has no line end and fewer decimals than the others; "
             "expected a complete line (add a line end if it is)"
         )

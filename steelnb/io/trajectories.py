@@ -1,11 +1,9 @@
-"""Trajectory files (TUM, KITTI, EuRoC) and stamps in text files and file names.
-
-evo's readers name no line, accept poses that are none and refuse what other programs write, so evo writes alone.
-"""
+"""Trajectory files (TUM, KITTI, EuRoC) and stamps in text files and file names. NumPy reads the numbers, evo writes."""
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import dropwhile, islice
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import FileContentError, RecordingError, SteelnbError, needs
-from steelnb.files import new_file, reading, text_lines
+from steelnb.files import new_file, reading
 from steelnb.fusion.uncertainty import POSE_AXES, check_covariances
 from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Trajectory
@@ -23,41 +21,35 @@ QUATERNION_MIN = 1e-6
 """Length below which a quaternion has no direction."""
 ROTATION_TOLERANCE = 0.01
 """Largest element of R Rᵀ − I of a rotation matrix."""
-FORMS = {
-    "TUM": "8 numbers: stamp tx ty tz qx qy qz qw",
-    "KITTI": "12 numbers: the first three rows of a pose",
-    "EuRoC": "a stamp in whole nanoseconds, then x, y, z, qw, qx, qy, qz, with commas",
-}
-STAMP_FILES = ("timestamps.txt", "times.txt", "stamps.csv", "timestamps.csv", "times.csv")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?")
+FORMS = (
+    "TUM's 8 numbers (stamp tx ty tz qx qy qz qw), KITTI's 12 (the first three rows of a pose), or EuRoC's with commas "
+    "(whole nanoseconds, x, y, z, qw, qx, qy, qz)"
+)
+STAMP_FILES = ("timestamps.txt", "times.txt", "stamps.csv")
+_BEGINS = re.compile(r"\s*([-+.\d]|nan)", re.IGNORECASE)
 _IN_NAME = re.compile(r"\d+(?:\.\d+)?", re.ASCII)
 _UNITS = ((10**17, 10**9), (10**14, 10**6), (10**11, 10**3))
 """From these whole numbers on, a stamp is in parts of a second: seconds since 1970 have ten digits."""
 
 
 def read_trajectory(path: Path | str, skipped: Counter[str] | None = None, stamp_s: Array | None = None) -> Trajectory:
-    """Read a TUM, KITTI or EuRoC file; its first line of numbers tells which.
+    """Read a TUM, KITTI or EuRoC file; the number of columns, and commas between them, tell which.
 
     Parameters
     ----------
     skipped : counts the poses left out, by reason (`trajectory_of`).
     stamp_s : ``(N,)``, of KITTI poses without a file of stamps (``times.txt``) beside them.
 
-    Raises `FileMissingError`, `FileContentError` with the first bad line, and `RecordingError` where no pose is left or
-    KITTI poses have no stamps.
+    Raises `FileMissingError`, `FileContentError`, and `RecordingError` where no pose is left or KITTI poses have no
+    stamps.
     """
+    path, skipped = Path(path), Counter() if skipped is None else skipped
     with reading(path, "a trajectory"):
-        return _read(Path(path), Counter() if skipped is None else skipped, stamp_s)
-
-
-def _read(path: Path, skipped: Counter[str], stamp_s: Array | None) -> Trajectory:
-    form, rows = _rows(path)
-    numbers = np.array(rows, dtype=float)
-    if form != "KITTI":
-        own_s, order = (numbers[:, 0] / 1e9, [5, 6, 7, 4]) if form == "EuRoC" else (numbers[:, 0], [4, 5, 6, 7])
-        return trajectory_of(path, own_s, numbers[:, 1:4], numbers[:, order], skipped)
-    T_world_drone = np.tile(np.eye(4), (len(numbers), 1, 1))
-    T_world_drone[:, :3] = numbers.reshape(-1, 3, 4)
+        form, numbers = _numbers(path)
+        if form == "EuRoC":
+            return trajectory_of(path, numbers[:, 0] / 1e9, numbers[:, 1:4], numbers[:, [5, 6, 7, 4]], skipped)
+        if form == "TUM":
+            return trajectory_of(path, numbers[:, 0], numbers[:, 1:4], numbers[:, 4:], skipped)
     beside = stamps_beside(path)
     if beside is not None:
         stamp_s = np.array([stamp for stamp, _ in read_stamps(beside)])
@@ -65,16 +57,18 @@ def _read(path: Path, skipped: Counter[str], stamp_s: Array | None) -> Trajector
         raise RecordingError(f"{path}: KITTI poses hold no stamps; expected times.txt beside them")
     if len(stamp_s) != len(numbers):
         raise RecordingError(f"{beside or path}: {len(stamp_s)} stamps; expected {len(numbers)}, one a pose")
+    T_world_drone = np.tile(np.eye(4), (len(numbers), 1, 1))
+    T_world_drone[:, :3] = numbers.reshape(-1, 3, 4)
     return trajectory_of_matrices(path, stamp_s, T_world_drone, skipped)
 
 
 def holds_poses(path: Path) -> bool:
     """Whether the first line of numbers of a text file is a pose."""
     try:
-        first = next((line for _, line in text_lines(path) if _numeric(_words(line)[:1])), "")
+        with reading(path, "a trajectory"):
+            return bool(_numbers(path, 1))
     except SteelnbError:
         return False
-    return _form(first) is not None
 
 
 def trajectory_of(
@@ -156,74 +150,40 @@ def write_sigma(path: Path | str, stamp_s: Array, covariance: Array) -> None:
         table.to_csv(file, index=False, lineterminator="\n")
 
 
-def _rows(path: Path) -> tuple[str, list[list[str]]]:
-    """The form of a file, and the words of its poses, a row a line; a header is left out."""
-    form: str | None = None
-    rows: list[list[str]] = []
-    for number, line in text_lines(path):
-        words = _words(line)
-        if not rows and not _numeric(words[:1]):
-            continue  # a header
-        form = form or _form(line)
-        if form is None or form != _form(line):
-            says = f"{form}'s {FORMS[form]}" if form else " or ".join(FORMS.values())
-            raise FileContentError(f"{path}, line {number}: {line[:60]!r}; expected {says}")
-        rows.append(words[:8] if form == "EuRoC" else words)
-    if form is None:
-        raise FileContentError(f"{path}: no line with a pose; expected {'; or '.join(FORMS.values())}")
-    return form, rows
+def _numbers(path: Path, rows: int | None = None) -> tuple[str, Array]:
+    """The form of a trajectory file and its numbers, a row a pose. Raises `FileContentError`, ValueError."""
+    lines = list(islice(_lines(path), rows))
+    if not lines:
+        raise FileContentError(f"{path}: no line with a pose; expected {FORMS}")
+    commas = "," in lines[0]
+    numbers = np.loadtxt((line.replace(",", " ") for line in lines), ndmin=2)
+    columns = numbers.shape[1]
+    form = "EuRoC" if commas and columns >= 8 else {8: "TUM", 12: "KITTI"}.get(columns)
+    if form is None or (form == "EuRoC" and (numbers[:, 0] % 1 > 0).any()):
+        raise FileContentError(f"{path}: {lines[0].strip()[:60]!r}; expected {FORMS}")
+    return form, numbers
 
 
-def _form(line: str) -> str | None:
-    """The form of a line with a pose; None for any other line."""
-    words = _words(line)
-    if "," in line:
-        whole = len(words) >= 8 and words[0].lstrip("+-").isdecimal() and len(words[0]) <= 20
-        return "EuRoC" if whole and _numeric(words[:8]) else None
-    return {8: "TUM", 12: "KITTI"}.get(len(words)) if _numeric(words) else None
-
-
-def _words(line: str) -> list[str]:
-    return line.replace(",", " ").split()
-
-
-def _numeric(words: Sequence[str]) -> bool:
-    try:
-        return all(word.isascii() and "_" not in word and float(word) is not None for word in words) and bool(words)
-    except ValueError:
-        return False
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of a text file from the first number on; bytes that are no UTF-8 are replaced."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = dropwhile(lambda line: not _BEGINS.match(line), file)
+        yield from (line for line in lines if line.strip() and not line.startswith("#"))
 
 
 def seconds(word: str) -> float:
-    """A stamp from a word: seconds, whole milli-, micro- or nanoseconds since 1970, or a date (UTC).
-
-    Raises ValueError.
-    """
-    if _DATE.fullmatch(word):
-        return float(np.datetime64(word, "ns").astype(np.int64) / 1e9)
-    if "_" in word:
-        raise ValueError(word)
-    if not word.lstrip("+-").isdecimal():
+    """A stamp from a word: seconds, or whole milli-, micro- or nanoseconds since 1970. Raises ValueError."""
+    if not word.isdecimal():
         return float(word)
     whole = int(word)
-    return whole / next((parts for least, parts in _UNITS if abs(whole) >= least), 1)
+    return whole / next((parts for least, parts in _UNITS if whole >= least), 1)
 
 
 def read_stamps(path: Path) -> list[tuple[float, str]]:
-    """Stamp and rest of each line, as in TUM's ``depth.txt``; one header line is skipped.
-
-    Raises `FileMissingError`, and `FileContentError` with the number of a line that does not begin with a stamp.
-    """
-    found: list[tuple[float, str]] = []
-    for number, line in text_lines(path):
-        date = _DATE.match(line)
-        word = date[0] if date else re.split(r"[\s,;]", line, maxsplit=1)[0]
-        try:
-            found.append((seconds(word), line[len(word) :].strip(" ,;\t")))
-        except (ValueError, OverflowError):
-            if found or word[:1].isdigit():
-                raise FileContentError(f"{path}, line {number}: {line[:60]!r}; expected a stamp in front") from None
-    return found
+    """Stamp and rest of each line, as in TUM's ``depth.txt``. Raises `FileMissingError` and `FileContentError`."""
+    with reading(path, "a file of stamps"):
+        words = [re.split(r"[\s,]+", line.strip(), maxsplit=1) for line in _lines(path)]
+        return [(seconds(stamp), "".join(rest)) for stamp, *rest in words]
 
 
 def stamps_of_names(names: Sequence[str]) -> Array | None:

@@ -20,7 +20,7 @@ from steelnb.errors import (
     SettingsError,
     SteelnbError,
 )
-from steelnb.files import LINE_BYTES_MAX, reading, text_lines
+from steelnb.files import reading
 from steelnb.io import (
     bag_files,
     read_cloud,
@@ -67,15 +67,6 @@ def test_whatever_a_library_raises_is_one_line_with_the_name(tmp_path: Path) -> 
             raise fault
     with pytest.raises(KeyboardInterrupt), reading(tmp_path / "a", "a thing"):
         raise KeyboardInterrupt
-
-
-def test_a_line_without_an_end_is_not_held_in_memory(tmp_path: Path) -> None:
-    for name, begin in (("a.xyz", "1 2 3\n4 5 6\n"), ("a.tum", "1 0 0 0 0 0 0 1\n")):
-        (tmp_path / name).write_text(begin + "7" * (2 * LINE_BYTES_MAX))
-        with pytest.raises(FileContentError, match=f"a line of more than {LINE_BYTES_MAX} bytes"):
-            READERS[name](tmp_path / name)
-    (tmp_path / "long.txt").write_text(f"1 {'7' * (LINE_BYTES_MAX // 2)}\n" * 5)
-    assert sum(1 for _ in text_lines(tmp_path / "long.txt")) == 5
 
 
 def test_faces_of_a_ply_take_no_memory(tmp_path: Path) -> None:
