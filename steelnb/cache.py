@@ -1,4 +1,4 @@
-"""Arrays kept on disk between the notebooks of a project, so that what several of them need is computed once.
+"""Results kept on disk between the notebooks of a project, so that what several of them need is computed once.
 
 The environment variable ``STEELNB_CACHE`` names the folder; the workflow sets it to ``.cache`` of the project, and
 without it nothing is kept. Several processes may read and write at once; a broken file counts as none.
@@ -6,12 +6,10 @@ without it nothing is kept. Several processes may read and write at once; a brok
 
 import contextlib
 import os
-import zipfile
-from collections.abc import Callable, Iterable, Mapping
+import pickle
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import TypeVar
 
 from steelnb.keys import code_digest, digest, environment_digest
 
@@ -20,47 +18,34 @@ BYTES_MAX = 2_000_000_000
 """Size of each kind: beyond it, the files that were used longest ago go."""
 
 T = TypeVar("T")
-Arrays = Mapping[str, Any]
 
 
-def kept(
-    kind: str,
-    key: Callable[[], object],
-    modules: Iterable[str],
-    make: Callable[[], T],
-    pack: Callable[[T], Arrays],
-    unpack: Callable[[Arrays], T],
-) -> T:
-    """What ``make`` gives: read by ``unpack`` from the folder ``kind`` of the cache if it is there, else made and kept
-    as the arrays of ``pack``. A file belongs to ``key()``, which JSON can hold, to the code of the ``modules`` and all
-    that they import, and to the versions of the libraries.
+def kept(kind: str, key: Callable[[], object], modules: Iterable[str], make: Callable[[], T]) -> T:
+    """What ``make`` gives: read from the folder ``kind`` of the cache if it is there, else made and kept by pickle.
+
+    A file belongs to ``key()``, which JSON can hold, to the code of the ``modules`` and all that they import, and to
+    the versions of the libraries.
     """
     folder = os.environ.get(CACHE_VARIABLE)
     if not folder:
         return make()
     name = digest(key(), code_digest([__name__, *modules]), environment_digest(Path(folder).parent))
-    path = Path(folder, kind, f"{name}.npz")
-    with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):  # not there, or broken
-        with np.load(path) as arrays:
-            found = unpack(arrays)
+    path = Path(folder, kind, f"{name}.pickle")
+    with contextlib.suppress(Exception):  # not there, or broken, which pickle tells in many ways
+        found: T = pickle.loads(path.read_bytes())
         os.utime(path)
         return found
     made = make()
+    fresh = path.with_suffix(f".{os.getpid()}.new")
     with contextlib.suppress(OSError):  # a full disk costs time, nothing else
-        _write(path, pack(made))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            fresh.write_bytes(pickle.dumps(made, protocol=5))
+            os.replace(fresh, path)
+        finally:
+            fresh.unlink(missing_ok=True)
         _trim(path.parent)
     return made
-
-
-def _write(path: Path, arrays: Arrays) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_suffix(f".{os.getpid()}.new")
-    try:
-        with fresh.open("wb") as file:
-            np.savez(file, **arrays)
-        os.replace(fresh, path)
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _trim(folder: Path) -> None:

@@ -1,19 +1,16 @@
 """Estimates on simulated flights kept on disk, so that a run that several notebooks show is computed once."""
 
 import hashlib
-from dataclasses import fields
 
 import numpy as np
 
-from steelnb.cache import Arrays, kept
+from steelnb.cache import kept
 from steelnb.odometry.base import Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.run import OnStep, run, run_online, smoothed
 from steelnb.odometry.segments import SegmentOdometry
-from steelnb.types import Estimate, Flight, RangeScans, Segments, Trajectory
-
-COLUMNS = tuple(field.name for field in fields(Segments))
+from steelnb.types import Estimate, Flight, RangeScans
 
 
 def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Estimate:
@@ -39,40 +36,5 @@ def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) 
         settings = odometry.settings.model_dump(mode="json", exclude=named)
         return [type(odometry).__name__, settings, *content]
 
-    online = kept(
-        "estimates",
-        key,
-        [__name__],
-        lambda: run_online(flight, odometry, on_step),
-        _pack,
-        lambda arrays: _unpack(arrays, prior),
-    )
+    online = kept("estimates", key, [__name__], lambda: run_online(flight, odometry, on_step))
     return smoothed(flight, online, odometry)
-
-
-def _pack(estimate: Estimate) -> Arrays:
-    return {
-        "T_world_drone": estimate.corrected.T_world_drone,
-        "points": estimate.points,
-        **{name: getattr(estimate.segments, name) for name in COLUMNS},
-        "matches": estimate.matches,
-        "reason": np.array(estimate.reason, dtype=str),
-        "stage": np.array(list(estimate.seconds), dtype=str),
-        "seconds": np.array(list(estimate.seconds.values())),
-        "update_s": estimate.update_s,
-        "unobserved": estimate.unobserved,
-    }
-
-
-def _unpack(arrays: Arrays, prior: Trajectory) -> Estimate:
-    return Estimate(
-        prior=prior,
-        corrected=Trajectory(prior.stamp_s, arrays["T_world_drone"]),
-        points=arrays["points"],
-        segments=Segments(*(arrays[name] for name in COLUMNS)),
-        matches=arrays["matches"],
-        reason=tuple(arrays["reason"].tolist()),
-        seconds=dict(zip(arrays["stage"].tolist(), arrays["seconds"], strict=True)),
-        update_s=arrays["update_s"],
-        unobserved=arrays["unobserved"],
-    )
