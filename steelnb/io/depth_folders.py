@@ -73,15 +73,15 @@ def open_tum(path: Path, scans: str | None, poses: str | None, truth: str | None
 
 
 def open_scenes(path: Path, scans: str | None, poses: str | None, truth: str | None, settings: Path | None) -> Parts:
-    """The parts of a folder of ``frame-000000.depth.png`` and ``.pose.txt``, 30 a second or by ``timestamps.txt``.
+    """The parts of a folder of ``frame-000000.depth.png`` and ``.pose.txt``, 30 a second.
 
     Raises as `open_tum`.
     """
     skipped: Counter[str] = Counter()
-    files, stamp_s, source = _frames(path)
+    files, stamp_s = _frames(path)
     mount, camera, facts = _camera(path, settings, files, "7-scenes")
     prior = read_trajectory(named_file(path, poses), skipped) if poses else _frame_poses(path, files, stamp_s, skipped)
-    facts |= {"form": "7-Scenes", "stamps": source, "poses": Path(poses).name if poses else "true poses"}
+    facts |= {"form": "7-Scenes", "poses": Path(poses).name if poses else "true poses"}
     load = partial(_read_depth_points, camera=camera, scale=camera.depth_scale or SCENES_SCALE, invalid=SCENES_INVALID)
     images, facts["images"] = _colours(files, stamp_s, camera, mount)
     walk = partial(walk_files, files, load)
@@ -116,7 +116,7 @@ def read_depth_truth(path: Path, truth: str | None, settings: Path | None) -> Tr
         file = named_file(path, truth) if truth else path / GROUNDTRUTH
         found = read_trajectory(file) if file.is_file() else None
     else:
-        files, stamp_s, _ = _frames(path)
+        files, stamp_s = _frames(path)
         found = _frame_poses(path, files, stamp_s, Counter())
     return None if found is None else _of_drone(found, T_drone_sensor)
 
@@ -172,21 +172,11 @@ def _size(images: Sequence[Path]) -> tuple[int, int] | None:
     return None
 
 
-def _frames(path: Path) -> tuple[list[Path], Array, str]:
-    """Images and stamps of 7-Scenes, and where the stamps are from."""
+def _frames(path: Path) -> tuple[list[Path], Array]:
+    """Images and stamps of 7-Scenes."""
     numbers = {file: int(found[1]) for file in path.iterdir() if (found := _FRAME.fullmatch(file.name))}
     files = sorted(numbers, key=lambda file: (numbers[file], file.name))
-    times = path / "timestamps.txt"
-    if not times.is_file():
-        return (
-            files,
-            np.array([numbers[file] / SCENES_RATE_HZ for file in files]),
-            f"frame numbers at {SCENES_RATE_HZ:g} Hz",
-        )
-    stamps = [stamp for stamp, _ in read_stamps(times)]
-    if len(stamps) != len(files):
-        raise RecordingError(f"{times}: {len(stamps)} stamps; expected {len(files)}, one an image")
-    return files, np.array(stamps), times.name
+    return files, np.array([numbers[file] / SCENES_RATE_HZ for file in files])
 
 
 def _frame_poses(path: Path, files: Sequence[Path], stamp_s: Array, skipped: Counter[str]) -> Trajectory:

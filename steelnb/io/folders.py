@@ -37,7 +37,7 @@ def is_cloud_folder(path: Path) -> bool:
 def open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | None, settings: Path | None) -> Parts:
     """The parts of a folder of clouds in the sensor frame, with a trajectory of the drone.
 
-    ``scans`` names a sub-folder or a pattern such as ``*.pcd``; ``poses`` a trajectory file, else it is the only file
+    ``scans`` names a sub-folder; ``poses`` a trajectory file, else it is the only file
     with poses. Stamps are in file names, in a file of stamps, or, where there are as many, those of the poses. Raises
     `RecordingError`, `TopicError`, `FileContentError`, and what settings raise.
     """
@@ -121,32 +121,19 @@ def _trajectory_file(path: Path) -> Path:
 
 
 def _cloud_files(path: Path, scans: str | None) -> list[Path]:
-    """The clouds of a folder by the numbers in their names: 9 before 10. Raises `RecordingError`, `TopicError`."""
-    folder, pattern = path, "*"
-    if scans is not None and "*" in scans:
-        pattern = scans
-    elif scans is not None:
-        folder = path / scans
-        if not folder.is_dir():
-            names = ", ".join(each.name for each in _folders(path)) or "none"
-            raise TopicError(f"{path}: no folder {scans!r}; expected one of {names}")
-    elif not _clouds(path):
-        holding = [each for each in _folders(path) if _clouds(each)]
-        if len(holding) > 1:
-            raise TopicError(f"{path}: clouds in {', '.join(each.name for each in holding)}; expected one to be named")
-        folder = holding[0] if holding else path
-    files = [file for file in _clouds(folder) if file.match(pattern)]
+    """The clouds of a folder, or of its only sub-folder with clouds or that named, by the numbers in their names: 9
+    before 10. Raises `RecordingError`, `TopicError`."""
+    folders = [path] if scans is None and _clouds(path) else [each for each in _folders(path) if _clouds(each)]
+    if scans is not None and not ((path / scans).is_dir() and _clouds(path / scans)):
+        names = ", ".join(each.name for each in folders) or "none"
+        raise TopicError(f"{path}: no folder {scans!r} with clouds; expected one of {names}")
+    if scans is None and len(folders) > 1:
+        raise TopicError(f"{path}: clouds in {', '.join(each.name for each in folders)}; expected one to be named")
+    files = _clouds(path / scans if scans is not None else folders[0])
     endings = sorted({file.suffix.lower() for file in files})
-    if not files:
-        raise RecordingError(f"{folder}: no clouds; expected files that end with one of {', '.join(CLOUDS)}")
     if len(endings) > 1:
-        raise TopicError(f"{folder}: clouds that end with {', '.join(endings)}; expected one to be named, as '*.ply'")
-    return sorted(files, key=_natural)
-
-
-def _natural(file: Path) -> list[tuple[float, str]]:
-    pieces = re.split(r"(\d+(?:\.\d+)?)", file.stem)
-    return [(float(piece), piece) if k % 2 else (-1.0, piece) for k, piece in enumerate(pieces)]
+        raise RecordingError(f"{files[0].parent}: clouds that end with {', '.join(endings)}; expected one kind")
+    return sorted(files, key=lambda file: ([float(n) for n in re.findall(r"\d+(?:\.\d+)?", file.stem)], file.stem))
 
 
 def _clouds(folder: Path) -> list[Path]:

@@ -119,10 +119,10 @@ def test_sub_folders_and_endings_that_are_not_clear_are_listed(tmp_path):
     with pytest.raises(TopicError, match="clouds in left, right"):
         read_flight(folder)
     assert len(read_flight(folder, scans="right")) == 5
-    with pytest.raises(TopicError, match=r"no folder 'up'; expected one of left, right"):
+    with pytest.raises(TopicError, match=r"no folder 'up' with clouds; expected one of left, right"):
         read_flight(folder, scans="up")
     write_ply(folder / "left" / "1.ply", np.ones((3, 3)))
-    with pytest.raises(TopicError, match=r"end with .npy, .ply"):
+    with pytest.raises(RecordingError, match=r"end with .npy, .ply"):
         read_flight(folder, scans="left")
 
 
@@ -216,9 +216,8 @@ def test_seven_scenes(tmp_path):
     np.testing.assert_allclose(flight.prior.T_world_drone[0], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
     np.testing.assert_allclose(read_truth(folder).T_world_drone, flight.prior.T_world_drone)
     (folder / "frame-000002.pose.txt").unlink()
-    (folder / "timestamps.txt").write_text("5.0\n5.1\n5.2\n5.3\n")
     flight = read_flight(folder)
-    np.testing.assert_allclose(flight.prior.stamp_s, [5.0, 5.1, 5.2, 5.3])  # the third pose is interpolated
+    assert len(flight) == 4  # the third pose is interpolated
     assert flight.skipped == {"missing pose file": 1}
     (folder / "frame-000001.pose.txt").write_text("1 2 3")
     with pytest.raises(FileContentError, match=r"frame-000001.pose.txt: not the 16 numbers"):
