@@ -10,11 +10,13 @@ from steelnb.cli_options import (
     GOALS,
     METHODS,
     TRAJECTORIES,
+    Seed,
+    Sensor,
+    Set,
     examples,
     noise_option,
     one_of,
     overrides_of,
-    sensor_option,
 )
 from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
@@ -31,11 +33,6 @@ Target = Annotated[
 ]
 Duration = Annotated[float, typer.Option(help="Seconds.")]
 Noise = Annotated[str, noise_option("How the recorded poses drift")]
-Sensor = Annotated[str, sensor_option()]
-Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. flight.gust_sigma_m_s=0.5.")
-]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its truth.")]
 
 

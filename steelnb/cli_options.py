@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -55,12 +55,6 @@ def one_of(
     return typer.Option(help=text, callback=check, autocompletion=complete, **{"metavar": "NAME", **more})
 
 
-def sensor_option() -> Any:
-    """A preset's name, or a file of the user's."""
-    about = "Whose settings to take: {names}, or FILE.toml."
-    return one_of(SENSORS, about, lambda value: [] if value.endswith(".toml") else [value], ", or a file FILE.toml")
-
-
 def noise_option(about: str) -> Any:
     """Names of noises, with or without a level, and sums of them."""
     return one_of(
@@ -89,3 +83,18 @@ def overrides_of(changed: Iterable[str] | None) -> dict[str, Any]:
         if "=" not in text:
             raise SettingsError(f"--set {text}: expected MODULE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
     return dict(map(parse_parameter, changed or []))
+
+
+Sensor = Annotated[
+    str,
+    one_of(
+        SENSORS,
+        "Whose settings to take: {names}, or FILE.toml.",
+        lambda value: [] if value.endswith(".toml") else [value],
+        ", or a file FILE.toml",
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
+]

@@ -6,15 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from steelnb.cli_options import (
-    METHODS,
-    examples,
-    noise_option,
-    one_of,
-    output_option,
-    overrides_of,
-    sensor_option,
-)
+from steelnb.cli_options import METHODS, Seed, Sensor, Set, examples, noise_option, one_of, output_option, overrides_of
 from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
 
@@ -25,8 +17,6 @@ app = typer.Typer()
 Source = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder, or a folder of clouds or of depth images.")
 ]
-Sensor = Annotated[str, sensor_option()]
-Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
 Scans = Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")]
 Poses = Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")]
 TruthFile = Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")]
@@ -44,9 +34,6 @@ Gap = Annotated[
         help="Seconds between two poses beyond which there is none between them.",
         show_default="0.5, or two intervals of slower poses",
     ),
-]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
 
 
