@@ -151,13 +151,13 @@ DAMAGED = ("ascii.ply", "big.ply", "ascii.pcd", "binary.pcd", "compressed.pcd", 
 
 @pytest.mark.parametrize("name", DAMAGED)
 def test_damaged_files_get_points_or_an_error_of_ours(name: str, tmp_path: Path) -> None:
-    """1,000 random files in all; no mutation may end the process, as those of LAZ once did."""
+    """600 random files in all; no mutation may end the process, as those of LAZ once did."""
     rng = random.Random(name)
     path = tmp_path / name
     FORMATS[name](path, made_up(500))
     whole = path.read_bytes()
     refused = 0
-    for turn in range(100):
+    for turn in range(60):
         damaged = bytearray(whole)
         for _ in range(rng.choice((1, 3, 12))):
             damaged[rng.randrange(min(500, len(whole)) if turn % 2 else len(whole))] = rng.randrange(256)
@@ -165,7 +165,7 @@ def test_damaged_files_get_points_or_an_error_of_ours(name: str, tmp_path: Path)
         points, message = attempt(read_points, path)
         assert str(path) in message if points is None else points.shape[-1] == 3
         refused += points is None
-    assert 0 < refused < 100
+    assert 0 < refused < 60
 
 
 def test_a_compressed_pcd_names_the_extra_that_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,6 +210,9 @@ HUGE = "ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nprope
         ("a.ply", "ply\nformat ebcdic 1.0\nend_header\n", FileContentError, "format 'ebcdic'"),
         ("a.ply", HUGE, FileContentError, "999999999999 points"),
         ("a.pcd", "FIELDS x y z\nSIZE 4 4 4\nDATA ascii\n", FileContentError, "of equal length"),
+        ("a.ply", "ply\n\nformat ascii 1.0\nelement vertex ²\nend_header\n", FileContentError, "a.ply"),
+        ("a.pts", "²\n1 2 3\n4 5 6\n", FileContentError, "a.pts"),
+        ("a.pcd", f"{PCD}COUNT 0 1 1\nPOINTS 1\nDATA binary\n123456789012", FileContentError, "a.pcd"),
         ("a.pcd", "VERSION 0.7\n", FileContentError, "header does not end"),
         ("a.pcd", f"{PCD}POINTS 0\nDATA ascii\n", EmptyCloudError, "0 points"),
         ("a.pcd", f"{PCD}POINTS 9\nDATA lzma\n", FileContentError, "'lzma'"),

@@ -12,8 +12,8 @@ from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
 from tests.io.samples import KINDS, made_up, mutated, poses
 from tests.io.test_folders import tum
 
-BUDGET = {"a.bag": 120, "a.mcap": 120, "a.db3": 120, "trajectory": 300, "depth.txt": 100, "image": 200, "settings": 200}
-"""Mutations; with the 800 of messages and texts, 2,000 in all. Those of clouds are in test_clouds."""
+BUDGET = {"a.bag": 80, "a.mcap": 80, "a.db3": 80, "trajectory": 100, "depth.txt": 60, "image": 60, "settings": 80}
+"""Mutations; with the 400 of messages and texts and the 600 of clouds, less than 2,000 in all."""
 
 
 def outcome(path: Path, read: Callable = read_flight) -> str:

@@ -109,7 +109,7 @@ values = dict.fromkeys(("height", "width", "point_step", "row_step"), number) | 
 changes = st.sampled_from(sorted(values)).flatmap(lambda key: st.tuples(st.just(key), values[key]))
 
 
-@settings(max_examples=500, deadline=None, database=None)
+@settings(max_examples=300, deadline=None, database=None)
 @given(st.booleans(), st.lists(changes, max_size=3))
 def test_any_message_is_decoded_or_refused_in_bounded_memory(big, changed):
     made = message(points(), "fdf", "zxy", (4, 1, 3), 5, 7, big, **dict(changed))

@@ -111,7 +111,7 @@ def test_stamps_in_every_unit(word, expected):
     assert seconds(word) == expected
 
 
-@settings(max_examples=200, deadline=None, database=None)
+@settings(max_examples=100, deadline=None, database=None)
 @given(st.lists(st.text("0123456789 .,-+einfa#_\t\n", max_size=40) | st.just(f"1 {POSE}"), max_size=6))
 def test_any_text_is_a_trajectory_or_one_of_our_errors(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any.txt"
