@@ -100,10 +100,6 @@ class TopicError(SteelnbError):
     """A topic that a recording does not have, or several that fit where one was to be chosen."""
 
 
-class ExtrinsicsError(SteelnbError):
-    """A transform that is missing, or is none: a quaternion of length zero, numbers that are not finite."""
-
-
 @contextmanager
 def needs(extra: str) -> Iterator[None]:
     """Imports of the libraries of an extra: one that is missing raises `MissingExtraError` with the command to run."""

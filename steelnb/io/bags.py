@@ -270,17 +270,11 @@ def _points(optical: bool, message: Any) -> Array:
 
 
 def _depths(camera: Intrinsics, message: Any) -> Array:
-    depth = decode_depth(message, camera.depth_scale)
-    if fault := camera.differs(*depth.shape):
-        raise FileContentError(fault)
-    return depth_points(depth, camera)
+    return depth_points(camera.checked(decode_depth(message, camera.depth_scale)), camera)
 
 
 def _grey(camera: Intrinsics, message: Any) -> GreyImage:
-    grey = decode_grey(message)
-    if fault := camera.differs(*grey.shape):
-        raise FileContentError(fault)
-    return grey
+    return camera.checked(decode_grey(message))
 
 
 def _pose(place: Any, turn: Any) -> tuple[float, ...]:

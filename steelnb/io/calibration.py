@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import ExtrinsicsError, SettingsError
+from steelnb.errors import FileContentError, SettingsError
 from steelnb.files import new_file
 from steelnb.settings import read_toml
 from steelnb.settings.base import describe_fault, mount
@@ -31,22 +31,10 @@ class _Table(BaseModel):
 
 
 class Extrinsics(_Table):
-    """Pose of the sensor in the drone frame; the rotation as a quaternion or as roll, pitch and yaw, or none."""
+    """Pose of the sensor in the drone frame; the rotation as roll, pitch and yaw."""
 
     translation_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
-    rotation_xyzw: tuple[float, float, float, float] | None = None
-    rotation_rpy_deg: tuple[float, float, float] | None = None
-
-    def T_drone_sensor(self, where: str) -> Array:
-        """The transform ``(4, 4)``. Raises `ExtrinsicsError`."""
-        if self.rotation_xyzw and self.rotation_rpy_deg:
-            raise ExtrinsicsError(f"{where}: rotation_xyzw and rotation_rpy_deg; expected one of them")
-        result = mount(self.translation_m, self.rotation_rpy_deg or (0.0, 0.0, 0.0))
-        if self.rotation_xyzw:
-            if not 1e-6 < np.abs(self.rotation_xyzw).max() < 1e6:
-                raise ExtrinsicsError(f"{where}: rotation_xyzw {self.rotation_xyzw}; expected a quaternion of length 1")
-            result[:3, :3] = Rotation.from_quat(self.rotation_xyzw).as_matrix()
-        return result
+    rotation_rpy_deg: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
 
 
 class Intrinsics(_Table):
@@ -65,11 +53,12 @@ class Intrinsics(_Table):
         """The matrix ``(3, 3)`` of the intrinsics."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
 
-    def differs(self, rows: int, columns: int) -> str:
-        """The size of an image and the one expected, in words; empty where they agree."""
+    def checked(self, image: NDArray, name: str = "") -> NDArray:
+        """The image ``(H, W)`` itself; `FileContentError`, which begins with ``name``, if it is of another size."""
+        rows, columns = image.shape
         if (self.height or rows, self.width or columns) == (rows, columns):
-            return ""
-        return f"{columns} × {rows} pixels; expected {self.width} × {self.height}"
+            return image
+        raise FileContentError(f"{name}{columns} × {rows} pixels; expected {self.width} × {self.height}")
 
 
 class SensorCorrection(_Table):
@@ -95,11 +84,12 @@ class _Settings(_Table):
 def read_settings(path: Path | str | None) -> tuple[Array | None, Intrinsics | None]:
     """``T_drone_sensor`` and intrinsics from the tables ``[extrinsics]`` and ``[intrinsics]`` of a TOML file.
 
-    Each is None where it, or the file, is not there. Raises `FileMissingError`, `SettingsError`, `ExtrinsicsError`.
+    Each is None where it, or the file, is not there. Raises `FileMissingError`, `SettingsError`.
     """
     settings = _read(path)
     extrinsics = settings.extrinsics
-    return extrinsics.T_drone_sensor(f"{path}, [extrinsics]") if extrinsics else None, settings.intrinsics
+    T_drone_sensor = mount(extrinsics.translation_m, extrinsics.rotation_rpy_deg) if extrinsics else None
+    return T_drone_sensor, settings.intrinsics
 
 
 def read_correction(path: Path | str | None) -> SensorCorrection:
@@ -122,11 +112,11 @@ def write_settings(
 ) -> None:
     """Write a settings file that `read_settings` and `read_correction` read, with a ``note`` above it. Raises
     `OutputError`."""
-    quaternion = Rotation.from_matrix(T_drone_sensor[:3, :3]).as_quat()
+    rpy_deg = Rotation.from_matrix(T_drone_sensor[:3, :3]).as_euler("xyz", degrees=True)
     tables: dict[str, dict[str, object]] = {
         "extrinsics": {
             "translation_m": [round(float(x), 6) for x in T_drone_sensor[:3, 3]],
-            "rotation_xyzw": [round(float(x), 9) for x in quaternion],
+            "rotation_rpy_deg": [round(float(x), 7) for x in rpy_deg],
         },
         "errors": {name: round(value, 7) for name, value in correction.model_dump().items()},
     }

@@ -6,6 +6,7 @@ The trajectories are of the camera, z forward; here they are turned and moved to
 import re
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from steelnb.files import reading
 from steelnb.images import CameraImages, GreyImage
 from steelnb.io.calibration import T_OPTICAL_SENSOR, T_SENSOR_OPTICAL, Intrinsics, depth_points
 from steelnb.io.folders import TRAJECTORY, folder_settings, named_file, walk_files
-from steelnb.io.images import PIXELS_MAX, RecordedImages, read_grey
+from steelnb.io.images import RecordedImages, read_depth, read_grey
 from steelnb.io.scans import Parts
 from steelnb.io.trajectories import read_stamps, read_trajectory, rising, trajectory_of_matrices
 from steelnb.types import Array, Trajectory
@@ -100,10 +101,7 @@ def _colours(
         return None, "none: no frame-000000.color.jpg or .color.png"
 
     def load(file: Path) -> GreyImage:
-        grey = read_grey(file)
-        if fault := camera.differs(*grey.shape):
-            raise FileContentError(f"{file}: {fault}")
-        return grey
+        return camera.checked(read_grey(file), f"{file}: ")
 
     images = RecordedImages(len(number), lambda: (partial(load, shown[k]) for k in number))
     return CameraImages(stamp_s[number], images, camera.K, mount), f"{len(number)} of colour, as the depth images are"
@@ -122,54 +120,36 @@ def read_depth_truth(path: Path, truth: str | None, settings: Path | None) -> Tr
 
 
 def _read_depth_points(file: Path, camera: Intrinsics, scale: float, invalid: int) -> Array:
-    depth = read_depth(file)
-    if fault := camera.differs(*depth.shape):
-        raise FileContentError(f"{file}: {fault}")
+    depth = camera.checked(read_depth(file), f"{file}: ")
     return depth_points(np.where(depth == invalid, 0, depth) * scale, camera)
-
-
-def read_depth(path: Path) -> NDArray[np.uint16]:
-    """Numbers ``(H, W)`` of a 16-bit grey PNG file. Raises `FileContentError` and `FileMissingError`."""
-    from PIL import Image
-
-    with reading(path, "a 16-bit grey PNG"), Image.open(path, formats=["PNG"]) as image:
-        if image.width * image.height > PIXELS_MAX:
-            raise FileContentError(f"{path}: {image.width} × {image.height} pixels; expected at most {PIXELS_MAX}")
-        pixels = np.asarray(image)
-    if pixels.ndim != 2 or pixels.dtype.kind not in "iu" or pixels.dtype.itemsize < 2:
-        raise FileContentError(f"{path}: {pixels.dtype} pixels of shape {pixels.shape}; expected a 16-bit grey PNG")
-    return pixels.astype(np.uint16)
 
 
 def _camera(
     path: Path, settings: Path | None, images: Sequence[Path], published: str
 ) -> tuple[Array, Intrinsics, dict[str, str]]:
-    """``T_drone_sensor``, and the camera of settings, or as published for images of its size."""
+    """``T_drone_sensor``, and the camera of settings, or as published. Raises `SettingsError` where the images are of
+    another size."""
     T_drone_sensor, camera, file = folder_settings(path, settings)
-    source, size = str(file), _size(images)
-    if camera is None and size in (None, (480, 640)):
+    source = str(file)
+    if camera is None:
         fx, fy, cx, cy = CAMERAS[published]
         camera, source = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, width=640, height=480), f"published for {published}"
-    if camera is None:
+    try:
+        camera.checked(_first(images))
+    except FileContentError as fault:
         raise SettingsError(
-            f"{path}: no intrinsics for images of {size[1]} × {size[0]} pixels; "  # type: ignore[index]
-            "expected [intrinsics] with fx, fy, cx and cy in a settings file"
-        )
-    if size and (fault := camera.differs(*size)):
-        raise SettingsError(f"{path}: images of {fault}, as the intrinsics of {source} say")
+            f"{path}: images of {fault}, as the intrinsics {source} say; others want [intrinsics] in a settings file"
+        ) from None
     said = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g}: {source}"
     return T_drone_sensor, camera, {"intrinsics": said}
 
 
-def _size(images: Sequence[Path]) -> tuple[int, int] | None:
-    """Rows and columns of the first image that can be read."""
-    for image in images:
-        try:
-            rows, columns = read_depth(image).shape
-        except SteelnbError:
-            continue
-        return rows, columns
-    return None
+def _first(images: Sequence[Path]) -> NDArray[np.uint16]:
+    """The first image that can be read. Raises as `read_depth` where none can."""
+    for image in images[:-1]:
+        with suppress(SteelnbError):
+            return read_depth(image)
+    return read_depth(images[-1])
 
 
 def _frames(path: Path) -> tuple[list[Path], Array]:

@@ -51,8 +51,8 @@ def read_flight(
     scans : topic or sub-folder of the scans; by default the only one of a fitting type.
     poses : topic or trajectory file (TUM, KITTI, EuRoC) of the drone's drifting poses; by default the only one.
     truth : topic of the true poses, which is then not taken for the drifting ones. It is read by `read_truth`.
-    settings : TOML file with tables ``[extrinsics]`` (``translation_m`` and ``rotation_xyzw`` or ``rotation_rpy_deg``
-        of the sensor in the drone frame), ``[intrinsics]`` (``fx fy cx cy width height depth_scale``) and ``[errors]``
+    settings : TOML file with tables ``[extrinsics]`` (``translation_m`` and ``rotation_rpy_deg`` of the sensor in
+        the drone frame), ``[intrinsics]`` (``fx fy cx cy width height depth_scale``) and ``[errors]``
         (``range_offset_m range_scale time_offset_s``), without which scans and their stamps then come.
     gap_max_s : poses further apart are not interpolated between; scans in such a gap are left out. By default 0.5 s, or
         two usual intervals of the poses, but never more than 2 s.
@@ -60,7 +60,7 @@ def read_flight(
 
     Returns a `Flight` whose ``prior`` is interpolated at the scans, whose ``facts`` name the format, topics and
     calibration, and whose ``skipped`` counts what was left out. Raises `FileMissingError`, `UnsupportedFormatError`,
-    `FileContentError`, `RecordingError`, `TopicError`, `ExtrinsicsError` and `SettingsError`.
+    `FileContentError`, `RecordingError`, `TopicError` and `SettingsError`.
     """
     if gap_max_s is not None and not 0 < gap_max_s < float("inf"):
         raise SettingsError(f"gap = {gap_max_s}: expected a positive number of seconds")

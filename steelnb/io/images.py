@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -83,15 +83,31 @@ def read_grey(path: Path) -> GreyImage:
     return _grey(path, str(path))
 
 
-def _grey(file: Path | io.BytesIO, name: str) -> GreyImage:
-    from PIL import Image
+def read_depth(path: Path) -> NDArray[np.uint16]:
+    """Numbers ``(H, W)`` of a 16-bit grey PNG file. Raises `FileContentError` and `FileMissingError`."""
+    with _opened(path, str(path), "a 16-bit grey PNG", ("PNG",)) as image:
+        pixels = np.asarray(image)
+    if pixels.ndim != 2 or pixels.dtype.kind not in "iu" or pixels.dtype.itemsize < 2:
+        raise FileContentError(f"{path}: {pixels.dtype} pixels of shape {pixels.shape}; expected a 16-bit grey PNG")
+    return pixels.astype(np.uint16)
 
-    with reading(name, "a JPEG or PNG image"), Image.open(file, formats=FILES) as image:
-        if image.width * image.height > PIXELS_MAX:
-            raise FileContentError(f"{name}: {image.width} × {image.height} pixels; expected at most {PIXELS_MAX}")
+
+def _grey(file: Path | io.BytesIO, name: str) -> GreyImage:
+    with _opened(file, name, "a JPEG or PNG image", FILES) as image:
         if image.mode not in ("L", "RGB", "P", "RGBA"):
             raise FileContentError(f"{name}: pixels of mode {image.mode}; expected grey levels or colours of 8 bits")
         return np.array(image.convert("L"))
+
+
+@contextmanager
+def _opened(file: Path | io.BytesIO, name: str, form: str, formats: tuple[str, ...]) -> Iterator[Any]:
+    """A picture of at most `PIXELS_MAX`, within the boundary of reading."""
+    from PIL import Image
+
+    with reading(name, form), Image.open(file, formats=formats) as image:
+        if image.width * image.height > PIXELS_MAX:
+            raise FileContentError(f"{name}: {image.width} × {image.height} pixels; expected at most {PIXELS_MAX}")
+        yield image
 
 
 def _encoding(message: Any, expected: Iterable[str]) -> str:

@@ -36,11 +36,6 @@ DRAWN: Mapping[str, Callable[[Structure, Path], None]] = {
 }  # fmt: skip
 """Formats that are of no use without a bar."""
 FORMATS = (".json", ".csv", *DRAWN)
-INSTEAD = {
-    ".ply": "; trimesh and MeshLab turn a GLB into a PLY",
-    ".graphml": "; networkx.write_graphml writes the graph of `Structure.graph`",
-}
-"""Formats that were, and the way to them."""
 
 Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(description="x, y, z in the world frame, metres")]
@@ -114,8 +109,7 @@ def write_structure(
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in FORMATS:
-        instead = INSTEAD.get(ending, "")
-        raise UnsupportedFormatError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(FORMATS)}{instead}")
+        raise UnsupportedFormatError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(FORMATS)}")
     text = _to_json(structure, path.name, about or {})
     _from_json(text, path.name, StructureError)  # only what the reader accepts is written
     if ending in DRAWN and not len(structure):

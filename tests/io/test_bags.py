@@ -351,12 +351,9 @@ def test_paths_that_are_no_recordings(tmp_path, monkeypatch):
     [
         ("[extrinsics]\nshift = 1", "extrinsics.shift"),
         ("[extrinsics]\ntranslation_m = [1, 2]", "translation_m"),
-        ("[extrinsics]\nrotation_xyzw = [0, 0, 0, 0]", "expected a quaternion of length 1"),
-        ("[extrinsics]\nrotation_xyzw = [1e300, 1e300, 0, 0]", "expected a quaternion of length 1"),
-        ("[extrinsics]\nrotation_xyzw = [0, 0, 0, 1e308]", "expected a quaternion of length 1"),
-        ("[extrinsics]\nrotation_xyzw = [0, 0, 0, 1]\nrotation_rpy_deg = [0, 0, 0]", "expected one of them"),
         ("[intrinsics]\nfx = 0\nfy = 1\ncx = 1\ncy = 1", "intrinsics.fx"),
         ("[extrinsics]\ntranslation_m = [nan, 0, 0]", "translation_m"),
+        ("[extrinsics]\nrotation_rpy_deg = [1e300, 0, 0]", "rotation_rpy_deg"),
         ("[more]\n", "more"),
     ],
 )

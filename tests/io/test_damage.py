@@ -12,7 +12,7 @@ from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
 from tests.io.samples import KINDS, made_up, mutated, poses
 from tests.io.test_folders import tum
 
-BUDGET = {"a.bag": 80, "a.mcap": 80, "a.db3": 80, "trajectory": 100, "depth.txt": 60, "image": 60, "settings": 80}
+BUDGET = {"a.bag": 80, "a.mcap": 80, "a.db3": 80, "trajectory": 100, "depth.txt": 60, "image": 60, "settings": 200}
 """Mutations; with the 400 of messages and texts and the 600 of clouds, less than 2,000 in all."""
 
 
@@ -60,7 +60,7 @@ def test_trajectories(tmp_path):
     for noisy in mutated((tmp_path / "a.tum").read_bytes(), BUDGET["trajectory"]):
         path.write_bytes(noisy)
         outcomes[outcome(path, read_trajectory)] += 1
-    assert len(outcomes) > 1
+    assert outcomes["FileContentError"] > BUDGET["trajectory"] / 10
 
 
 @pytest.mark.slow

@@ -172,9 +172,9 @@ def test_the_same_structure_gives_the_same_bytes(suffix: str, tmp_path: Path) ->
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
 
 
-@pytest.mark.parametrize(("suffix", "instead"), [("", ""), (".JSN", ""), (".ply", "; trimesh"), (".graphml", "; net")])
-def test_an_unknown_ending_names_the_known(suffix: str, instead: str, tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedFormatError, match=", ".join(FORMATS) + instead):
+@pytest.mark.parametrize("suffix", ["", ".JSN"])
+def test_an_unknown_ending_names_the_known(suffix: str, tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedFormatError, match=", ".join(FORMATS)):
         write_structure(frame(), tmp_path / f"a{suffix}")
 
 

@@ -4,7 +4,6 @@ import bz2
 import json
 import os
 import struct
-import zlib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +30,7 @@ from steelnb.io import (
     write_tum,
 )
 from steelnb.io.bag_files import bounded
-from steelnb.io.depth_folders import read_depth
+from steelnb.io.images import read_depth
 from steelnb.settings import read_toml
 from steelnb.types import Trajectory
 from tests.io.samples import KINDS, Bagged, made_up, poses
@@ -90,16 +89,6 @@ def test_later_chunks_of_a_laz_file_ask_for_no_memory(tmp_path: Path, form: int)
         path.write_bytes(damaged)
         with pytest.raises(FileContentError, match=r"a\.laz: \d+ chunks listed at byte .*: cut short or damaged"):
             read_cloud(path)
-
-
-def test_a_large_picture_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 8192, 8192, 16, 0, 0, 0, 0))
-    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"")))
-    with pytest.raises(FileContentError, match="8192 × 8192 pixels; expected at most 8388608"):
-        read_depth(tmp_path / "a.png")
 
 
 def test_unpacking_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
