@@ -40,12 +40,10 @@ def interpolate(
         return result, np.zeros(len(stamp_s), dtype=bool)
     if gap_max_s is None:
         gap_max_s = float(np.clip(2 * np.median(np.diff(own)), *GAP_MAX_S)) if len(own) > 1 else GAP_MAX_S[0]
-    after = np.clip(np.searchsorted(own, stamp_s), 0, len(own) - 1)
-    before = np.maximum(after - 1, 0)
-    for nearest in (before, after):  # stamps that went through text or integers may miss by rounding
-        exact = np.abs(own[nearest] - stamp_s) < 1e-6
-        before, after = np.where(exact, nearest, before), np.where(exact, nearest, after)
-    exact = (before == after) & (np.abs(own[after] - stamp_s) < 1e-6)
+    # Stamps that went through text or integers may miss by rounding.
+    after = np.clip(np.searchsorted(own, stamp_s - 1e-6), 0, len(own) - 1)
+    exact = np.abs(own[after] - stamp_s) < 1e-6
+    before = np.where(exact, after, np.maximum(after - 1, 0))
     covered = exact | ((own[before] <= stamp_s) & (stamp_s <= own[after]) & (own[after] - own[before] <= gap_max_s))
     if len(own) > 1:
         result = trajectory.between(stamp_s)

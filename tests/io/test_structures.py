@@ -42,26 +42,16 @@ def test_round_trip_is_exact(structure: Structure, tmp_path: Path) -> None:
     assert_same(read_structure(path), structure)
 
 
-def test_openings_survive_and_files_without_them_are_read(tmp_path: Path) -> None:
-    known = replace(frame(), opening=np.array([[0.6, 0.8, 0.0], [0.0, 0.6, -0.8], [np.nan, np.nan, np.nan]]))
+def test_what_is_not_known_is_null_and_may_be_missing(tmp_path: Path) -> None:
+    opening = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, -0.8], [np.nan, np.nan, np.nan]])
+    known = replace(frame(), opening=opening, joint_sigma_m=np.array([np.nan, 0.003, 0.003]))
     (path,) = write_structure(known, tmp_path / "a.json")
     assert_same(read_structure(path), known)
     content = json.loads(path.read_text())
+    assert (content["bars"][2].pop("opening"), content["joints"][0]["sigma_m"]) == (None, None)
     content["version"] = 2
-    for bar in content["bars"]:
-        bar.pop("opening")
-    path.write_text(json.dumps(content))
-    assert_same(read_structure(path), frame())
-
-
-def test_joints_keep_their_sigma_and_null_where_it_is_not_known(tmp_path: Path) -> None:
-    sigma_m = np.full(len(frame().joint), 0.003)
-    sigma_m[0] = np.nan
-    known = replace(frame(), joint_sigma_m=sigma_m)
-    (path,) = write_structure(known, tmp_path / "a.json")
-    assert_same(read_structure(path), known)
-    content = json.loads(path.read_text())
-    assert content["joints"][0]["sigma_m"] is None
+    for part, key in ((content["bars"][0], "opening"), (content["bars"][1], "opening")):
+        part.pop(key)
     for joint in content["joints"]:
         joint.pop("sigma_m")
     path.write_text(json.dumps(content))
@@ -86,28 +76,19 @@ def changed(tmp_path: Path, change) -> Path:
 CASES = {
     "a later version": (lambda c: c.update(version=4), VersionError, "version = 4; expected 3"),
     "version 1": (lambda c: c.update(version=1), VersionError, "version 1 is no longer read"),
-    "a number beyond 64 bits": (lambda c: c["bars"][0].update(points=10**30), FileContentError, "bars[0].points"),
     "farther than any map": (lambda c: c["bars"][0].update(start_m=[1e308, 0, 0]), FileContentError, "start_m[0]"),
-    "version in words": (lambda c: c.update(version="2"), VersionError, "version = '2'; expected 3"),
-    "no reason": (lambda c: c.pop("reason"), FileContentError, "reason: field required"),
     "no version": (lambda c: c.pop("version"), VersionError, "version = None"),
     "no units": (lambda c: c.pop("units"), UnitsError, "units = None"),
     "feet": (lambda c: c.update(units={"length": "foot"}), UnitsError, "foot"),
     "NaN": (lambda c: c["bars"][1]["start_m"].__setitem__(2, np.nan), NonFiniteError, "bars[1].start_m[2]"),
     "infinite": (lambda c: c["joints"][0].update(position_m=[0, np.inf, 0]), NonFiniteError, "joints[0].position_m[1]"),
-    "two coordinates": (lambda c: c["bars"][0].update(end_m=[1, 2]), FileContentError, "bars[0].end_m"),
-    "null": (lambda c: c["bars"][0].update(end_m=[1, 2, None]), FileContentError, "bars[0].end_m[2]"),
     "text": (lambda c: c["bars"][0].update(end_m=[1, 2, "3"]), FileContentError, "bars[0].end_m[2] = 3"),
     "negative width": (lambda c: c["bars"][2].update(width_m=-1), FileContentError, "bars[2].width_m = -1"),
-    "no width": (lambda c: c["bars"][2].pop("width_m"), FileContentError, "bars[2].width_m: field required"),
     "misspelt": (lambda c: c["bars"][2].update(widht_m=1), FileContentError, "bars[2].widht_m"),
     "y up": (lambda c: c["frame"].update(up="y"), FileContentError, "frame.up = y"),
-    "no frame": (lambda c: c.pop("frame"), FileContentError, "frame"),
     "no bars": (lambda c: c.pop("bars"), FileContentError, "bars: field required"),
-    "half a sighting": (lambda c: c["bars"][0].update(sightings=1.5), FileContentError, "bars[0].sightings"),
     "tie to no bar": (lambda c: c["ties"].append({"joint": 0, "bar": 3}), StructureError, "joint 0 and bar 3"),
     "tie to no joint": (lambda c: c["ties"].append({"joint": 9, "bar": 0}), StructureError, "joint 9 and bar 0"),
-    "negative tie": (lambda c: c["ties"].append({"joint": -1, "bar": 0}), FileContentError, "ties[6].joint = -1"),
     "tied twice": (lambda c: c["ties"].append({"joint": 0, "bar": 0}), StructureError, "twice"),
     "no length": (lambda c: c["bars"][0].update(end_m=[0, 0, 0]), StructureError, "bar 0 starts and ends"),
     "another format": (lambda c: c.update(format="steelnb segments, version 1"), FileContentError, "format ="),
