@@ -91,6 +91,7 @@ CASES = {
     "tie to no joint": (lambda c: c["ties"].append({"joint": 9, "bar": 0}), StructureError, "joint 9 and bar 0"),
     "tied twice": (lambda c: c["ties"].append({"joint": 0, "bar": 0}), StructureError, "twice"),
     "no length": (lambda c: c["bars"][0].update(end_m=[0, 0, 0]), StructureError, "bar 0 starts and ends"),
+    "a long value": (lambda c: c.update(units="x" * 70_000), UnitsError, "units = 'xxx"),
     "another format": (lambda c: c.update(format="steelnb segments, version 1"), FileContentError, "format ="),
 }
 
@@ -104,6 +105,7 @@ def test_bad_content_is_refused(case: str, tmp_path: Path) -> None:
     assert type(caught.value) is error
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
+    assert len(str(caught.value)) < 300 + len(str(path))
 
 
 DEEP = b'{"format": "steelnb structure", "about": ' + b"[" * 100_000
