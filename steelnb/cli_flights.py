@@ -12,7 +12,6 @@ from steelnb.cli_options import (
     TRAJECTORIES,
     Seed,
     Sensor,
-    Set,
     examples,
     noise_option,
     one_of,
@@ -33,6 +32,9 @@ Target = Annotated[
 ]
 Duration = Annotated[float, typer.Option(help="Seconds.")]
 Noise = Annotated[str, noise_option("How the recorded poses drift")]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. flight.gust_sigma_m_s=0.5.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its truth.")]
 
 

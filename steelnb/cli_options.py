@@ -95,6 +95,3 @@ Sensor = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
-Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
-]

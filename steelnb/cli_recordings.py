@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from steelnb.cli_options import METHODS, Seed, Sensor, Set, examples, noise_option, one_of, output_option, overrides_of
+from steelnb.cli_options import METHODS, Seed, Sensor, examples, noise_option, one_of, output_option, overrides_of
 from steelnb.cli_progress import progress
 from steelnb.errors import SettingsError
 
@@ -34,6 +34,9 @@ Gap = Annotated[
         help="Seconds between two poses beyond which there is none between them.",
         show_default="0.5, or two intervals of slower poses",
     ),
+]
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="MODULE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
 
 

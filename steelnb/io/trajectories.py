@@ -159,7 +159,7 @@ def _numbers(path: Path, rows: int | None = None) -> tuple[str, Array]:
     numbers = np.loadtxt((line.replace(",", " ") for line in lines), ndmin=2)
     columns = numbers.shape[1]
     form = "EuRoC" if commas and columns >= 8 else {8: "TUM", 12: "KITTI"}.get(columns)
-    if form is None or (form == "EuRoC" and (numbers[:, 0] % 1 > 0).any()):
+    if form is None or (form == "EuRoC" and (numbers[:, 0] != np.floor(numbers[:, 0])).any()):
         raise FileContentError(f"{path}: {lines[0].strip()[:60]!r}; expected {FORMS}")
     return form, numbers
 
