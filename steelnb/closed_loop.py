@@ -18,7 +18,7 @@ from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, FlightSettings
 from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
-from steelnb.simulation.tof import LiveCamera
+from steelnb.simulation.tof import TofCamera
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
 
@@ -69,7 +69,7 @@ class OnboardPilot:
         stamp_s = np.arange(steps + 1, dtype=np.float64) * STEP_S
         self._drift = drift_errors(stamp_s, settings.noise, settings.seed)
         self._scan_step = np.round(np.arange(0, stamp_s[-1] + 1e-9, 1 / settings.tof.rate_hz) / STEP_S).astype(int)
-        self._camera = LiveCamera(tower, settings.tof, settings.seed)
+        self._camera = TofCamera(tower, settings.tof, settings.seed)
         # The odometry holds these arrays and reads them up to its last scan; they fill as the flight goes on.
         self._imu = Imu(stamp_s, np.zeros((steps + 1, 3)), np.zeros((steps + 1, 3)))
         self._true, self._prior = np.zeros((2, steps + 1, 4, 4))

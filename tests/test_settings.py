@@ -56,7 +56,6 @@ PEERS = ("kiss-icp", "small-gicp")
         ({"sensor": "starling2-honest", "overrides": {"tof.faults.sigma_max_m": 0.0}}, "sigma_max_m = 0.0"),
         ({"sensor": "starling2-honest", "overrides": {"tof.faults.exposure": 0}}, "mean 'tof.faults.exposure_s'"),
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
-        ({"sensor": "starling2-honest", "overrides": {"tof.flying_pixel_probability": 0.1}}, "expected 0 with faults"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(arguments, says):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from steelnb.errors import SettingsError
-from steelnb.settings.base import Duration, NotNegative, Positive, Probability, Settings, mount, quoted, table
+from steelnb.settings.base import Duration, NotNegative, Positive, Settings, mount, quoted, table
 from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
@@ -118,12 +118,10 @@ class FlightSettings(Settings):
 class TofSettings(Settings):
     """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
 
-    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. A pixel beside a depth edge
-    turns into a flying pixel, somewhere between the two depths, with ``flying_pixel_probability``; any pixel is lost
-    with ``dropout_probability``; in the intervals ``blind_s`` (from, to) nothing returns at all. ``mount_m`` and
-    ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor on the drone. With ``faults`` the
-    sensor errs as a real one: the standard deviation of a range is then that of the range at which the data sheet's
-    target, seen squarely, returns as much light as the pixel got.
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``; in the intervals ``blind_s``
+    (from, to) nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place
+    the sensor on the drone. With ``faults`` the sensor errs as a real one: the standard deviation of a range is then
+    that of the range at which the data sheet's target, seen squarely, returns as much light as the pixel got.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -133,22 +131,11 @@ class TofSettings(Settings):
     range_max_m: Positive = 4.0
     sigma_floor_m: NotNegative = 0.04
     sigma_relative: NotNegative = 0.0
-    flying_pixel_probability: Probability = 0.0
-    dropout_probability: Probability = 0.0
     rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     faults: Annotated[TofFaultSettings | None, table(TofFaultSettings)] = None
-
-    @model_validator(mode="after")
-    def _mixed_once(self) -> Self:
-        if self.faults is not None and self.flying_pixel_probability > 0:
-            raise ValueError(
-                f"flying_pixel_probability = {self.flying_pixel_probability}: expected 0 with faults, whose footprint"
-                " mixes the pixels at edges"
-            )
-        return self
 
     @property
     def T_drone_sensor(self) -> Array:

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
 from steelnb.settings import FlightSettings, TofSettings
-from steelnb.simulation.exposure import MOMENTS, Exposure, draw_camera, expose
+from steelnb.simulation.exposure import MOMENTS
 from steelnb.simulation.paths import heading, waypoints
-from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.tof import measured_ranges
+from steelnb.simulation.tof import TofCamera, measured_ranges
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
@@ -27,33 +25,25 @@ class View:
 
 
 class Viewer:
-    """A Time-of-Flight camera that can be held anywhere around a tower."""
+    """Takes single scans of a tower; a sensor with faults is the one of seed 0."""
 
     def __init__(self, tower: Tower, tof: TofSettings) -> None:
         self.tower, self.tof = tower, tof
-        self._scene, self._rays = make_scene(tower), rays(tof)
+        self._camera = TofCamera(tower, tof, seed=0)
 
     def view(self, T_world_sensor: Array, noise: np.random.Generator, floor_m: float = 0.3) -> View:
         """One scan, without the ground and all that is measured below ``floor_m``."""
-        seen = self._expose(T_world_sensor, noise)
+        seen = self._camera.expose(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)  # held still
         measured = measured_ranges(seen.range_m, self.tof, noise, as_far_as_m=seen.as_far_as_m)
         returned = np.isfinite(measured) & np.isfinite(seen.exact_m)
         member = seen.member[returned]
         rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
-        along = self._rays[returned] @ rotation.T
+        along = self._camera.ray[returned] @ rotation.T
         points = measured[returned][:, None].astype(np.float64) * along + position
         surface = seen.exact_m[returned][:, None].astype(np.float64) * along + position
         kept = (member >= 0) & (points[:, 2] >= floor_m)
         level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
         return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
-
-    def _expose(self, T_world_sensor: Array, noise: np.random.Generator) -> Exposure:
-        """What the camera, held still, sees without noise; one with faults is that of seed 0."""
-        if self.tof.faults:
-            camera = draw_camera(self.tof.faults, rng.stream(0, "tof-camera"))
-            return expose(self._scene, self.tof, camera, np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)
-        exact, members = cast_rays(self._scene, T_world_sensor[None], self._rays)
-        return Exposure(exact[0], None, exact[0], members[0])
 
 
 def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:

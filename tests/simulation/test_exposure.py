@@ -84,7 +84,7 @@ def test_a_flight_without_faults_is_measured_as_ever():
     """Range images are, to the bit, exact ranges with the noise of the stream ("tof", k)."""
     trajectory = Trajectory(*(each[:251] for each in (np.arange(300) * 0.008, np.tile(HERE, (300, 1, 1)))))
     trajectory.T_world_drone[:, 0, 3] -= 3.5
-    tof = TofSettings.preset("starling2").replace(columns=45, rows=60, dropout_probability=0.1)
+    tof = TofSettings.preset("starling2").replace(columns=45, rows=60)
     scans, _ = scan_flight(TOWER, trajectory, np.eye(4), tof, 6)
     exact, _ = cast_rays(make_scene(TOWER), trajectory.at(scans.stamp_s).T_world_drone, rays(tof))
     for k in range(len(scans)):

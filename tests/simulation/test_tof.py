@@ -6,11 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.scene import GROUND_M, cast_rays, make_scene, rays
-from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
+from steelnb.simulation.tof import RANGE_MIN_M
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
@@ -126,24 +125,3 @@ def test_a_longer_flight_begins_with_the_scans_of_a_shorter_one(flight):
     np.testing.assert_array_equal(a.range_m[:25], b.range_m)
     c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report"), 5)
     assert np.nanmax(np.abs(b.range_m - c.range_m)) > 0.01
-
-
-def test_flying_pixels_lie_between_two_surfaces_and_only_at_edges():
-    exact = np.full((20, 20), 4.0)
-    exact[:, 8:12] = 2.0
-    exact[:3] = np.inf
-    settings = EXACT.replace(flying_pixel_probability=1.0)
-    result = measured_ranges(exact, settings, rng.stream(1, "test"))
-    edge = np.zeros(exact.shape, dtype=bool)
-    edge[3:, 7:9] = edge[3:, 11:13] = True
-    assert np.isnan(result[:3]).all()
-    np.testing.assert_array_equal(result[3:][~edge[3:]], exact[3:][~edge[3:]])
-    assert ((result[edge] > 2) & (result[edge] < 4)).mean() > 0.98
-    half = measured_ranges(exact, settings.replace(flying_pixel_probability=0.5), rng.stream(1, "test"))
-    assert 0.3 < (half[edge] != exact[edge]).mean() < 0.7
-
-
-def test_dropouts_are_as_frequent_as_asked():
-    exact = np.full((200, 200), 2.0)
-    result = measured_ranges(exact, EXACT.replace(dropout_probability=0.3), rng.stream(1, "test"))
-    assert np.isnan(result).mean() == pytest.approx(0.3, abs=0.01)
