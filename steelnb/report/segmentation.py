@@ -17,7 +17,7 @@ from steelnb.hough import suggest_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.report.batch import flat
-from steelnb.settings import FlightSettings, SegmentationSettings, TofSettings, TowerSettings
+from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.views import View, Viewer, pose_on_path
 from steelnb.types import Array, Segments
@@ -254,11 +254,9 @@ def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min
     rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
     rows = []
     for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
-        settings = SegmentationSettings(points_min=votes)
         own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
         trials = [
-            attempt("hough", scene, settings=settings, dx=each)
-            for scene, each in zip(scenes[noise_m], own, strict=True)
+            attempt("hough", scene, points_min=votes, dx=each) for scene, each in zip(scenes[noise_m], own, strict=True)
         ]
         means = over_cases(trial_table(trials)).iloc[0][list(MEASURES)].to_dict()
         rows.append({"noise_m": noise_m, "rule": rule, "dx_m": float(np.mean(own)), "min_votes": votes, **means})

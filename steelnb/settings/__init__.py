@@ -22,7 +22,7 @@ from steelnb.settings.odometry import (
 )
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
 from steelnb.settings.sensors import ImuSettings, TofFaultSettings
-from steelnb.settings.structure import SegmentationSettings, StructureSettings, Tolerance
+from steelnb.settings.structure import StructureSettings, Tolerance
 from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
@@ -41,7 +41,7 @@ __all__ = [
     "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CameraSettings",
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "NoiseSettings", "OdometrySettings", "OrbSettings", "PlannerGoal", "Positive", "PreprocessSettings",
-    "SegmentSettings", "SegmentationSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
+    "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
     "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_tables", "read_toml",
     "sensor_names",
 ]  # fmt: skip

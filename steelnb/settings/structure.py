@@ -1,24 +1,10 @@
-"""Settings of segmentation and reconstruction: what counts as a bar. Lengths in metres, angles in radians."""
+"""Settings of reconstruction: what counts as a bar. Lengths in metres, angles in radians."""
 
 from typing import Annotated
 
 from pydantic import Field
 
 from steelnb.settings.base import NotNegative, Positive, Settings
-
-
-class SegmentationSettings(Settings):
-    """What every method of segmentation takes for a bar, so that they differ in nothing but how they find it.
-
-    Points of one group are cut where they leave a gap, pieces within ``merge_distance_m`` of one axis become one, and
-    those with enough points, long enough and thin (`steelnb.hough.peers.bars`), stay. Chosen for the Hough transform on
-    development seeds 11 to 16.
-    """
-
-    points_min: Annotated[int, Field(ge=2)] = 15
-    gap_max_m: Positive = 0.25
-    merge_distance_m: NotNegative = 0.12
-    length_min_m: NotNegative = 0.3
 
 
 class StructureSettings(Settings):

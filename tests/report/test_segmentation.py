@@ -107,9 +107,7 @@ def test_conditions_differ_from_the_usual_in_one_thing(scenes):
 
 
 def test_a_frame_without_a_segment_has_precision_0(scenes):
-    from steelnb.settings import SegmentationSettings
-
-    nothing = segmentation.attempt("hough", scenes.frames(5, 1)[0], settings=SegmentationSettings(length_min_m=50.0))
+    nothing = segmentation.attempt("hough", scenes.frames(5, 1)[0], points_min=100_000)
     row = segmentation.trial_table([nothing]).iloc[0]
     assert row["precision"] == row["recall"] == row["segments"] == 0
     assert math.isnan(row["angle_deg"])

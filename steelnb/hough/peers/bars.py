@@ -10,9 +10,12 @@ from steelnb.hough import cut_and_sort, suggest_dx
 from steelnb.hough.dx import distinct_points
 from steelnb.hough.pieces import merge, sort
 from steelnb.hough.transform import fit_line
-from steelnb.settings import SegmentationSettings
 from steelnb.types import Array, IntArray, Lines, Segments
 
+POINTS_MIN, GAP_MAX_M, MERGE_DISTANCE_M, LENGTH_MIN_M = 15, 0.25, 0.12, 0.3
+"""What every method takes for a bar, so that they differ in nothing but how they find it: points of one group are cut
+where they leave a gap, pieces within the distance of one axis become one, and those with enough points, long enough and
+thin, stay. Chosen for the Hough transform on development seeds 11 to 16."""
 PCA_RATIO_MIN, RADIUS_MAX_M = 0.9, 0.07
 """Least share of the variance of a bar's points along it, and their largest root mean square distance to its axis."""
 REACH = 1.2
@@ -28,18 +31,18 @@ ROUNDS = 3
 """Rounds of assigning points and fitting again; after three the axes no longer move."""
 
 
-def prepared(
-    points: Array, settings: SegmentationSettings | None, dx: float | None
-) -> tuple[Array, SegmentationSettings, float]:
-    """Checked points ``(N, 3)``, settings, and dx in metres (default `suggest_dx`). Raises as `detect_lines`."""
+def prepared(points: Array, dx: float | None, points_min: int) -> tuple[Array, float]:
+    """Checked points ``(N, 3)``, and dx in metres (default `suggest_dx`). Raises as `detect_lines`."""
     points, _, _ = distinct_points(points)
     dx = suggest_dx(points) if dx is None else dx
     if not 0 < dx < np.inf:
         raise SettingsError(f"dx = {dx}: expected a length above 0 m")
-    return points, settings or SegmentationSettings(), dx
+    if points_min < 2:
+        raise SettingsError(f"points_min = {points_min}: expected at least 2")
+    return points, dx
 
 
-def bars_of_groups(points: Array, label: IntArray, settings: SegmentationSettings) -> Segments:
+def bars_of_groups(points: Array, label: IntArray, points_min: int = POINTS_MIN) -> Segments:
     """Bars of groups of points ``(N, 3)``: the principal axis of each, cut at gaps, merged, sorted.
 
     ``label (N,)`` is the group of each point from 0, or −1 for none.
@@ -48,30 +51,29 @@ def bars_of_groups(points: Array, label: IntArray, settings: SegmentationSetting
     groups = [np.flatnonzero(label == g) for g in range(int(label.max(initial=-1)) + 1)]
     fits = np.array([fit_line(px, py, pz, group, len(group)) for group in groups]).reshape(-1, 8)
     count = np.array([len(group) for group in groups], dtype=np.int64)
-    return bars_of_lines(points, Lines(fits[:, 2:5], fits[:, 5:], count, label), settings)
+    return bars_of_lines(points, Lines(fits[:, 2:5], fits[:, 5:], count, label), points_min)
 
 
-def bars_of_lines(points: Array, lines: Lines, settings: SegmentationSettings) -> Segments:
-    """Bars along lines, cut, merged and sorted as the settings say."""
+def bars_of_lines(points: Array, lines: Lines, points_min: int = POINTS_MIN) -> Segments:
+    """Bars along lines, cut, merged and sorted."""
     return cut_and_sort(
-        points, lines, settings.gap_max_m, settings.points_min, PCA_RATIO_MIN, RADIUS_MAX_M, 0.0,
-        settings.length_min_m, settings.merge_distance_m,
+        points, lines, GAP_MAX_M, points_min, PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M, MERGE_DISTANCE_M,
     )  # fmt: skip
 
 
-def in_passes(find: Callable[[Array], Segments], points: Array, dx: float, settings: SegmentationSettings) -> Segments:
+def in_passes(find: Callable[[Array], Segments], points: Array, dx: float, points_min: int = POINTS_MIN) -> Segments:
     """The bars found in the points, and those found in the points that the first ones leave.
 
     A line across many bars takes some points of each and is then dropped; the second pass has those points again.
     """
     first = find(points)
     left = points[nearest_bar(points, first, SHADOW * dx, dx) < 0]
-    if len(left) < settings.points_min or np.linalg.norm(np.ptp(left, axis=0)) <= 2 * dx:
+    if len(left) < points_min or np.linalg.norm(np.ptp(left, axis=0)) <= 2 * dx:
         return first
     return Segments.joined((first, find(left)))
 
 
-def refine(points: Array, bars: Segments, dx: float, settings: SegmentationSettings) -> Segments:
+def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MIN) -> Segments:
     """Fit each bar to all points ``(N, 3)`` whose nearest axis is its own, merge collinear ones, sort; `ROUNDS` times.
 
     A method's bar may cover half of the true width, or two thirds of the length. Bars with too few of the points around
@@ -84,13 +86,13 @@ def refine(points: Array, bars: Segments, dx: float, settings: SegmentationSetti
         begin = np.searchsorted(label[order], np.arange(len(bars) + 1))
         piece = np.column_stack([begin[:-1], begin[1:]])
         piece = piece[np.diff(piece, axis=1).ravel() >= 2]
-        if left and settings.merge_distance_m > 0:
+        if left and MERGE_DISTANCE_M > 0:
             # Half a bar is seen through others: two pieces on one axis, now that it is known well, are the same bar.
-            order, piece = merge(px, py, pz, order, piece, settings.merge_distance_m, 2 * settings.gap_max_m)
+            order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
         bounds = (0.0, np.inf, 0.0) if left else (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0)
-        bars = Segments(*sort(px, py, pz, order, piece, *bounds, 0.0 if left else settings.length_min_m))
+        bars = Segments(*sort(px, py, pz, order, piece, *bounds, 0.0 if left else LENGTH_MIN_M))
     _, around = _assign(px, py, pz, bars.start, bars.direction, bars.length, 2 * REACH * dx, 0.0)
-    return bars.take((bars.count >= settings.points_min) & (bars.count >= OWN_SHARE_MIN * around))
+    return bars.take((bars.count >= points_min) & (bars.count >= OWN_SHARE_MIN * around))
 
 
 def nearest_bar(points: Array, bars: Segments, distance: float, beyond: float) -> IntArray:

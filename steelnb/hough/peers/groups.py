@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.hough.peers.bars import bars_of_groups, prepared, refine
+from steelnb.hough.peers.bars import POINTS_MIN, bars_of_groups, prepared, refine
 from steelnb.libraries import import_open3d
 from steelnb.rng import stream
-from steelnb.settings import SegmentationSettings
 from steelnb.types import Array, Segments
 
 VARIANCE_FLOOR_M2 = 1e-5
@@ -20,9 +19,9 @@ VARIANCE_FLOOR_M2 = 1e-5
 
 def segment_by_ransac_planes(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     trials: int = 500,
     planes_max: int = 30,
 ) -> Segments:
@@ -30,7 +29,7 @@ def segment_by_ransac_planes(
 
     ``trials`` planes are tried each time. ``dx`` in metres is `suggest_dx` by default.
     """
-    points, settings, dx = prepared(points, settings, dx)
+    points, dx = prepared(points, dx, points_min)
     if trials < 1 or planes_max < 1:
         raise SettingsError(f"trials = {trials}, planes_max = {planes_max}: expected at least 1 each")
     open3d = import_open3d()
@@ -38,22 +37,22 @@ def segment_by_ransac_planes(
     label = np.full(len(points), -1, dtype=np.int64)
     for plane in range(planes_max):
         left = np.flatnonzero(label < 0)
-        if len(left) < max(settings.points_min, 3):
+        if len(left) < max(points_min, 3):
             break
         cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[left]))
         # With a probability of 1 all trials are made: their number then does not depend on threads.
         _, inside = cloud.segment_plane(dx, ransac_n=3, num_iterations=trials, probability=1.0)
-        if len(inside) < settings.points_min:
+        if len(inside) < points_min:
             break
         label[left[np.asarray(inside)]] = plane
-    return refine(points, bars_of_groups(points, label, settings), dx, settings)
+    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
 
 
 def segment_by_dbscan(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     neighbours_min: int = 10,
 ) -> Segments:
     """Clusters of points with at least ``neighbours_min`` others within ``dx``, and the principal axis of each.
@@ -61,20 +60,20 @@ def segment_by_dbscan(
     ``dx`` in metres is `suggest_dx` by default; ``seed`` is not used. Source: Ester et al., "A Density-Based Algorithm
     for Discovering Clusters", KDD 1996, 226–231.
     """
-    points, settings, dx = prepared(points, settings, dx)
+    points, dx = prepared(points, dx, points_min)
     if neighbours_min < 1:
         raise SettingsError(f"neighbours_min = {neighbours_min}: expected at least 1")
     open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     label = np.asarray(cloud.cluster_dbscan(eps=dx, min_points=neighbours_min), dtype=np.int64)
-    return refine(points, bars_of_groups(points, label, settings), dx, settings)
+    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
 
 
 def segment_by_gmm(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     components: Sequence[int] = (25, 50, 100),
     sample: int = 3000,
 ) -> Segments:
@@ -84,7 +83,7 @@ def segment_by_gmm(
     It is fitted to ``sample`` of the points and then assigns all. ``dx``, the distance of a bar's points to its axis in
     metres, is `suggest_dx` by default.
     """
-    points, settings, dx = prepared(points, settings, dx)
+    points, dx = prepared(points, dx, points_min)
     if not components or min(components) < 1 or sample < 2:
         raise SettingsError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
     from sklearn.mixture import GaussianMixture
@@ -100,4 +99,4 @@ def segment_by_gmm(
         ]
         best = min(mixtures, key=lambda mixture: mixture.bic(some))
         label = best.predict(points).astype(np.int64)
-    return refine(points, bars_of_groups(points, label, settings), dx, settings)
+    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)

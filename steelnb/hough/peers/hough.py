@@ -2,16 +2,15 @@
 
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.lines import detect_lines
-from steelnb.hough.peers.bars import bars_of_lines, in_passes, prepared, refine
-from steelnb.settings import SegmentationSettings
+from steelnb.hough.peers.bars import POINTS_MIN, bars_of_lines, in_passes, prepared, refine
 from steelnb.types import Array, Segments
 
 
 def segment_by_hough(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     granularity: int = 3,
 ) -> Segments:
     """Hough lines with at least ``points_min`` votes, in two passes, then refined.
@@ -19,30 +18,32 @@ def segment_by_hough(
     ``dx`` in metres is `suggest_dx` by default, ``granularity`` is that of `detect_lines`: the 8° between directions of
     the default are enough, since lines are fitted to their points. ``seed`` is not used.
     """
-    points, settings, dx = prepared(points, settings, dx)
-    found = in_passes(lambda some: segment_by_hough_once(some, settings, seed, dx, granularity), points, dx, settings)
-    return refine(points, found, dx, settings)
+    points, dx = prepared(points, dx, points_min)
+    found = in_passes(
+        lambda some: segment_by_hough_once(some, seed, dx, points_min, granularity), points, dx, points_min
+    )
+    return refine(points, found, dx, points_min)
 
 
 def segment_by_hough_once(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     granularity: int = 3,
 ) -> Segments:
     """One pass of `segment_by_hough`, not refined: the same as `steelnb.hough.detect_segments`."""
-    points, settings, dx = prepared(points, settings, dx)
-    lines = detect_lines(points, dx, settings.points_min, None, granularity, skip_weak=True)
-    return bars_of_lines(points, lines, settings)
+    points, dx = prepared(points, dx, points_min)
+    lines = detect_lines(points, dx, points_min, None, granularity, skip_weak=True)
+    return bars_of_lines(points, lines, points_min)
 
 
 def segment_by_hough_blocks(
-    points: Array, settings: SegmentationSettings | None = None, seed: int = 0, dx: float | None = None
+    points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN
 ) -> Segments:
     """Hough lines of small blocks and a choice among them (`steelnb.hough.blocks`), refined: for whole structures.
 
     ``points`` voxel-filtered with a leaf of about dx/√3. The rest as in `segment_by_hough`.
     """
-    points, settings, dx = prepared(points, settings, dx)
-    return refine(points, segment_structure(points, dx), dx, settings)
+    points, dx = prepared(points, dx, points_min)
+    return refine(points, segment_structure(points, dx), dx, points_min)

@@ -8,10 +8,9 @@ import numpy as np
 from numba import njit
 
 from steelnb.errors import SettingsError
-from steelnb.hough.peers.bars import bars_of_lines, in_passes, prepared, refine
+from steelnb.hough.peers.bars import POINTS_MIN, bars_of_lines, in_passes, prepared, refine
 from steelnb.hough.transform import drop, fit_near_line
 from steelnb.rng import stream
-from steelnb.settings import SegmentationSettings
 from steelnb.types import Array, Lines, Segments
 
 DRAWS = 50
@@ -22,9 +21,9 @@ FAILURES = 3
 
 def segment_by_ransac_lines(
     points: Array,
-    settings: SegmentationSettings | None = None,
     seed: int = 0,
     dx: float | None = None,
+    points_min: int = POINTS_MIN,
     trials: int = 300,
     sample_m: float = 0.5,
 ) -> Segments:
@@ -32,17 +31,17 @@ def segment_by_ransac_lines(
 
     The two points lie within ``sample_m`` metres of each other. ``dx`` is chosen from the points by default.
     """
-    points, settings, dx = prepared(points, settings, dx)
+    points, dx = prepared(points, dx, points_min)
     if trials < 1 or not sample_m > 0:
         raise SettingsError(f"trials = {trials}, sample_m = {sample_m}: expected at least 1 and a length above 0")
     random = stream(seed, "ransac-lines")
 
     def find(some: Array) -> Segments:
         px, py, pz = np.ascontiguousarray(some.T)
-        lines = Lines(*_lines(px, py, pz, random, dx, trials, sample_m, settings.points_min))
-        return bars_of_lines(some, lines, settings)
+        lines = Lines(*_lines(px, py, pz, random, dx, trials, sample_m, points_min))
+        return bars_of_lines(some, lines, points_min)
 
-    return refine(points, in_passes(find, points, dx, settings), dx, settings)
+    return refine(points, in_passes(find, points, dx, points_min), dx, points_min)
 
 
 @njit(cache=True)

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steelnb.hough.peers import bars as module
 from steelnb.hough.peers.bars import bars_of_groups, in_passes, nearest_bar, refine
-from steelnb.settings import SegmentationSettings
 from steelnb.types import Segments
 
 
@@ -36,40 +36,42 @@ def test_the_nearest_bar_is_the_nearest_of_those_in_reach(seed, beyond):
         assert found == (-1 if np.isinf(across).all() else across.argmin())
 
 
-def test_groups_are_cut_at_gaps_and_merged():
+def test_groups_are_cut_at_gaps_and_merged(monkeypatch):
     along = strip([0, 0, 0], [1, 0, 0], 0.0, seed=1)
     points = np.concatenate([along, along + np.array([1.5, 0, 0]), along + np.array([0, 0.06, 0])])
     label = np.repeat([0, 0, 1], 600)
-    found = bars_of_groups(points, label, SegmentationSettings())
+    found = bars_of_groups(points, label)
     assert sorted(found.count) == [600, 1200]
-    assert len(bars_of_groups(points, label, SegmentationSettings(merge_distance_m=0.0))) == 3
-    assert len(bars_of_groups(points, np.full(1800, -1), SegmentationSettings())) == 0
+    assert len(bars_of_groups(points, np.full(1800, -1))) == 0
+    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    assert len(bars_of_groups(points, label)) == 3
 
 
 def test_refining_finds_the_middle_of_a_wide_section_from_its_edge():
     points = strip([0, 0, 0], [2, 0, 0], 0.10)
-    found = refine(points, bars(([0.5, 0.04, 0], [1.5, 0.03, 0])), 0.06, SegmentationSettings())
+    found = refine(points, bars(([0.5, 0.04, 0], [1.5, 0.03, 0])), 0.06)
     assert len(found) == 1
     assert abs(found.middle[0, 1]) < 0.004
     assert abs(found.direction[0, 1]) < 0.01
 
 
-def test_refining_joins_the_parts_of_a_bar():
+def test_refining_joins_the_parts_of_a_bar(monkeypatch):
     points = strip([0, 0, 0], [2, 0, 0], 0.02)
     points = points[abs(points[:, 0] - 1) > 0.2]
     parts = bars(([0, 0, 0], [0.8, 0, 0]), ([1.2, 0, 0], [2, 0, 0]))
-    found = refine(points, parts, 0.05, SegmentationSettings())
+    found = refine(points, parts, 0.05)
     assert len(found) == 1
     np.testing.assert_allclose(found.length, 2, atol=0.03)
-    apart = refine(points, parts, 0.05, SegmentationSettings(merge_distance_m=0.0))
-    assert len(apart) == 2
+    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    assert len(refine(points, parts, 0.05)) == 2
 
 
-def test_a_chord_across_a_bar_is_dropped():
+def test_a_chord_across_a_bar_is_dropped(monkeypatch):
     points = strip([0, 0, 0], [2, 0, 0], 0.08, n=3000)
     real = ([0, 0, 0], [2, 0, 0])
     chord = ([0.7, -0.09, 0], [1.3, 0.09, 0])
-    found = refine(points, bars(real, chord), 0.05, SegmentationSettings(merge_distance_m=0.0))
+    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    found = refine(points, bars(real, chord), 0.05)
     assert len(found) == 1
     np.testing.assert_allclose(found.length, 2, atol=0.05)
 
@@ -82,9 +84,9 @@ def test_the_second_pass_sees_what_the_first_left():
         seen.append(len(some))
         return bars(([0, 0, 0], [1, 0, 0]))
 
-    assert len(in_passes(find, points, 0.05, SegmentationSettings())) == 2
+    assert len(in_passes(find, points, 0.05)) == 2
     assert seen == [180, 80]
 
 
 def test_no_bars_are_refined_to_none():
-    assert len(refine(strip([0, 0, 0], [1, 0, 0], 0.02), Segments.empty(), 0.05, SegmentationSettings())) == 0
+    assert len(refine(strip([0, 0, 0], [1, 0, 0], 0.02), Segments.empty(), 0.05)) == 0

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
-from steelnb.hough.peers import METHODS, segment_by_dbscan, segment_by_gmm, segment_by_hough, segment_by_ransac_lines
-from steelnb.settings import SegmentationSettings
+from steelnb.hough.peers import METHODS, bars, segment_by_dbscan, segment_by_gmm, segment_by_hough
+from steelnb.hough.peers.ransac_lines import segment_by_ransac_lines
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
 OPTIONS = {"gmm": {"components": [2, 3, 6], "sample": 900}}
@@ -75,6 +75,7 @@ def test_a_seed_gives_the_same_bars_again(method):
         (cloud(), {"dx": 0.0}, SettingsError, "dx = 0"),
         (cloud(), {"dx": -0.1}, SettingsError, "dx = -0.1"),
         (cloud(), {"dx": float("nan")}, SettingsError, "dx = nan"),
+        (cloud(), {"points_min": 1}, SettingsError, "points_min = 1"),
     ],
 )
 def test_bad_input_is_refused_with_its_value(method, points, options, error, says):
@@ -106,7 +107,8 @@ def test_the_criterion_picks_the_number_of_components():
 
 
 @pytest.mark.parametrize("method", EXACT)
-def test_settings_say_what_a_bar_is(method):
+def test_a_bar_is_long_enough_and_has_points_enough(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
-    assert len(METHODS[method](cloud(), SegmentationSettings(length_min_m=1.45), **options)) == 2
-    assert len(METHODS[method](cloud(), SegmentationSettings(points_min=400), **options)) == 0
+    assert len(METHODS[method](cloud(), points_min=400, **options)) == 0
+    monkeypatch.setattr(bars, "LENGTH_MIN_M", 1.45)
+    assert len(METHODS[method](cloud(), **options)) == 2
