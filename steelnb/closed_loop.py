@@ -10,28 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from steelnb.errors import SettingsError
 from steelnb.noise import drift_errors, drifted
 from steelnb.odometry import make_odometry
-from steelnb.planning import Camera, Decision, Planner, Task
+from steelnb.planning import Camera, Decision, Planner
 from steelnb.points import preprocess_scan
-from steelnb.settings import ExperimentSettings, FlightSettings
+from steelnb.settings import ExperimentSettings
 from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
 from steelnb.simulation.tof import TofCamera
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
-
-
-def task_of(flight: FlightSettings) -> Task:
-    """What the planner is to fly. Raises `SettingsError` for a flight that none steers."""
-    if flight.planner is None:
-        raise SettingsError(f"trajectory {flight.trajectory!r}: expected 'planned'")
-    f, p = flight, flight.planner
-    return Task(
-        p.goal, f.standoff_m, f.speed_m_s, f.height_min_m, f.height_max_m, f.levels, f.duration_s,
-        p.keep_view, p.keep_information,
-    )  # fmt: skip
 
 
 def camera_of(settings: ExperimentSettings) -> Camera:
@@ -76,7 +64,7 @@ class OnboardPilot:
         self._imu_errors = ImuErrors(stamp_s, settings.imu, settings.seed) if settings.imu else None
         self._filter: AttitudeFilter | None = None
         self.odometry = make_odometry(settings.odometry, settings.tof.T_drone_sensor, self._imu)
-        self.planner = Planner(task_of(settings.flight), camera_of(settings))
+        self.planner = Planner(settings.flight, camera_of(settings))
         self.steps: list[OdometryStep] = []
         self.moments: list[Moment] = []
 

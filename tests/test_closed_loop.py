@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.closed_loop import OnboardPilot, task_of
+from steelnb.closed_loop import OnboardPilot, camera_of
 from steelnb.errors import CollisionError, SettingsError
 from steelnb.odometry import make_odometry, run
+from steelnb.planning import Planner
 from steelnb.settings import ExperimentSettings, FlightSettings
 from steelnb.simulation import Command, build_tower, fly
 
@@ -114,7 +115,7 @@ def test_a_planner_belongs_to_planned_flights_alone():
         ExperimentSettings.preset("planned", overrides={"flight.planner": False})
     with pytest.raises(SettingsError, match="goal = 'home'"):
         ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
-    with pytest.raises(SettingsError, match="expected 'planned'"):
-        task_of(FlightSettings.preset("orbit"))
+    with pytest.raises(SettingsError, match="trajectory 'orbit': expected 'planned'"):
+        Planner(FlightSettings.preset("orbit"), camera_of(ExperimentSettings.preset()))
     chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
-    assert task_of(chosen.flight).goal == "face"
+    assert chosen.flight.planner.goal == "face"

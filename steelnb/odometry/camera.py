@@ -30,7 +30,7 @@ class CameraOdometry(CombinedOdometry):
 
     Parameters
     ----------
-    settings : with a table ``orb``, default ``OdometrySettings.preset("combined-camera")``.
+    settings : with ``orb``, default ``OdometrySettings.preset("combined-camera")``.
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
     imu : readings in the axes of the drone, as for `CloudOdometry`.
     images : of a camera on the drone; without, this is `CombinedOdometry`.

@@ -8,7 +8,7 @@ import numpy as np
 from steelnb.errors import SettingsError
 from steelnb.odometry.base import nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.predictor import PosePredictor
+from steelnb.odometry.prediction import PosePredictor
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose

@@ -9,6 +9,10 @@ from steelnb.fusion import SegmentMap, associate
 from steelnb.settings import SegmentSettings
 from steelnb.types import Array, Segments
 
+GAIN = 0.5
+"""Share of the mean distance by which `average` corrects: the report's."""
+SIGHTINGS_MIN = 2
+"""A bar counts in `bar_equations` once it has been seen so often. Chosen on seeds 11 and 12."""
 DAMPING_PAIRS = 1.0
 """Weight, in pairs of mean weight, that keeps a direction which no bar constrains; chosen on seeds 11 and 12."""
 ITERATIONS_MAX = 10
@@ -36,15 +40,15 @@ def no_correction(
 
 
 def average(seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array) -> Correction:
-    """The report's rule: a share (``gain``) of the mean distance between matched segments, once a scan.
+    """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
 
     Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
     little as soon as the bars run in different directions.
     """
-    across, _, _ = _pairs(seen, known, settings)
+    across, _, _ = _pairs(seen, known)
     if not len(across):
         return Correction(np.zeros(3), 0)
-    return Correction(-settings.gain * across.mean(axis=0), len(across))
+    return Correction(-GAIN * across.mean(axis=0), len(across))
 
 
 def least_squares(
@@ -64,7 +68,7 @@ def least_squares(
     offset = np.zeros(3)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        across, direction, count = _pairs(moved(seen, np.append(0.0, offset), position), known, settings)
+        across, direction, count = _pairs(moved(seen, np.append(0.0, offset), position), known)
         matches = len(across)
         if not matches:
             return Correction(np.zeros(3), 0)
@@ -133,7 +137,7 @@ def bar_equations(
     Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
     point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
     """
-    segments, bars = _paired(seen, known, settings)
+    segments, bars = _paired(seen, known, SIGHTINGS_MIN)
     direction = bars.direction
     ends = shared_ends(segments, bars)
     apart = ends - bars.start[:, None]
@@ -185,18 +189,18 @@ def moved(segments: Segments, state: Array, position: Array) -> Segments:
     return segments.transformed(T)
 
 
-def _pairs(seen: Segments, known: SegmentMap, settings: SegmentSettings) -> tuple[Array, Array, Array]:
+def _pairs(seen: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
     """Offsets across ``(P, 3)`` from bar to segment, directions ``(P, 3)`` of the bars, counts ``(P,)``."""
-    segments, bars = _paired(seen, known, settings)
+    segments, bars = _paired(seen, known)
     direction = bars.direction
     apart = segments.middle - bars.start
     across = apart - (apart * direction).sum(axis=1)[:, None] * direction
     return across, direction, segments.count.astype(np.float64)
 
 
-def _paired(seen: Segments, known: SegmentMap, settings: SegmentSettings) -> tuple[Segments, Segments]:
+def _paired(seen: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:
     """The segments that have a bar of enough sightings, and the bar of each."""
     target = associate(seen, known.segments, known.settings)
     chosen = np.flatnonzero(target >= 0)
-    chosen = chosen[known.sightings[target[chosen]] >= settings.sightings_min]
+    chosen = chosen[known.sightings[target[chosen]] >= sightings_min]
     return seen.take(chosen), known.segments.take(target[chosen])

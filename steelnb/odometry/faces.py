@@ -23,8 +23,7 @@ from steelnb.odometry.base import scan_of
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, Fit, points_in_range
-from steelnb.odometry.inertial_prediction import SCAN_SHARE, information_at
-from steelnb.odometry.prediction import NONE
+from steelnb.odometry.inertial_prediction import NONE, SCAN_SHARE, information_at
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan, Segments

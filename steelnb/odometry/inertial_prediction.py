@@ -16,11 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion.inertial import SIGMA_MIN, TILT_SIGMA_RAD, gaps, integrated, integration_covariances
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, FIXED, yaw_of
-from steelnb.odometry.prediction import NONE
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu
 
+NONE = np.zeros((0, 3))
+"""No directions."""
 TURN, PLACE, SPEED, GYRO, FORCE = (slice(k, k + 3) for k in range(0, 15, 3))
 POSE, BIAS, SIZE = slice(0, 6), slice(9, 15), 15
 """Where the errors of a state are: turn, rad, place, m, and velocity, m/s, in the axes of the world, and the biases of

@@ -9,7 +9,7 @@ from steelnb.errors import SettingsError
 from steelnb.images import CameraImages
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.monocular import MonocularTracker
-from steelnb.odometry.predictor import PosePredictor
+from steelnb.odometry.prediction import PosePredictor
 from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
 from steelnb.registration import Term, free_directions
@@ -22,7 +22,7 @@ class OrbOdometry:
 
     Parameters
     ----------
-    settings : with a table ``orb``, default ``OdometrySettings.preset("orb")``.
+    settings : with ``orb``, default ``OdometrySettings.preset("orb")``.
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
     imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
     images : of a camera on the drone; of these, the last before or at each scan is used. Without, or where there is
@@ -44,7 +44,7 @@ class OrbOdometry:
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.tracker: LandmarkTracker | None = None
         if images is not None:
-            kind = LandmarkTracker if s.orb.depth == "sensor" else MonocularTracker
+            kind = LandmarkTracker if s.orb == "sensor" else MonocularTracker
             self.tracker = kind(images, self.T_drone_sensor, s.preprocess.crop_m)
         self.tracked: Tracked | None = None  # what the last image showed
         self.predictor = PosePredictor(s, imu)

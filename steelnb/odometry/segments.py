@@ -49,7 +49,7 @@ class SegmentOdometry:
             self.prior[:] = [sigma_rad**-2.0] + [sigma_m**-2.0] * 3
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = SegmentMap(self.settings.fusion)
-        self.prediction = Prediction(self.settings.drift_gain)
+        self.prediction = Prediction(self.settings.prior_sigma is not None)
         self.near_side = NearSide()
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:

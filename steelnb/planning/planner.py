@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from steelnb.errors import SettingsError
 from steelnb.fusion.poses import yaw_of
 from steelnb.planning.barriers import Barrier, nearest_command
 from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
@@ -16,7 +17,7 @@ from steelnb.planning.coverage import Coverage
 from steelnb.planning.outlook import ARM_M, STEP, Camera, Outlook, around, outlook
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import normals
-from steelnb.settings import PlannerGoal
+from steelnb.settings import FlightSettings
 from steelnb.types import Array, Segments
 
 VOXEL_M = 0.1
@@ -54,21 +55,6 @@ SEARCH_STOP_S, SEARCH_TURN_S = 1.0, 4.0
 
 
 @dataclass(frozen=True)
-class Task:
-    """What to fly: ``goal``, distance to the structure, speed, heights and number of levels, and the time there is."""
-
-    goal: PlannerGoal
-    standoff_m: float
-    speed_m_s: float
-    height_min_m: float
-    height_max_m: float
-    levels: int
-    duration_s: float
-    keep_view: bool = True
-    keep_information: bool = True
-
-
-@dataclass(frozen=True)
 class Decision:
     """``velocity (3,)`` along the axes of the level drone, m/s, and ``yaw_rate``, rad/s; ``state`` is "wait", "follow",
     "stop", "turn", "return", "search" or "end", ``reason`` why; ``returns`` and ``sigma`` are the outlook's from here.
@@ -86,15 +72,19 @@ class Decision:
 class Planner:
     """Decides ten times a second; `see` adds a scan to its map.
 
-    ``task``: what to fly; ``camera``: what its sensor sees. All poses are estimates, in the world frame of the map.
+    ``flight``: what to fly, with a table ``planner``; raises `SettingsError` for one that none steers. ``camera``: what
+    its sensor sees. All poses are estimates, in the world frame of the map.
     """
 
-    task: Task
+    flight: FlightSettings
     camera: Camera
     map: VoxelMap = field(default_factory=lambda: VoxelMap(VOXEL_M))
     bars: Segments = field(default_factory=Segments.empty)
 
     def __post_init__(self) -> None:
+        if self.flight.planner is None:
+            raise SettingsError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
+        self.task = self.flight.planner
         self._near = np.zeros((0, 3))  # the last scan, world frame
         self._in_sight, self._area_m2 = 0, AREA_M2
         self._scans = 0
@@ -105,9 +95,9 @@ class Planner:
         self._sigmas: list[float] = []
         self._returns: list[float] = []
         self._path: list[Array] = []  # poses from which the structure was seen well
-        self._side, self._blocked_s, self._climb_to = 1.0, 0.0, self.task.height_min_m
-        t = self.task
-        self.coverage = Coverage(self.camera, t.standoff_m, t.speed_m_s, (t.height_min_m, t.height_max_m))
+        self._side, self._blocked_s, self._climb_to = 1.0, 0.0, self.flight.height_min_m
+        f = self.flight
+        self.coverage = Coverage(self.camera, f.standoff_m, f.speed_m_s, (f.height_min_m, f.height_max_m))
 
     def see(self, points: Array, T_world_drone: Array, bars: Segments, returns: int) -> None:
         """Add the preprocessed points ``(N, 3)`` of a scan, drone frame, at its corrected pose; ``bars`` are those
@@ -156,7 +146,7 @@ class Planner:
             barriers += self._sight(position, yaw, points, seen)
         u = nearest_command(wished, COST[self.task.goal], barriers)
         speed = np.linalg.norm(u[:3])
-        u[:3] *= min(1.0, 1.5 * self.task.speed_m_s / max(float(speed), 1e-9))
+        u[:3] *= min(1.0, 1.5 * self.flight.speed_m_s / max(float(speed), 1e-9))
         self._advance(u, wished, passed_s, float(position[2]))
         c, s = np.cos(yaw), np.sin(yaw)
         velocity = np.array([c * u[0] + s * u[1], -s * u[0] + c * u[1], u[2]])
@@ -176,15 +166,15 @@ class Planner:
         if self._lost_s is not None:
             return self._recover(stamp_s - self._lost_s, position, yaw, points)
         assert self._begun is not None
-        task, (begun_s, first_yaw) = self.task, self._begun
+        flight, (begun_s, first_yaw) = self.flight, self._begun
         target = self.coverage.target
-        if task.goal == "face":
+        if self.task.goal == "face":
             facing = np.array([np.cos(first_yaw), np.sin(first_yaw)])
             along = self._side * np.array([facing[1], -facing[0]])
             up, rate = GAIN_1_S["height"] * (self._climb_to - position[2]), GAIN_1_S["turn"] * turn_to(first_yaw - yaw)
         else:
-            climb = (task.height_max_m - task.height_min_m) / task.duration_s
-            round_by, height = 1.0, task.height_min_m + climb * (stamp_s - begun_s)
+            climb = (flight.height_max_m - flight.height_min_m) / flight.duration_s
+            round_by, height = 1.0, flight.height_min_m + climb * (stamp_s - begun_s)
             if target:
                 left_m = target.turn(position) * float(np.hypot(*(position[:2] - target.middle)))
                 round_by, climb, height = float(np.clip(left_m / BRAKE_M, -1, 1)), 0.0, target.position[2]
@@ -192,10 +182,10 @@ class Planner:
             along = round_by * np.array([facing[1], -facing[0]])
             rate = GAIN_1_S["turn"] * turn_to(np.arctan2(middle[1], middle[0]) - yaw)
             up = climb + GAIN_1_S["height"] * (height - position[2])
-        up = float(np.clip(up, -task.speed_m_s, task.speed_m_s))
+        up = float(np.clip(up, -flight.speed_m_s, flight.speed_m_s))
         distance = distance_ahead(points, position, facing)
-        inward = float(np.clip(GAIN_1_S["distance"] * (distance - task.standoff_m), -0.5, 0.5))
-        level = task.speed_m_s * along + inward * facing
+        inward = float(np.clip(GAIN_1_S["distance"] * (distance - flight.standoff_m), -0.5, 0.5))
+        level = flight.speed_m_s * along + inward * facing
         return np.array([*level, up, rate]), "follow"
 
     def _recover(self, lost_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, str]:
@@ -208,7 +198,7 @@ class Planner:
             self._path.pop()
         back = self._path[-1]
         way = back[:3, 3] - position
-        way *= min(1.0, 0.5 * self.task.speed_m_s / max(float(np.linalg.norm(way)), 1e-9) + 0.2)
+        way *= min(1.0, 0.5 * self.flight.speed_m_s / max(float(np.linalg.norm(way)), 1e-9) + 0.2)
         return np.array([*way, GAIN_1_S["turn"] * turn_to(float(yaw_of(back[:3, :3])) - yaw)]), "return"
 
     def _structure(self, position: Array) -> list[Barrier]:
@@ -231,7 +221,7 @@ class Planner:
 
     def _heights(self, position: Array) -> list[Barrier]:
         up = np.array([0.0, 0.0, 1.0, 0.0])
-        low, high = position[2] - self.task.height_min_m + 0.2, self.task.height_max_m + 0.2 - position[2]
+        low, high = position[2] - self.flight.height_min_m + 0.2, self.flight.height_max_m + 0.2 - position[2]
         return [Barrier(up, low, 1.0, WEIGHT["height"]), Barrier(-up, high, 1.0, WEIGHT["height"])]
 
     def _sight(self, position: Array, yaw: float, points: Array, seen: Outlook) -> list[Barrier]:
@@ -267,8 +257,8 @@ class Planner:
         share = float(u[:2] @ wished[:2] / (wished[:2] @ wished[:2]))
         self._blocked_s = self._blocked_s + passed_s if share < 0.3 else 0.0
         if self._blocked_s > 1.0 and height_m > self._climb_to - 0.2:
-            rise = (self.task.height_max_m - self.task.height_min_m) / (self.task.levels - 1)
-            self._climb_to = min(self._climb_to + rise, self.task.height_max_m)
+            rise = (self.flight.height_max_m - self.flight.height_min_m) / (self.flight.levels - 1)
+            self._climb_to = min(self._climb_to + rise, self.flight.height_max_m)
             self._side, self._blocked_s = -self._side, 0.0
 
 

@@ -9,7 +9,6 @@ from typing import get_args
 from steelnb.settings.base import Positive, Settings, parse_parameter
 from steelnb.settings.camera import CameraSettings
 from steelnb.settings.experiment import ExperimentSettings
-from steelnb.settings.features import OrbSettings
 from steelnb.settings.odometry import (
     SEGMENT_METHODS,
     CalibrationSettings,
@@ -40,7 +39,7 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CameraSettings",
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "NoiseSettings", "OdometrySettings", "OrbSettings", "PlannerGoal", "Positive", "PreprocessSettings",
+    "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
     "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_tables", "read_toml",
     "sensor_names",

@@ -6,29 +6,24 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from steelnb.settings.base import NotNegative, Settings, mount
-from steelnb.settings.presets import camera_preset
+from steelnb.settings.base import Settings, mount
+from steelnb.settings.presets import preset_table
 from steelnb.types import Array
 
 
 class CameraSettings(Settings):
     """A global-shutter pinhole camera with square pixels, optical axis along the camera's x axis, y left, z up.
 
-    ``samples`` rays are cast through a pixel, spread over its area and over ``exposure_s``, which is centred on the
-    stamp: that smooths edges and blurs what moves. The variance of a pixel is ``read_noise² + gain · grey``, in grey
-    levels of 255, where ``gain`` is the number of levels that one photoelectron makes (EMVA Standard 1288). In the
-    intervals ``blind_s`` (from, to) images are black. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the
-    drone's axes) place the camera on the drone.
+    ``samples`` rays are cast through a pixel, spread over its area and over the time of the exposure, centred on the
+    stamp: that smooths edges and blurs what moves. In the intervals ``blind_s`` (from, to) images are black.
+    ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the camera on the drone.
     """
 
     columns: Annotated[int, Field(ge=8, le=4096)] = 422
     rows: Annotated[int, Field(ge=8, le=4096)] = 320
     fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 1.74
     rate_hz: Annotated[float, Field(gt=0, le=125)] = 10.0
-    exposure_s: Annotated[float, Field(ge=0, le=1)] = 0.002
     samples: Annotated[int, Field(ge=1, le=64)] = 4
-    read_noise: NotNegative = 1.0
-    gain: NotNegative = 0.03
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.02)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -57,4 +52,4 @@ class CameraSettings(Settings):
     @classmethod
     def preset(cls, camera: str = "forward") -> "CameraSettings":
         """A camera of ``presets/cameras.toml`` by name: ``forward`` or ``tracking``. Raises `SettingsError`."""
-        return cls(**camera_preset(camera))
+        return cls(**preset_table("cameras", "camera", camera))

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted, table
-from steelnb.settings.features import OrbSettings
 from steelnb.settings.presets import method_names, method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 
@@ -55,14 +54,9 @@ class FusionSettings(Settings):
 
 
 class SegmentSettings(Settings):
-    """Correction by segments. ``gain`` belongs to ``average``; the robust scale (Geman-McClure) to the other rules.
+    """Correction by segments: the robust scale (Geman-McClure) of all rules but ``average``."""
 
-    A bar counts once it has been seen ``sightings_min`` times.
-    """
-
-    gain: Annotated[float, Field(gt=0, le=1)] = 0.5
     robust_scale_m: Positive = 0.05
-    sightings_min: Annotated[int, Field(ge=1)] = 1
 
 
 class CloudSettings(Settings):
@@ -124,22 +118,23 @@ class CalibrationSettings(Settings):
 class OdometrySettings(Settings):
     """One method and all that it takes from the sensor's and the method's preset.
 
-    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``drift_gain`` is how fast the
-    prediction follows the rate of the drift, 0 for a drift that stands still; ``prior_sigma`` are the standard
-    deviations of a correction from its prediction, metres and radians, None for none; ``tilt_sigma_rad`` is that of the
-    prior's roll and pitch, which are then corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan,
-    all poses and bars are adjusted together (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of
-    keyframes and bars during the flight (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the
-    sensor that smoothing finds, too; ``inertial``: errors of the IMU whose readings predict the pose of a scan
-    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
-    weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
-    ``library``: the one that does the odometry of others (`steelnb.odometry.peers`), None for our own.
-    Tables that a method does not use are None.
+    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``prior_sigma`` are the standard
+    deviations of a correction from its prediction, metres and radians, which then follows the rate of the drift; None
+    for a drift that is taken to stand still; ``tilt_sigma_rad`` is that of the prior's roll and pitch, which are then
+    corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan, all poses and bars are adjusted together
+    (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the flight
+    (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the sensor that smoothing finds, too;
+    ``inertial``: errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`)
+    and take part in smoothing, None for none. ``weights``: file with the weights of a learned odometry
+    (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others. ``library``: the one that does
+    the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: visual odometry by ORB features
+    (`steelnb.odometry.orb`) whose landmarks have the Time-of-Flight ``sensor``'s depths, or ``triangulated`` ones from
+    two images (`steelnb.odometry.monocular`), whose scale is that of the drifting prior; None for no images. Tables
+    that a method does not use are None.
     """
 
     method: str
     near_side: bool = False
-    drift_gain: Probability = 0.0
     prior_sigma: tuple[Positive, Positive] | None = None
     tilt_sigma_rad: NotNegative = 0.0
     smooth: bool = False
@@ -149,7 +144,7 @@ class OdometrySettings(Settings):
     fusion: FusionSettings | None = None
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
-    orb: OrbSettings | None = None
+    orb: Literal["sensor", "triangulated"] | None = None
     weights: str | None = None
     library: Literal["kiss_icp", "small_gicp"] | None = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
@@ -159,24 +154,24 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        others = {"a table orb": self.orb, "weights": self.weights, "a library": self.library}
+        others = {"orb": self.orb, "weights": self.weights, "a library": self.library}
         other = [name for name, given in others.items() if given is not None]
         if len(other) > 1:
-            raise ValueError(f"method {self.method!r}: two of a table orb, weights and a library: expected one of them")
+            raise ValueError(f"method {self.method!r}: two of orb, weights and a library: expected one of them")
         with_camera = self.orb is not None and self.clouds is not None
         alone = "" if with_camera else "".join(other)
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
             raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
-        if self.orb and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s or self.orb.depth != "sensor"):
-            raise ValueError(f"method {self.method!r}: a table orb with clouds: expected bars_weight, depth of the "
-                             "sensor, and no refit_s")  # fmt: skip
+        if self.orb and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s or self.orb != "sensor"):
+            raise ValueError(f"method {self.method!r}: orb with clouds: expected bars_weight, orb = 'sensor' and no "
+                             "refit_s")  # fmt: skip
         if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
         by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
         if self.orb is not None and self.prior_sigma is None:
-            raise ValueError(f"method {self.method!r}: a table orb: expected prior_sigma")
+            raise ValueError(f"method {self.method!r}: orb: expected prior_sigma")
         by_points = self.clouds is not None or self.orb is not None
         if self.tilt_sigma_rad and (not by_points or self.prior_sigma is None):
             given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
@@ -206,10 +201,10 @@ class OdometrySettings(Settings):
             not tables.keys().isdisjoint(("clouds", "orb", "weights", "library")),
             "segments" in tables,
         )
-        kinds = {"segments": SegmentSettings, "clouds": CloudSettings, "orb": OrbSettings}
+        kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
-        inertial = "orb" in built or (isinstance(clouds, CloudSettings) and clouds.by_bars)
+        inertial = "orb" in tables or (isinstance(clouds, CloudSettings) and clouds.by_bars)
         if inertial and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
         crops = of_sensor.get("preprocess", {}).get("clouds" if by_clouds else "segments", {})
@@ -220,7 +215,7 @@ class OdometrySettings(Settings):
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "OdometrySettings":
-        """A copy with single settings changed, named as ``drift_gain`` or ``clouds.map_voxel_m``.
+        """A copy with single settings changed, named as ``prior_sigma`` or ``clouds.map_voxel_m``.
 
         Raises `SettingsError` for one that the method does not have.
         """

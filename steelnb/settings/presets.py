@@ -65,19 +65,12 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
     return merged(sensor_preset(base), own)
 
 
-def flight_preset(trajectory: str) -> dict[str, Any]:
-    """The settings of one of the report's flights. Raises `SettingsError`."""
-    return _entry("flights", "trajectory", trajectory)
-
-
-def tower_preset(tower: str) -> dict[str, Any]:
-    """The settings of a tower that differ from the report's. Raises `SettingsError`."""
-    return _entry("towers", "tower", tower)
-
-
-def camera_preset(camera: str) -> dict[str, Any]:
-    """The settings of a camera that differ from the forward camera's. Raises `SettingsError`."""
-    return _entry("cameras", "camera", camera)
+def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
+    """The settings of one of the ``flights``, ``towers``, ``cameras`` or ``methods``, each the ``file`` of its ``kind``;
+    what differs from the defaults. Raises `SettingsError`."""
+    if name not in _preset(file):
+        raise SettingsError(f"{kind} = {name!r}: expected one of {quoted(_preset(file))}")
+    return _preset(file)[name]
 
 
 def method_names() -> tuple[str, ...]:
@@ -88,7 +81,7 @@ def method_names() -> tuple[str, ...]:
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The settings of a method, those that it is ``based_on`` included, each with what a sensor's preset adds to it
     (``of_sensor``, by method). Raises `SettingsError`."""
-    own = merged(_entry("methods", "method", method), of_sensor.get(method, {}))
+    own = merged(preset_table("methods", "method", method), of_sensor.get(method, {}))
     base = own.pop("based_on", None)
     return merged(method_preset(base, of_sensor), own) if base else own
 
@@ -100,12 +93,6 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
         old = result.get(name)
         result[name] = merged(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
     return result
-
-
-def _entry(file: str, kind: str, name: str) -> dict[str, Any]:
-    if name not in _preset(file):
-        raise SettingsError(f"{kind} = {name!r}: expected one of {quoted(_preset(file))}")
-    return _preset(file)[name]
 
 
 @cache

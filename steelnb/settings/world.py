@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from steelnb.errors import SettingsError
 from steelnb.settings.base import Duration, NotNegative, Positive, Settings, mount, quoted, table
-from steelnb.settings.presets import flight_preset, sensor_preset, tower_preset
+from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
@@ -57,7 +57,7 @@ class TowerSettings(Settings):
     @classmethod
     def preset(cls, tower: str = "report") -> "TowerSettings":
         """A tower of ``presets/towers.toml`` by name. Raises `SettingsError`."""
-        return cls(**tower_preset(tower))
+        return cls(**preset_table("towers", "tower", tower))
 
 
 PlannerGoal = Literal["face", "around", "whole"]
@@ -112,7 +112,7 @@ class FlightSettings(Settings):
     def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
         """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long, and ``planned``, around the
         tower as ``orbit``: ``presets/flights.toml``."""
-        return cls(trajectory=trajectory, duration_s=duration_s, **flight_preset(trajectory))
+        return cls(trajectory=trajectory, duration_s=duration_s, **preset_table("flights", "trajectory", trajectory))
 
 
 class TofSettings(Settings):

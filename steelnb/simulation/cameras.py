@@ -15,6 +15,10 @@ from steelnb.simulation.texture import Floats, Texture, make_texture, shade
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray, Trajectory
 
+EXPOSURE_S = 0.002
+READ_NOISE, GAIN = 1.0, 0.03
+"""The variance of a pixel is READ_NOISE² + GAIN · grey, in grey levels of 255, where the gain is the number of levels
+that one photoelectron makes (EMVA Standard 1288)."""
 SPREAD_PX = 0.35
 """Distance of the rays of a pixel from the one in its middle."""
 BLUR_PX = 0.5
@@ -59,7 +63,7 @@ class Camera:
         place[1:, 1:] = SPREAD_PX / settings.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
         direction = plane + place[:, None]
         self._direction = (direction / np.linalg.norm(direction, axis=2)[..., None]).astype(np.float32)
-        self.moments_s = settings.exposure_s * np.append(0.0, np.linspace(-0.5, 0.5, count))
+        self.moments_s = EXPOSURE_S * np.append(0.0, np.linspace(-0.5, 0.5, count))
 
     def render(self, T_world_camera: Array) -> Rendered:
         """An image without noise from the poses ``T_world_camera (S, 4, 4)`` at `moments_s` after its stamp.
@@ -94,7 +98,7 @@ class Camera:
 
     def exposed(self, grey: Floats, noise: np.random.Generator) -> GreyImage:
         """An image ``(H, W)`` as read from the sensor, with noise."""
-        sigma = np.sqrt(np.float32(self.settings.read_noise**2) + np.float32(self.settings.gain) * grey)
+        sigma = np.sqrt(np.float32(READ_NOISE**2) + np.float32(GAIN) * grey)
         read = grey + sigma * noise.standard_normal(grey.shape, dtype=np.float32)
         return np.clip(np.rint(read), 0, 255).astype(np.uint8)
 

@@ -107,7 +107,7 @@ def test_an_honest_flight_is_corrected_with_the_imu_of_its_sensor():
 
 @pytest.mark.parametrize("overrides", [{"clouds.bars_weight": 0.0}, {"refit_s": 10.0}])
 def test_a_camera_belongs_to_clouds_and_bars_without_refits(overrides):
-    with pytest.raises(SettingsError, match="'combined-camera': a table orb with clouds: expected bars_weight"):
+    with pytest.raises(SettingsError, match="'combined-camera': orb with clouds: expected bars_weight"):
         SETTINGS.override(overrides)
     with pytest.raises(SettingsError, match="'combined-camera': expected an odometry by features"):
         OrbOdometry(SETTINGS)

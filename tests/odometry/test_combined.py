@@ -64,7 +64,7 @@ def test_segments_are_found_once_a_scan(world, monkeypatch):
 def test_the_defaults_run():
     odometry = CombinedOdometry()
     assert odometry.settings == OdometrySettings.preset("combined", "starling2")
-    assert odometry.bars == SegmentSettings(robust_scale_m=0.03, sightings_min=2)
+    assert odometry.bars == SegmentSettings(robust_scale_m=0.03)
     step = odometry.update(np.full((4, 4, 3), np.nan), np.eye(4))
     assert not step.used
 

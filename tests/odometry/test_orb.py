@@ -267,9 +267,9 @@ def test_settings_of_other_methods_are_refused():
     with pytest.raises(SettingsError, match="'best': expected an odometry by features"):
         OrbOdometry(OdometrySettings.preset("best"))
     for overrides, says in (
-        ({"smooth": True}, "'orb': a table orb: expected no tables"),
-        ({"prior_sigma": None}, "'orb': a table orb: expected prior_sigma"),
-        ({"orb.depth": "stereo"}, "depth = 'stereo'"),
+        ({"smooth": True}, "'orb': orb: expected no tables"),
+        ({"prior_sigma": None}, "'orb': orb: expected prior_sigma"),
+        ({"orb": "stereo"}, "orb = 'stereo'"),
     ):
         with pytest.raises(SettingsError, match=says):
             OdometrySettings.preset("orb", overrides=overrides)

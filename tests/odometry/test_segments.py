@@ -30,7 +30,9 @@ NONE = np.zeros(4)
 
 @pytest.fixture
 def known():
+    """Bars that were seen twice, as `bar_equations` asks for."""
     bars = SegmentMap(FusionSettings.preset("report"))
+    bars.insert(seen(0))
     bars.insert(seen(0))
     return bars
 
@@ -95,7 +97,9 @@ def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
     correction = least_squares_yaw(upright, known, FREE, DRONE, prior)
     assert abs(correction.offset[2]) < 1e-9
     np.testing.assert_allclose(correction.offset[:2], [-0.05, -0.04], atol=5e-3)
-    assert least_squares_yaw(upright, known, FREE.replace(sightings_min=2), DRONE, prior).matches == 0
+    new = SegmentMap(FusionSettings.preset("report"))
+    new.insert(seen(0))
+    assert least_squares_yaw(upright, new, FREE, DRONE, prior).matches == 0
 
 
 def test_shared_ends_lie_where_both_are():
@@ -107,7 +111,7 @@ def test_shared_ends_lie_where_both_are():
 
 def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
     # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
-    correction = average(seen([0, 0, 0.06]), known, SegmentSettings(gain=0.5), DRONE, NONE)
+    correction = average(seen([0, 0, 0.06]), known, SegmentSettings(), DRONE, NONE)
     d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
     across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)
     np.testing.assert_allclose(correction.offset, -0.5 * across.mean(axis=0), atol=1e-9)

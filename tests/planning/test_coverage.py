@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from steelnb.planning import Planner, Task
+from steelnb.planning import Planner
 from steelnb.planning.coverage import ABOVE, BELOW, SCANS_MIN, SECTORS, STUCK_S, TWO_SIDES, Coverage
 from steelnb.planning.planner import CLEARANCE_M
 from steelnb.points import VoxelMap
-from tests.planning.test_planner import CAMERA, clearance, column, fly, pose, tower
+from tests.planning.test_planner import AROUND, CAMERA, clearance, column, fly, pose, tower
 
 
 def seen_from(steel: np.ndarray, *places: tuple[float, float, float]) -> tuple[Coverage, VoxelMap]:
@@ -83,7 +83,7 @@ def test_a_camera_above_and_one_below_see_other_sides():
 def test_it_flies_until_all_has_been_seen_and_says_so():
     steel = tower(half_m=1.0)
     steel = steel[steel[:, 2] < 3.0]
-    planner = Planner(Task("whole", 1.4, 0.75, 0.7, 2.5, 6, 200.0), CAMERA)
+    planner = Planner(AROUND.replace(planner={"goal": "whole"}, height_max_m=2.5), CAMERA)
     poses, decisions = fly(planner, steel, pose(0, -2.4, 0.7, np.pi / 2), 200.0)
     assert decisions[-1].state == "end"
     assert "seen from two sides" in decisions[-1].reason

@@ -3,13 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.planning import Camera, Planner, Task
+from steelnb.planning import Camera, Planner
 from steelnb.planning.planner import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S
+from steelnb.settings import FlightSettings
 from steelnb.types import Segments
 
 CAMERA = Camera(0.93, 1.32, 40_000, 6.0, 0.01, 0.01, np.eye(4))
-TASK = Task("around", 1.4, 0.75, 0.7, 7.0, 6, 200.0)
-FACE = Task("face", 1.2, 0.5, 0.7, 7.0, 4, 200.0)
+AROUND = FlightSettings.preset("planned")
+FACE = AROUND.replace(planner={"goal": "face"}, standoff_m=1.2, speed_m_s=0.5, levels=4)
 PERIOD_S = 0.1
 
 
@@ -72,7 +73,7 @@ def clearance(poses: np.ndarray, steel: np.ndarray) -> float:
 
 def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
     steel = tower(half_m=1.0)
-    poses, decisions = fly(Planner(TASK, CAMERA), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
+    poses, decisions = fly(Planner(AROUND, CAMERA), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
     position = poses[:, :3, 3]
     azimuth = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))
     assert azimuth[-1] - azimuth[0] > 2.2 * np.pi
@@ -104,7 +105,7 @@ def test_it_hits_nothing_that_it_has_seen(seed):
     start = pose(*random.uniform(-5, 5, 2), 1.0, random.uniform(-np.pi, np.pi))
     if clearance(start[None], steel) < 1.0:
         return
-    planner, nearest = Planner(TASK, CAMERA), []
+    planner, nearest = Planner(AROUND, CAMERA), []
     decide = planner.decide
 
     def watched(stamp_s, T):
@@ -122,7 +123,7 @@ def test_it_hits_nothing_that_it_has_seen(seed):
 
 
 def test_what_a_scan_shows_for_the_first_time_counts_at_once():
-    planner, T = Planner(TASK, CAMERA), pose(0, -2.4, 1.0, np.pi / 2)
+    planner, T = Planner(AROUND, CAMERA), pose(0, -2.4, 1.0, np.pi / 2)
     steel = tower(half_m=1.0)
     fly(planner, steel, T, 1.0)
     obstacle = np.array([[0.3, -0.2, 0.0]])  # nearer than the clearance, too little to be mapped
@@ -132,7 +133,7 @@ def test_what_a_scan_shows_for_the_first_time_counts_at_once():
 
 
 def test_with_nothing_in_sight_it_turns_once_and_ends():
-    poses, decisions = fly(Planner(TASK, CAMERA), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
+    poses, decisions = fly(Planner(AROUND, CAMERA), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
     assert decisions[-1].state == "end"
     assert decisions[-1].reason == "no bar seen in a full turn"
     assert {each.state for each in decisions[:-1]} == {"search"}
@@ -141,7 +142,7 @@ def test_with_nothing_in_sight_it_turns_once_and_ends():
 
 
 def test_before_the_first_scan_it_waits():
-    decision = Planner(TASK, CAMERA).decide(0.0, pose(0, 0, 1, 0))
+    decision = Planner(AROUND, CAMERA).decide(0.0, pose(0, 0, 1, 0))
     assert decision.state == "wait"
     assert not decision.velocity.any()
     assert decision.yaw_rate == 0
@@ -149,14 +150,14 @@ def test_before_the_first_scan_it_waits():
 
 def test_a_structure_behind_it_is_found_by_turning():
     steel = tower(half_m=1.0)
-    _, decisions = fly(Planner(TASK, CAMERA), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
+    _, decisions = fly(Planner(AROUND, CAMERA), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
     states = [each.state for each in decisions]
     assert states[0] == "search"
     assert states[-1] == "follow"
 
 
 def test_when_sight_is_lost_it_stops_turns_and_goes_back_until_it_sees_again():
-    steel, planner = tower(half_m=1.0), Planner(TASK, CAMERA)
+    steel, planner = tower(half_m=1.0), Planner(AROUND, CAMERA)
     end = 5.0 + SEARCH_STOP_S + SEARCH_TURN_S + 3.0
     poses, decisions = fly(
         planner, steel, pose(0, -2.4, 0.7, np.pi / 2), end + 2.0, blind=lambda stamp_s: 5.0 <= stamp_s < end
