@@ -66,8 +66,8 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
 
 
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
-    """The settings of one of the ``flights``, ``towers``, ``cameras`` or ``methods``, each the ``file`` of its ``kind``;
-    what differs from the defaults. Raises `SettingsError`."""
+    """The settings, where they differ from the defaults, of one of the ``flights``, ``towers``, ``cameras`` or
+    ``methods``: the ``file`` of its ``kind``. Raises `SettingsError`."""
     if name not in _preset(file):
         raise SettingsError(f"{kind} = {name!r}: expected one of {quoted(_preset(file))}")
     return _preset(file)[name]
