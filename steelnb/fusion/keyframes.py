@@ -50,7 +50,7 @@ class Keyframes:
         """Add a scan, some ``points (N, 3)`` of it in the sensor frame to fit bars to, its pose, and the sensor's pose
         by the drifting prior, both ``(4, 4)``. The first one is where drift begins."""
         s = self.settings
-        image = smooth_ranges(scan.points) if scan.points.ndim == 3 else scan.points
+        image = smooth_ranges(scan.points)
         flat = np.ascontiguousarray(image, dtype=np.float64).reshape(-1, 3)
         self.voxels.insert(*world_points(flat, T_world_sensor, s.range_max_m, s.floor_m))
         self.scans.append(Scan(scan.stamp_s, points))

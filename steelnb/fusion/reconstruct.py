@@ -101,7 +101,7 @@ def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureS
     voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
     for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
         image = scan.points
-        points = _flat(smooth_ranges(image) if image.ndim == 3 else image)
+        points = _flat(smooth_ranges(image))
         voxels.insert(*world_points(points, T_world_sensor[k], settings.range_max_m, settings.floor_m))
     if not len(voxels):
         raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from steelnb.errors import SettingsError
+from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array
 
 SIGMA_M, SIGMA_SHARE = 0.01, 0.01
@@ -40,16 +40,17 @@ def true_points(points: Array, offset_m: float, scale: float) -> Array:
 
 
 def smooth_ranges(points: Array, half: int = 1) -> Array:
-    """Points ``(H, W, 3)`` of an organised scan in the sensor frame, each moved along its ray; NaN stays NaN.
+    """Points ``(H, W, 3)`` of an organised scan in the sensor frame, each moved along its ray; NaN stays NaN. A cloud
+    ``(N, 3)``, which has no neighbours, stays as it is.
 
     Its range becomes the mean of the ranges within ``half`` pixels that differ from it by less than `ALIKE` standard
     deviations: the sigma filter (Lee 1983, Digital image smoothing and the sigma filter). Ranges of a bar are averaged
     along the bar; background beside it does not count. Raises `SettingsError` for another shape.
     """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    if points.ndim != 3 or points.shape[2] != 3:
-        raise SettingsError(f"points of shape {points.shape}: expected (H, W, 3), an organised scan")
-    return np.asarray(_smooth(points, half))
+    points = checked_cloud(points)
+    if points.ndim == 2:
+        return points
+    return np.asarray(_smooth(np.ascontiguousarray(points), half))
 
 
 @njit(cache=True)

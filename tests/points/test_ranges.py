@@ -51,6 +51,8 @@ def test_what_did_not_return_stays_as_it_is_and_counts_for_nothing():
     np.testing.assert_allclose(smooth, points, atol=1e-12)
 
 
-def test_points_without_order_are_refused():
-    with pytest.raises(SettingsError, match=r"shape \(7, 3\): expected \(H, W, 3\)"):
-        smooth_ranges(np.zeros((7, 3)))
+def test_points_without_order_stay_as_they_are():
+    points = directions(5, 5).reshape(-1, 3)
+    assert smooth_ranges(points) is points
+    with pytest.raises(SettingsError, match=r"\(7, 4\)"):
+        smooth_ranges(np.zeros((7, 4)))
