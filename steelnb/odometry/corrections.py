@@ -52,18 +52,13 @@ def average(seen: Segments, known: SegmentMap, settings: SegmentSettings, positi
 
 
 def least_squares(
-    seen: Segments,
-    known: SegmentMap,
-    settings: SegmentSettings,
-    position: Array,
-    prior: Array,
-    damping_pairs: float = DAMPING_PAIRS,
+    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
 ) -> Correction:
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
     Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
     w the segment's share of the points times the Geman-McClure weight; pairs are chosen anew in each iteration. λ
-    (``damping_pairs``, in pairs of mean weight) keeps a direction that no bar constrains where it was.
+    (`DAMPING_PAIRS`, in pairs of mean weight) keeps a direction that no bar constrains where it was.
     """
     offset = np.zeros(3)
     matches = 0
@@ -75,8 +70,8 @@ def least_squares(
         robust = 1.0 / (1.0 + (across**2).sum(axis=1) / settings.robust_scale_m**2) ** 2
         weight = robust * count / count.mean()
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        H = (weight[:, None, None] * projector).sum(axis=0) + damping_pairs * np.eye(3)
-        b = (weight[:, None] * across).sum(axis=0) + damping_pairs * offset
+        H = (weight[:, None, None] * projector).sum(axis=0) + DAMPING_PAIRS * np.eye(3)
+        b = (weight[:, None] * across).sum(axis=0) + DAMPING_PAIRS * offset
         step = -np.linalg.solve(H, b)
         offset = offset + step
         if np.linalg.norm(step) < TOLERANCE_M:
@@ -85,29 +80,23 @@ def least_squares(
 
 
 def least_squares_yaw(
-    seen: Segments,
-    known: SegmentMap,
-    settings: SegmentSettings,
-    position: Array,
-    prior: Array,
-    iterations_max: int = ITERATIONS_MAX,
-    tolerance_m: float = TOLERANCE_M,
+    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
 ) -> Correction:
     """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with pairs chosen anew in each iteration. ``prior (4,)`` is the
-    information of the prediction about (yaw, x, y, z), which holds what no bar constrains.
+    Gauss–Newton with pairs chosen anew in each iteration. ``prior (4,)`` is the information of the prediction about
+    (yaw, x, y, z), which holds what no bar constrains.
     """
     state = np.zeros(4)
     matches = 0
-    for _ in range(iterations_max):
+    for _ in range(ITERATIONS_MAX):
         bars = bar_equations(moved(seen, state, position), known, settings, position + state[1:])
         matches = bars.matches
         if not matches:
             return Correction(np.zeros(3), 0)
         step = -np.linalg.solve(bars.H + np.diag(prior), bars.b + prior * state)
         state = state + step
-        if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < tolerance_m:
+        if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < TOLERANCE_M:
             break
     return Correction(state[1:], matches, float(state[0]))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import SegmentMap
-from steelnb.odometry import SegmentOdometry, segments, shared_segments
+from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
 from steelnb.settings import FusionSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Scan, Segments
@@ -38,26 +38,29 @@ def known():
 
 
 @pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
-def test_least_squares_finds_the_translation(known, offset):
-    correction = least_squares(seen(offset), known, SegmentSettings(), DRONE, NONE, damping_pairs=0.0)
+def test_least_squares_finds_the_translation(known, offset, monkeypatch):
+    monkeypatch.setattr(corrections, "DAMPING_PAIRS", 0.0)
+    correction = least_squares(seen(offset), known, SegmentSettings(), DRONE, NONE)
     np.testing.assert_allclose(correction.offset, -np.array(offset), atol=1e-3)
     assert correction.matches == len(BARS)
 
 
-def test_least_squares_ignores_a_bar_that_moved(known):
+def test_least_squares_ignores_a_bar_that_moved(known, monkeypatch):
+    monkeypatch.setattr(corrections, "DAMPING_PAIRS", 0.0)
     one_moved = seen([0.05, 0, 0])
     one_moved.start[4] += [0, 0.15, 0]
     one_moved.end[4] += [0, 0.15, 0]
-    correction = least_squares(one_moved, known, SegmentSettings(), DRONE, NONE, damping_pairs=0.0)
+    correction = least_squares(one_moved, known, SegmentSettings(), DRONE, NONE)
     np.testing.assert_allclose(correction.offset, [-0.05, 0, 0], atol=0.01)
 
 
-def test_least_squares_leaves_a_direction_that_no_bar_constrains(known):
+def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypatch):
     upright = seen([0.05, 0.04, 0.07], BARS[:2])
     correction = least_squares(upright, known, SegmentSettings(), DRONE, NONE)
     assert abs(correction.offset[2]) < 1e-9
     assert -0.05 < correction.offset[0] < -0.02  # damping holds back
-    free = least_squares(upright, known, SegmentSettings(), DRONE, NONE, damping_pairs=1e-6)
+    monkeypatch.setattr(corrections, "DAMPING_PAIRS", 1e-6)
+    free = least_squares(upright, known, SegmentSettings(), DRONE, NONE)
     np.testing.assert_allclose(free.offset, [-0.05, -0.04, 0], atol=2e-3)
 
 
@@ -65,9 +68,11 @@ FREE = SegmentSettings()
 
 
 @pytest.mark.parametrize(("yaw", "offset"), [(0.02, [0, 0, 0]), (-0.015, [0.03, -0.04, 0.02]), (0, [0, 0.05, 0])])
-def test_yaw_and_translation_are_found_together(known, yaw, offset):
+def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch):
+    monkeypatch.setattr(corrections, "ITERATIONS_MAX", 60)
+    monkeypatch.setattr(corrections, "TOLERANCE_M", 1e-9)
     away = moved(seen(0), np.append(yaw, offset), DRONE)
-    correction = least_squares_yaw(away, known, FREE, DRONE, NONE, iterations_max=60, tolerance_m=1e-9)
+    correction = least_squares_yaw(away, known, FREE, DRONE, NONE)
     back = moved(away, np.append(correction.yaw_rad, correction.offset), DRONE)
     assert correction.yaw_rad == pytest.approx(-yaw, abs=1e-6)
     np.testing.assert_allclose(back.start, BARS[:, 0], atol=1e-5)
