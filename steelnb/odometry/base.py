@@ -9,7 +9,7 @@ from steelnb.types import Array, OdometryStep, Scan, Segments
 
 
 class Odometry(Protocol):
-    """Corrects a drifting pose, scan by scan, and builds a map."""
+    """Corrects a drifting pose, scan by scan, and builds a map. A class of ours inherits what it does not define."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan and add the scan to the map.
@@ -24,6 +24,7 @@ class Odometry(Protocol):
 
     def map_segments(self) -> Segments:
         """The bars of the map; none where the map is a cloud."""
+        return Segments.empty()
 
 
 def scan_of(scan: Scan | Array) -> Scan:

@@ -70,9 +70,9 @@ class CameraOdometry(CombinedOdometry):
             self.tracker.update(self._tracked, step.T_world_drone)
         return replace(step, seconds=step.seconds | {"camera": spent_s + time.perf_counter() - begin})
 
-    def _terms(self, points: Array, T_init: Array) -> list[Term]:
+    def _terms(self, points: Array, T_init: Array, prior: list[Term]) -> list[Term]:
         """The terms of `CombinedOdometry`, and that of the landmarks."""
-        terms, prior = super()._terms(points, T_init), self.predictor.terms(T_init, points)
+        terms = super()._terms(points, T_init, prior)
         self._tracked = tracked = self._track(points, T_init, prior)
         if self.tracker is None or tracked is None or tracked.reason:
             return terms

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.odometry.base import nothing_left, scan_of
+from steelnb.odometry.base import Odometry, nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PosePredictor
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
@@ -15,7 +15,7 @@ from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import AnyTarget, Target, Term, align, free_directions, voxel_target
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
+from steelnb.types import Array, Imu, OdometryStep, Scan
 
 NEIGHBOURS = 20
 """Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
@@ -47,7 +47,7 @@ class Registered(NamedTuple):
     information: Array = np.zeros((6, 6))
 
 
-class CloudOdometry:
+class CloudOdometry(Odometry):
     """Corrects a drifting pose by registering each scan to the map of those before it.
 
     Parameters
@@ -106,9 +106,8 @@ class CloudOdometry:
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan in the drone frame as the map takes them: denoised, filtered, moved by the
         near-side shift so far. ``T_world_drone (4, 4)``, an estimate, serves to cut the floor."""
-        half = self.clouds.sigma_filter_px
-        if half and scan.points.ndim == 3:
-            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, half), scan.fault)
+        if self.clouds.sigma_filter_px:
+            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.clouds.sigma_filter_px), scan.fault)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
         return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.settings.near_side else points
 
@@ -156,10 +155,11 @@ class CloudOdometry:
         if target is None:
             return Registered(T_init, "no map in sight")
         rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
+        prior = self.predictor.terms(T_init, points)
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
             "geman_mcclure" if s.robust_scale else "none", s.robust_scale or 1.0, s.iterations_max,
-            rotation_epsilon_rad, translation_epsilon_m, s.fast, self._terms(points, T_init),
+            rotation_epsilon_rad, translation_epsilon_m, s.fast, [*self._terms(points, T_init, prior), *prior],
             NORMALS_MIN if known and whole and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
@@ -173,9 +173,10 @@ class CloudOdometry:
         information = self.predictor.information_of(result.H, T, result.centre)
         return Registered(T, "", result.inliers, result.unobserved, information)
 
-    def _terms(self, points: Array, T_init: Array) -> list[Term]:
-        """Further costs of the pose of the scan's ``points (N, 3)``: its distance from the prediction."""
-        return self.predictor.terms(T_init, points)
+    def _terms(self, points: Array, T_init: Array, prior: list[Term]) -> list[Term]:
+        """Further costs of the pose of the scan's ``points (N, 3)``, beside those of the distance from the prediction,
+        the ``prior``."""
+        return []
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""
@@ -191,7 +192,3 @@ class CloudOdometry:
     def map_points(self) -> Array:
         """Means of the map's voxels, ``(N, 3)`` in the world frame."""
         return self.map.means()
-
-    def map_segments(self) -> Segments:
-        """The bars of the map; none, since it is a cloud."""
-        return Segments.empty()

@@ -45,10 +45,10 @@ class CombinedOdometry(CloudOdometry):
             self._seen = points, segments_in(points, self.hough)
         return self._seen[1]
 
-    def _terms(self, points: Array, T_init: Array) -> list[Term]:
-        seen, prior = self._bars_of(points), super()._terms(points, T_init)
+    def _terms(self, points: Array, T_init: Array, prior: list[Term]) -> list[Term]:
+        seen = self._bars_of(points)
         if not len(seen) or not len(self.bar_map):
-            return prior
+            return []
 
         def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
             found = bar_equations(seen.transformed(T), self.bar_map, self.bars, centre, self.predictor.tilted)
@@ -56,7 +56,7 @@ class CombinedOdometry(CloudOdometry):
             H[at[:, None], at], b[at] = found.H, found.b
             return self.clouds.bars_weight * H, self.clouds.bars_weight * b, self.clouds.bars_weight * found.loss
 
-        return [term, *prior]
+        return [term]
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame, and their bars, at a pose that is known."""

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.errors import SettingsError
-from steelnb.odometry.base import scan_of
+from steelnb.odometry.base import Odometry, scan_of
 from steelnb.odometry.network import Network, read_network
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings
 from steelnb.settings.presets import PRESETS
-from steelnb.types import Array, OdometryStep, Scan, Segments
+from steelnb.types import Array, OdometryStep, Scan
 
 COLUMNS, ROWS = 48, 64
 TAN_SIDE, TAN_UP = 0.9325, 1.327
@@ -92,7 +92,7 @@ def motions(network: Network, images: np.ndarray) -> tuple[Array, Array]:
     return UNIT_M * moved, UNIT_M * np.exp(log_sigma.astype(np.float64))
 
 
-class DeepVoOdometry:
+class DeepVoOdometry(Odometry):
     """Adds up translations that a network reads from the derotated range images of two scans.
 
     Of the prior it uses the first pose, and the attitude, which is kept; its positions it does not look at. Nothing
@@ -152,7 +152,3 @@ class DeepVoOdometry:
     def map_points(self) -> Array:
         """No points ``(0, 3)``: there is no map."""
         return np.zeros((0, 3))
-
-    def map_segments(self) -> Segments:
-        """No bars."""
-        return Segments.empty()

@@ -7,17 +7,17 @@ import numpy as np
 
 from steelnb.errors import SettingsError
 from steelnb.images import CameraImages
-from steelnb.odometry.base import scan_of
+from steelnb.odometry.base import Odometry, scan_of
 from steelnb.odometry.monocular import MonocularTracker
 from steelnb.odometry.prediction import PosePredictor
 from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
 from steelnb.registration import Term, free_directions
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
+from steelnb.types import Array, Imu, OdometryStep, Scan
 
 
-class OrbOdometry:
+class OrbOdometry(Odometry):
     """Corrects a drifting pose by the features of an image at each scan, matched to landmarks seen before.
 
     Parameters
@@ -88,7 +88,3 @@ class OrbOdometry:
     def map_points(self) -> Array:
         """Landmarks seen twice or more, ``(N, 3)`` in the world frame."""
         return self.tracker.map.point[self.tracker.map.found > 1] if self.tracker else np.zeros((0, 3))
-
-    def map_segments(self) -> Segments:
-        """The bars of the map; none, since it is a cloud."""
-        return Segments.empty()

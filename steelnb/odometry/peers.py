@@ -11,10 +11,10 @@ from collections.abc import Callable
 import numpy as np
 
 from steelnb.errors import SettingsError, needs
-from steelnb.odometry.base import scan_of
+from steelnb.odometry.base import Odometry, scan_of
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, OdometryStep, Scan, Segments
+from steelnb.types import Array, OdometryStep, Scan
 
 POINTS_MIN = 10
 """Scans with fewer returns are not shown to a peer."""
@@ -28,7 +28,7 @@ sensor and the number of points registered."""
 MapPoints = Callable[[], Array]
 
 
-class PeerOdometry:
+class PeerOdometry(Odometry):
     """Corrects a drifting pose by a ``library``, told each scan's motion by the prior where its own would predict it.
 
     Parameters
@@ -48,8 +48,8 @@ class PeerOdometry:
         self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
         self._register: Register | None = None
         self._map_points: MapPoints = lambda: np.zeros((0, 3))
-        self._mapped = False
-        self._last = self._pose = np.eye(4)  # of the sensor: by the prior, and corrected
+        self._last: Array | None = None  # pose of the sensor at the last scan, by the prior
+        self._pose = np.eye(4)  # and corrected
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan; see `Odometry.update`. The one stage of ``seconds`` is ``register``."""
@@ -57,17 +57,16 @@ class PeerOdometry:
         points = scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
         begin, matches, reason = time.perf_counter(), 0, ""
-        if self._register is None:
-            seen = self.settings.preprocess
-            self._register, self._map_points = self._make(seen.voxel_leaf_m, prior, seen.crop_m)
+        if self._last is None:
             self._last = self._pose = prior
-        increment = np.linalg.inv(self._last) @ prior
-        self._pose, self._last = self._pose @ increment, prior
+        self._pose, self._last = self._pose @ (np.linalg.inv(self._last) @ prior), prior
         if len(points) < POINTS_MIN:
             reason = "too few points"
         else:
-            pose, matches = self._register(points, self._pose)
-            self._pose, reason, self._mapped = pose, "" if self._mapped else "first scan", True
+            if self._register is None:
+                seen, reason = self.settings.preprocess, "first scan"
+                self._register, self._map_points = self._make(seen.voxel_leaf_m, self._pose, seen.crop_m)
+            self._pose, matches = self._register(points, self._pose)
         T_world_drone = self._pose @ np.linalg.inv(self.T_drone_sensor)
         seconds = {"register": time.perf_counter() - begin}
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, seconds)
@@ -75,10 +74,6 @@ class PeerOdometry:
     def map_points(self) -> Array:
         """The points of the library's map, ``(N, 3)`` in the world frame."""
         return self._map_points()
-
-    def map_segments(self) -> Segments:
-        """The bars of the map; none, since it is a cloud."""
-        return Segments.empty()
 
 
 def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:

@@ -197,18 +197,15 @@ class OdometrySettings(Settings):
         bars, or by features of images, uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        by_clouds, by_segments = (
-            not tables.keys().isdisjoint(("clouds", "orb", "weights", "library")),
-            "segments" in tables,
-        )
+        crop = "segments" if tables.keys().isdisjoint(("clouds", "orb", "weights", "library")) else "clouds"
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
         inertial = "orb" in tables or (isinstance(clouds, CloudSettings) and clouds.by_bars)
         if inertial and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
-        crops = of_sensor.get("preprocess", {}).get("clouds" if by_clouds else "segments", {})
-        if by_segments:
+        crops = of_sensor.get("preprocess", {}).get(crop, {})
+        if "segments" in built:
             built |= {"hough": HoughSettings(**of_sensor.get("hough", {})), "fusion": FusionSettings.preset(sensor)}
         preprocess = PreprocessSettings(**{**crops, **tables.pop("preprocess", {})})
         settings = cls(method=method, preprocess=preprocess, **built, **tables)

@@ -8,7 +8,7 @@ import pytest
 from steelnb import experiment
 from steelnb.errors import SettingsError
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CameraOdometry, CombinedOdometry, OrbOdometry, camera, make_odometry, run
+from steelnb.odometry import CombinedOdometry, OrbOdometry, camera, make_odometry, run
 from steelnb.odometry.tracking import LandmarkTracker
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -29,10 +29,6 @@ def poses(flight, odometry):
 
 def steps_of(flight):
     return zip(flight.scans, flight.prior.T_world_drone, strict=True)
-
-
-def test_the_settings_choose_it():
-    assert type(make_odometry(SETTINGS, np.eye(4))) is CameraOdometry
 
 
 def test_without_images_it_is_combined(flight):

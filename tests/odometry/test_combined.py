@@ -3,7 +3,16 @@ import pytest
 
 from steelnb import experiment
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import CloudOdometry, CombinedOdometry, SegmentOdometry, combined, make_odometry, run
+from steelnb.odometry import (
+    CameraOdometry,
+    CloudOdometry,
+    CombinedOdometry,
+    LoamOdometry,
+    SegmentOdometry,
+    combined,
+    make_odometry,
+    run,
+)
 from steelnb.settings import ExperimentSettings, OdometrySettings, SegmentSettings
 
 NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
@@ -16,7 +25,10 @@ def world():
 
 
 def test_the_settings_choose_the_odometry():
-    kinds = {"combined": CombinedOdometry, "best": CloudOdometry, "least_squares_yaw": SegmentOdometry}
+    kinds = {
+        "combined": CombinedOdometry, "best": CloudOdometry, "least_squares_yaw": SegmentOdometry,
+        "combined-camera": CameraOdometry, "loam": LoamOdometry,
+    }  # fmt: skip
     for method, kind in kinds.items():
         assert type(make_odometry(OdometrySettings.preset(method), np.eye(4))) is kind
 
