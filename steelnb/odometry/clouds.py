@@ -13,15 +13,13 @@ from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import AnyTarget, Target, Term, align, free_directions, voxel_target
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
 NEIGHBOURS = 20
 """Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
-SIGMA_FLOOR_M = 0.01
-SIGMA_RELATIVE = 0.01
-"""Range noise along a ray: the larger of both, of a Starling 2's sensor."""
 INLIER_SHARE_MIN = 0.3
 """With fewer of a scan's points paired, the scan corrects nothing. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
@@ -128,7 +126,7 @@ class CloudOdometry(Odometry):
         if s.shape == "neighbours":
             return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
         around = self.map.shapes(chosen)[tree.order].copy()
-        around[:, [0, 3, 5]] += (0.5 * SIGMA_FLOOR_M) ** 2
+        around[:, [0, 3, 5]] += (0.5 * SIGMA_M) ** 2
         return Target(tree, covariance=around), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
@@ -136,8 +134,8 @@ class CloudOdometry(Odometry):
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
-        along = np.maximum(SIGMA_FLOOR_M, SIGMA_RELATIVE * distance) ** 2
-        across = (0.5 * SIGMA_FLOOR_M) ** 2
+        along = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2
+        across = (0.5 * SIGMA_M) ** 2
         extra = along - across
         x, y, z = ray.T
         return np.stack(

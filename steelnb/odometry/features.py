@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from steelnb.errors import needs
 from steelnb.images import GreyImage
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.types import Array, IntArray
 
 SCALE, LEVELS = 1.2, 3
@@ -21,8 +22,6 @@ WINDOW = 1.8
 SPARSE = 7
 """Of so many returns one tells how far neighbours are apart."""
 POINTS_MIN = 6
-SIGMA_FLOOR_M, SIGMA_RELATIVE = 0.01, 0.01
-"""Noise of a range: the larger of both, of a Starling 2's sensor."""
 SMOOTH, FLAT = 3.0, 0.25
 """Largest deviation of a depth from a smooth surface, in standard deviations; and largest change of the depth from the
 middle of the neighbourhood to its border, by the depth: a surface seen more along than across is taken for an edge."""
@@ -206,7 +205,7 @@ def _fit(place, depth, order, first, columns, radius, pixel, result):
         by_v = (s * (suu * svw - suv * suw) - su * (su * svw - suw * sv) + sw * m2) / determinant
         if value <= 0:
             continue
-        sigma = max(SIGMA_FLOOR_M, SIGMA_RELATIVE / value)
+        sigma = max(SIGMA_M, SIGMA_SHARE / value)
         smooth = True
         for at in range(count):
             k = near[at]
@@ -234,7 +233,7 @@ def match(pixel, octave, descriptor, depth, expected, expected_octave, expected_
             du, dv = pixel[n, 0] - expected[m, 0], pixel[n, 1] - expected[m, 1]
             if not du * du + dv * dv <= search_px * search_px or abs(octave[n] - expected_octave[m]) > 1:
                 continue
-            if abs(depth[n] - expected_depth[m]) > 5 * max(SIGMA_FLOOR_M, SIGMA_RELATIVE * depth[n]):
+            if abs(depth[n] - expected_depth[m]) > 5 * max(SIGMA_M, SIGMA_SHARE * depth[n]):
                 continue  # false where the depth is not known
             bits = 0
             for word in range(4):

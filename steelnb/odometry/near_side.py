@@ -17,12 +17,11 @@ scans show. No tower enters. Without thickness it would be 0.045, for a round tu
 import numpy as np
 from numba import njit
 
+from steelnb.points.features import STEP_M, WIDTH_MAX_M
 from steelnb.points.ranges import ranges_ahead
 from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
-STEP_M = 0.15
-WIDTH_MAX_M = 0.4
 
 
 class NearSide:

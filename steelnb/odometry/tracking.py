@@ -11,16 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.images import CameraImages, GreyImage, unproject
-from steelnb.odometry.features import (
-    SIGMA_FLOOR_M,
-    SIGMA_RELATIVE,
-    Features,
-    features_with_depth,
-    match,
-    near_any,
-)
+from steelnb.odometry.features import Features, features_with_depth, match, near_any
 from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.reprojection import Sighting, linearise, solve_pose
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
 from steelnb.types import Array, IntArray
 
@@ -173,7 +167,7 @@ class LandmarkTracker:
         shown = features.take(found[found >= 0])
         return Sighting(
             self.map.point[seen.number[found >= 0]], shown.pixel, PIXEL_SIGMA * shown.sigma_scale, shown.depth,
-            np.maximum(SIGMA_FLOOR_M, SIGMA_RELATIVE * shown.depth),
+            np.maximum(SIGMA_M, SIGMA_SHARE * shown.depth),
         )  # fmt: skip
 
     def _world(self, features: Features, T_world_drone: Array) -> Array:
