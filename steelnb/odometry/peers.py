@@ -65,7 +65,7 @@ class PeerOdometry(Odometry):
         else:
             if self._register is None:
                 seen, reason = self.settings.preprocess, "first scan"
-                self._register, self._map_points = self._make(seen.voxel_leaf_m, self._pose, seen.crop_m)
+                self._register, self._map_points = self._make(seen.voxel_leaf_m, prior, seen.crop_m)
             self._pose, matches = self._register(points, self._pose)
         T_world_drone = self._pose @ np.linalg.inv(self.T_drone_sensor)
         seconds = {"register": time.perf_counter() - begin}
