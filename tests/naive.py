@@ -265,3 +265,26 @@ def convolution(x, kernel, stride):
         window = x[b, top : top + 2 * pad + 1, left : left + 2 * pad + 1]
         result[b, i, j, c] = (window.transpose(2, 0, 1) * kernel[c]).sum()
     return result
+
+
+def circle_step(cells, place, robust_m=0.03):
+    """Cost of a circle, and the Gauss-Newton matrix and vector of its place: derivatives by differences."""
+
+    def residual(cell, at):
+        u, v = cell[0] - at[0] - cell[5] * at[2], cell[1] - at[1] - cell[5] * at[3]
+        depth, beside = cell[3] * u + cell[4] * v, -cell[4] * u + cell[3] * v
+        if abs(beside) < 0.999 * at[4]:
+            return depth - np.sqrt(at[4] ** 2 - beside**2), at[4] ** 2 / (at[4] ** 2 - beside**2)
+        return beside - np.sign(beside) * at[4], 1.0
+
+    cost, matrix, vector = 0.0, np.zeros((5, 5)), np.zeros(5)
+    for cell in cells:
+        found, steep = residual(cell, place)
+        steps = 1e-8 * np.eye(5)
+        gradient = [(residual(cell, place + step)[0] - residual(cell, place - step)[0]) / 2e-8 for step in steps]
+        weight, bound = cell[2] / steep, robust_m**2
+        cost += weight * bound * found**2 / (bound + found**2)
+        weight *= (bound / (bound + found**2)) ** 2
+        matrix += weight * np.outer(gradient, gradient)
+        vector -= weight * np.array(gradient) * found
+    return cost, matrix, vector

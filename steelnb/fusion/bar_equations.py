@@ -26,8 +26,9 @@ MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 @dataclass(frozen=True)
 class Bars:
-    """B bars with angle sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
-    radians and ``flange (B,)`` in metres as in `fusion.sections`; a bar with a flange of NaN takes no part."""
+    """B bars with their sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
+    radians and ``flange (B,)`` in metres as in `fusion.sections`, round tubes among them; a bar with a flange of NaN
+    takes no part."""
 
     segments: Segments
     across: Array

@@ -77,10 +77,7 @@ def _displacement(histogram, corner, shape):  # type: ignore[no-untyped-def]
                 h = histogram[part, view]
                 angle = (view + 0.5) * 2.0 * math.pi / sections.VIEWS - math.pi
                 cosine, sine = math.cos(angle), math.sin(angle)
-                low, high = 1e9, -1e9
-                for k in range(6):
-                    edge = -sine * corner[k, 0] + cosine * corner[k, 1]
-                    low, high = min(low, edge), max(high, edge)
+                low, high = sections.extent(corner, cosine, sine)
                 # The front faces: mean depth behind them, and mean derivatives.
                 total, count, depth, au, av, beside = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 left, right = 1e9, -1e9

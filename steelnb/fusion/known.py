@@ -1,14 +1,13 @@
 """The bars of a known structure, as points of new scans are measured against them.
 
-A bar with an angle section has the outline of `fusion.sections`. One without, such as a tube or a bar of a plain cloud,
-has that of a round tube of the radius of its points.
+A bar with an angle section or a tube has the outline of `fusion.sections`. One whose section is not known, such as a
+bar of a plain cloud, has that of a round tube of the radius of its points.
 """
 
 import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from steelnb.errors import EmptyStructureError
 from steelnb.fusion import sections
@@ -27,24 +26,16 @@ section, radians, and of its flange. Chosen on the development seeds 11 and 12."
 MATCH_SIGMAS = 3.0
 
 
-Mask = NDArray[np.bool_]
-
-
 class KnownBars:
     """Bars with outlines, and the voxels around them.
 
-    ``bars``: B bars as `fusion.bar_equations` has them; ``sectioned (B,)``: which of them are angle sections, the
-    others being tubes as wide as their flange; ``sigma_m (B,)``: standard deviations of their place, at least
+    ``bars``: B bars as `fusion.bar_equations` has them; ``sigma_m (B,)``: standard deviations of their place, at least
     `SIGMA_MIN_M` of which are added. ``corner (B, 6, 2)``: their outlines.
     """
 
-    def __init__(self, bars: Bars, sectioned: Mask, sigma_m: Array) -> None:
-        self.bars, self.sectioned, self.sigma_m = bars, sectioned, np.hypot(sigma_m, SIGMA_MIN_M)
+    def __init__(self, bars: Bars, sigma_m: Array) -> None:
+        self.bars, self.sigma_m = bars, np.hypot(sigma_m, SIGMA_MIN_M)
         self.corner = sections.outlines(bars.turn, bars.flange)
-        angle = np.arange(6) * math.pi / 3
-        # The hexagon of the same area as the tube.
-        tube = np.stack([np.cos(angle), np.sin(angle)], axis=1) * math.sqrt(2 * math.pi / (3 * math.sqrt(3)))
-        self.corner[~sectioned] = 0.5 * bars.flange[~sectioned, None, None] * tube
         self.voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
 
     @classmethod
@@ -60,9 +51,10 @@ class KnownBars:
         sectioned = np.isfinite(first).all(axis=1) & (structure.width_m > 0)
         first = np.where(sectioned[:, None], first, sections.frames(segments.direction)[:, 0])
         across = np.stack([first, np.cross(segments.direction, first)], axis=1)
-        flange = np.where(sectioned, structure.width_m, 2 * np.maximum(segments.radius, 0.01))
+        tube = np.zeros(n, dtype=bool) if structure.tube is None else structure.tube & (structure.width_m > 0)
+        flange = np.where(sectioned | tube, structure.width_m, 2 * np.maximum(segments.radius, 0.01))
         sigma_m = np.where(np.isfinite(structure.sigma_m), structure.sigma_m, flange / 4)
-        return cls(Bars(segments, across, np.full(n, -math.pi / 4), flange), sectioned, sigma_m)
+        return cls(Bars(segments, across, np.where(sectioned, -math.pi / 4, np.nan), flange), sigma_m)
 
     def __len__(self) -> int:
         return len(self.sigma_m)

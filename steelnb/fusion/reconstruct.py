@@ -17,6 +17,7 @@ from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
@@ -55,7 +56,8 @@ def reconstruct(
     T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
     settings: see `StructureSettings`.
 
-    The axis of a bar is the line through the centroids of its sections (`fusion.section_fit`); a bar with too few
+    The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
+    (`fusion.round_fit`); a bar with too few
     points to tell its section and its direction is left out. With ``adjust``, poses and bars are adjusted together
     (`fusion.bundle`). Returns a `Structure` in the world frame, metres; an empty one has the reason. Raises
     `SettingsError` for poses that do not fit the scans or are not finite, `EmptyCloudError` for scans without any
@@ -141,8 +143,9 @@ def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) 
 
 @dataclass(frozen=True)
 class FittedBars:
-    """B bars with their fitted sections: frames ``across (B, 2, 3)``, flange ``width``, ``turn``, standard deviations
-    ``sigma`` of the axis and ``tilt`` of its direction, ``sightings``; width and tilt NaN for too few points."""
+    """B bars with their fitted sections: frames ``across (B, 2, 3)``, ``width`` of the flange, ``turn``, standard
+    deviations ``sigma`` of the axis and ``tilt`` of its direction, ``sightings``; width and tilt NaN for too few
+    points. A round tube has its diameter for a width, and a turn of NaN."""
 
     bars: Segments
     across: Array
@@ -207,7 +210,7 @@ class MappedScans:
         return state.T_world_sensor
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
-        """Fit sections to the points of each bar; the axes of the bars move to the centroids of their sections."""
+        """Fit sections, angles or circles, to the points of each bar; the axes of the bars move to their centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
         for k, points, bar in self.bar_points(self.around(bars), every, pixels):
@@ -216,7 +219,9 @@ class MappedScans:
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * self.settings.tube_m, histogram,
             )  # fmt: skip
-        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length)
+        fitted = fit_sections(histogram, bars.length)
+        fit_rounds(histogram, bars.length, fitted)
+        centre, slope, flange, turn, spread, tilt = fitted
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
@@ -256,7 +261,11 @@ def _tied(fitted: FittedBars, scales: Scales) -> Structure:
     joint, tie, bars = find_joints(fitted.bars, width, scales)
     angle = fitted.turn + math.pi / 4  # the flanges are alike, so their bisector tells the turn of a section
     opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], fitted.across)
-    return Structure(bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie, opening=opening)
+    tube = np.isfinite(fitted.width) & np.isnan(fitted.turn)
+    return Structure(
+        bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie, opening=opening,
+        tube=tube if tube.any() else None,
+    )  # fmt: skip
 
 
 def _flat(points: Array) -> Array:

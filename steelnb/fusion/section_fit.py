@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.sections import CELL_M, CELLS, VIEWS, front_face, nearest_edge, outline
+from steelnb.fusion.sections import VIEWS, cells_of, edges_of, front_face, nearest_edge, outline
 from steelnb.types import Array
 
 TURNS = VIEWS  # so that a turned section looks like another one from the next direction
@@ -24,7 +24,6 @@ OUTLINE_WEIGHT = 0.5
 simulated ``starling2`` flights with the development seeds 11 and 12 (`fusion.scales`)."""
 TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less than this are equally likely and are averaged."""
-_REACH_M = CELLS * CELL_M / 2
 
 
 class Sections(NamedTuple):
@@ -49,73 +48,19 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     n = len(length)
     centre, slope, turn = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
     flange, spread, tilt = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    face, side = _profiles()
+    face, side = profiles()
     for b in range(n):
-        cells, rows = _cells(histogram[b], length[b]), _outlines(histogram[b])
+        cells, rows = cells_of(histogram[b], length[b]), edges_of(histogram[b])
         if len(cells) >= 8 and len(rows) >= 1:
-            merged = _cells(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)  # fewer cells, enough to search with
-            flange[b], turn[b], spread[b], tilt[b] = _fit(cells, merged, rows, face, side, centre[b], slope[b])
+            merged = cells_of(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)  # fewer cells, enough to search with
+            flange[b], turn[b], spread[b], tilt[b], _ = fit_section(
+                cells, merged, rows, face, side, centre[b], slope[b]
+            )
     return Sections(centre, slope, flange, turn, spread, tilt)
 
 
 @njit(cache=True)
-def _cells(histogram, length):  # type: ignore[no-untyped-def]
-    """Non-empty cells of a bar: u, v, weight, cosine and sine of the view, position along from the middle, view."""
-    parts = len(histogram)
-    found = np.empty((parts * VIEWS * CELLS, 7))
-    n = 0
-    for part in range(parts):
-        for view in range(VIEWS):
-            angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
-            for cell in range(CELLS):
-                h = histogram[part, view, cell]
-                if h[0] >= 3.0:
-                    found[n, 0], found[n, 1], found[n, 2] = h[2] / h[1], h[3] / h[1], h[1]
-                    found[n, 3], found[n, 4] = math.cos(angle), math.sin(angle)
-                    found[n, 5] = ((part + 0.5) / parts - 0.5) * length
-                    found[n, 6] = view
-                    n += 1
-    return found[:n]
-
-
-@njit(cache=True)
-def _outlines(histogram):  # type: ignore[no-untyped-def]
-    """For each view with enough points: low and high edge of the outline, cosine, sine, weight, view.
-
-    An edge is where the points fall to half of what they are inside: there, blur moves as many out as in.
-    """
-    found = np.empty((VIEWS, 6))
-    n = 0
-    for view in range(VIEWS):
-        count, weight = histogram[:, view, :, 0].sum(axis=0), histogram[:, view, :, 1].sum()
-        total = count.sum()
-        if total < 60.0:
-            continue
-        # The level inside: the mean over points, which weighs full cells most; over a uniform strip it is its level.
-        half = 0.5 * (count * count).sum() / total
-        middle = int((count * np.arange(CELLS)).sum() / total + 0.5)
-        if count[middle] < half:
-            middle = int(np.argmax(count))
-        inside = True
-        for side in range(2):
-            step, cell = 2 * side - 1, middle
-            while 0 < cell < CELLS - 1 and count[cell] >= half:
-                cell += step
-            inside &= 0 < cell < CELLS - 1
-            if inside:
-                level, outside = count[cell - step], count[cell]
-                edge = cell + 0.5 - step * (half - outside) / max(level - outside, 1e-9)
-                found[n, side] = edge * CELL_M - _REACH_M
-        if not inside:
-            continue
-        angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
-        found[n, 2], found[n, 3], found[n, 4], found[n, 5] = math.cos(angle), math.sin(angle), weight, view
-        n += 1
-    return found[:n]
-
-
-@njit(cache=True)
-def _profiles():  # type: ignore[no-untyped-def]
+def profiles():  # type: ignore[no-untyped-def]
     """Near face of a section of flange 1 from each direction ``(VIEWS, PROFILE, 2)``: `front_face` beside its centroid,
     depth and slope; and how far it reaches to either side ``(VIEWS, 2)``. Other flanges and turns are the same in
     another scale and from another direction, as turns and directions are both whole steps."""
@@ -134,7 +79,7 @@ def _profiles():  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _robust(residual, weight):  # type: ignore[no-untyped-def]
+def robust(residual, weight):  # type: ignore[no-untyped-def]
     """Cost and weight of a residual under Geman-McClure with the scale `ROBUST_M`."""
     square, bound = residual * residual, ROBUST_M * ROBUST_M
     return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
@@ -163,7 +108,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
             else:
                 residual = beside - (low if beside <= low else high)
                 ju, jv = sine, -cosine
-            loss, weight = _robust(residual, weight)
+            loss, weight = robust(residual, weight)
             cost += loss
             uu += weight * ju * ju
             uv += weight * ju * jv
@@ -176,7 +121,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
             middle = -sine * place[0] + cosine * place[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
-                loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+                loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
                 cost += loss
                 uu += weight * sine * sine
                 uv -= weight * sine * cosine
@@ -192,7 +137,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
 
 
 @njit(cache=True)
-def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
+def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
     """Cost of a section at ``place`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
     normal[:, :] = 0.0
     cost = 0.0
@@ -210,7 +155,7 @@ def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
         else:  # beside the section
             residual = beside - nearest_edge(corner, cosine, sine, beside)
             ju, jv = sine, -cosine
-        loss, weight = _robust(residual, weight)
+        loss, weight = robust(residual, weight)
         cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
         _add(normal, jacobian, residual, weight)
@@ -223,7 +168,7 @@ def _step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = sine, -cosine, 0.0, 0.0
         for side in range(2):
             residual = rows[k, side] - (low if side == 0 else high)
-            loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+            loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
             cost += loss
             _add(normal, jacobian, residual, weight)
     return cost
@@ -243,14 +188,17 @@ def _settle(cells, rows, corner, place, normal, steps):  # type: ignore[no-untyp
     cost = 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
-        cost = _step(cells, rows, corner, place, normal)
+        cost = section_step(cells, rows, corner, place, normal)
         move = np.linalg.solve(normal[:, :4] + 1e-3 * total * np.eye(4), normal[:, 4].copy())
         place += np.minimum(np.maximum(move, -0.03), 0.03)
     return cost
 
 
 @njit(cache=True)
-def _fit(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
+def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
+    """Fit a section to the `cells_of` a bar, to those of its whole length at once, and to its `edges_of` the outline,
+    with the tables `profiles`; fills ``centre (2,)`` and ``slope (2,)``. Flange, turn, spread, tilt (`Sections`), and
+    the least cost."""
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
@@ -294,7 +242,7 @@ def _fit(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-unt
     slope[0], slope[1] = kept[2], kept[3]
     # The covariance of the tilt, from the residuals as they are.
     outline(turn, b, corner)
-    cost = _step(cells, rows, corner, kept, normal)
+    cost = section_step(cells, rows, corner, kept, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
-    return b, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt
+    return b, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low

@@ -1,9 +1,12 @@
-"""Angle sections: their outlines, and histograms of the points of a bar by viewing direction.
+"""Angle sections and round tubes: their outlines, and histograms of the points of a bar by viewing direction.
 
 A Time-of-Flight sensor measures the near face of a bar. The offset from there to the axis depends on the section and
 its turn about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction the points spread as
 wide as the outline of the section, and their mean depth follows its near faces. Range noise acts along the line of
 sight only, so it blurs the depth, which is averaged, and not the outline.
+
+A round tube is a section whose turn is NaN, and whose diameter stands for the flange. Its outline is its radius in
+place of the first corner, and NaN for the others.
 """
 
 import math
@@ -87,8 +90,68 @@ def accumulate(points, T, bar, start, direction, length, across, margin, histogr
 
 
 @njit(cache=True)
+def cells_of(histogram, length):  # type: ignore[no-untyped-def]
+    """Non-empty cells of a bar: u, v, weight, cosine and sine of the view, position along from the middle, view."""
+    parts = len(histogram)
+    found = np.empty((parts * VIEWS * CELLS, 7))
+    n = 0
+    for part in range(parts):
+        for view in range(VIEWS):
+            angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
+            for cell in range(CELLS):
+                h = histogram[part, view, cell]
+                if h[0] >= 3.0:
+                    found[n, 0], found[n, 1], found[n, 2] = h[2] / h[1], h[3] / h[1], h[1]
+                    found[n, 3], found[n, 4] = math.cos(angle), math.sin(angle)
+                    found[n, 5] = ((part + 0.5) / parts - 0.5) * length
+                    found[n, 6] = view
+                    n += 1
+    return found[:n]
+
+
+@njit(cache=True)
+def edges_of(histogram):  # type: ignore[no-untyped-def]
+    """For each view with enough points: low and high edge of the outline, cosine, sine, weight, view.
+
+    An edge is where the points fall to half of what they are inside: there, blur moves as many out as in.
+    """
+    found = np.empty((VIEWS, 6))
+    n = 0
+    for view in range(VIEWS):
+        count, weight = histogram[:, view, :, 0].sum(axis=0), histogram[:, view, :, 1].sum()
+        total = count.sum()
+        if total < 60.0:
+            continue
+        # The level inside: the mean over points, which weighs full cells most; over a uniform strip it is its level.
+        half = 0.5 * (count * count).sum() / total
+        middle = int((count * np.arange(CELLS)).sum() / total + 0.5)
+        if count[middle] < half:
+            middle = int(np.argmax(count))
+        inside = True
+        for side in range(2):
+            step, cell = 2 * side - 1, middle
+            while 0 < cell < CELLS - 1 and count[cell] >= half:
+                cell += step
+            inside &= 0 < cell < CELLS - 1
+            if inside:
+                level, outside = count[cell - step], count[cell]
+                edge = cell + 0.5 - step * (half - outside) / max(level - outside, 1e-9)
+                found[n, side] = edge * CELL_M - CELLS * CELL_M / 2
+        if not inside:
+            continue
+        angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
+        found[n, 2], found[n, 3], found[n, 4], found[n, 5] = math.cos(angle), math.sin(angle), weight, view
+        n += 1
+    return found[:n]
+
+
+@njit(cache=True)
 def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
-    """Corners ``(6, 2)`` of an angle section about its centroid."""
+    """Corners ``(6, 2)`` of an angle section about its centroid, or the outline of a round tube."""
+    if turn != turn:
+        corner[:] = np.nan
+        corner[0, 0] = 0.5 * flange
+        return
     t = THICKNESS * flange
     c = (flange * flange + flange * t - t * t) / (2.0 * (2.0 * flange - t))
     xs = (0.0, flange, flange, t, t, 0.0)
@@ -103,6 +166,11 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
     """Height of the outline towards the viewer, metres from its centroid, at a place ``beside`` it, and its slope;
     −1e9 outside of the outline. Corners go round counterclockwise, so an edge that faces the viewer runs upwards."""
+    if corner[5, 0] != corner[5, 0]:
+        square = corner[0, 0] ** 2 - beside * beside
+        if square <= 0.0:
+            return -1e9, 0.0
+        return math.sqrt(square), -beside / math.sqrt(square)
     front, rise = -1e9, 0.0
     b0, d0 = -sine * corner[5, 0] + cosine * corner[5, 1], cosine * corner[5, 0] + sine * corner[5, 1]
     for i in range(6):
@@ -149,8 +217,20 @@ def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def extent(corner, cosine, sine):  # type: ignore[no-untyped-def]
+    """How far an outline reaches to either side, as seen from a direction."""
+    if corner[5, 0] != corner[5, 0]:
+        return -corner[0, 0], corner[0, 0]
+    low, high = 1e9, -1e9
+    for k in range(6):
+        edge = -sine * corner[k, 0] + cosine * corner[k, 1]
+        low, high = min(low, edge), max(high, edge)
+    return low, high
+
+
+@njit(cache=True)
 def outlines(turn, flange):  # type: ignore[no-untyped-def]
-    """Corners ``(B, 6, 2)`` of angle sections about their centroids."""
+    """Corners ``(B, 6, 2)`` of angle sections about their centroids, and outlines of round tubes."""
     corner = np.empty((len(turn), 6, 2))
     for b in range(len(turn)):
         outline(turn[b], flange[b], corner[b])

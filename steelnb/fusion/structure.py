@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.types import Array, IntArray, Segments
 
@@ -17,12 +18,14 @@ class Structure:
     """Bars and joints in the world frame, metres, z up.
 
     ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: width of the
-    flange of a bar, NaN where it is not known; ``sightings (B,)``: number of scans that saw it; ``sigma_m (B,)``:
-    standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for
-    each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if it is not.
+    flange of a bar, of a round tube its diameter, NaN where it is not known; ``sightings (B,)``: number of scans that
+    saw it; ``sigma_m (B,)``: standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``:
+    (joint, bar), a row for each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if
+    it is not.
     ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
     where that is not known; None where it is known of no bar. ``joint_sigma_m (J,)``: standard deviation of the place
     of each joint in the direction in which it is largest, NaN where it is not known; None where it is known of none.
+    ``tube (B,)``: which bars are round tubes; None where none is known to be.
     """
 
     segments: Segments
@@ -34,6 +37,7 @@ class Structure:
     reason: str = ""
     opening: Array | None = None
     joint_sigma_m: Array | None = None
+    tube: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.segments)

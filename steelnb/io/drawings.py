@@ -114,7 +114,8 @@ def write_glb(structure: Structure, path: Path) -> None:
 
 
 def write_ifc(structure: Structure, path: Path) -> None:
-    """Write IFC4 with an IfcMember for each bar: its axis and a square section of its width, extruded along it.
+    """Write IFC4 with an IfcMember for each bar: its axis and a square section of its width, extruded along it, or a
+    circle for a round tube.
 
     The unit is the metre; the site is placed at the origin of the shift where coordinates are large, and members are
     relative to it. The object type of a member is its class; its property set ``steelnb_estimate`` says how well it
@@ -159,7 +160,10 @@ def write_ifc(structure: Structure, path: Path) -> None:
     for bar, group in enumerate(orientation(segments)):
         key = (bar, *segments.start[bar].tolist(), *segments.end[bar].tolist())
         axis = make("IfcPolyline", [point(start[bar]), point(end[bar])])
-        section = make("IfcRectangleProfileDef", "AREA", None, None, float(width[bar]), float(width[bar]))
+        size = float(width[bar])
+        section = make("IfcRectangleProfileDef", "AREA", None, None, size, size)
+        if structure.tube is not None and structure.tube[bar]:
+            section = make("IfcCircleProfileDef", "AREA", None, None, 0.5 * size)
         # Extruded along the z axis of its place, which is the bar's x; the section's x is the bar's y.
         solid = make("IfcExtrudedAreaSolid", section, place(start[bar], turn[bar][:, 0], turn[bar][:, 1]),
                      make("IfcDirection", [0.0, 0.0, 1.0]), float(segments.length[bar]))  # fmt: skip

@@ -2,7 +2,8 @@
 
 `Document.model_json_schema` describes the JSON. Every number survives a round trip exactly. Reading is strict, since a
 model that was read wrongly looks like one that was read rightly: an unknown key, a missing unit or a tie to a bar that
-is not there is an error. So a new key is a new version. Version 2, which has no ``opening``, is read, too.
+is not there is an error. So a new key is a new version. Version 3, without ``section``, and version 2, without
+``opening`` either, are read, too.
 """
 
 import json
@@ -30,7 +31,7 @@ from steelnb.io import drawings
 from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Segments
 
-FORMAT, VERSION, OLDER = "steelnb structure", 3, 2
+FORMAT, VERSION, OLDER = "steelnb structure", 4, (2, 3)
 DRAWN: Mapping[str, Callable[[Structure, Path], None]] = {
     ".dxf": drawings.write_dxf, ".glb": drawings.write_glb, ".ifc": drawings.write_ifc,
 }  # fmt: skip
@@ -66,6 +67,9 @@ class Bar(_Part):
     points: Number = Field(description="points that the axis was fitted to")
     radius_m: Length = Field(description="root mean square distance of those points to the axis")
     opening: Point | None = Field(None, description="from the corner of an angle section to between its flanges")
+    section: Literal["angle", "round"] | None = Field(
+        None, description="round: width_m is its diameter; null: not known"
+    )
 
 
 class Joint(_Part):
@@ -82,7 +86,7 @@ class Document(_Part):
     """Bars and joints of a structure, and which joint ties which bars."""
 
     format: Literal["steelnb structure"]
-    version: Literal[2, 3]
+    version: Literal[2, 3, 4]
     units: Units
     frame: Frame
     about: dict[str, Any] = Field(default={}, description="where the structure comes from; free")
@@ -143,6 +147,7 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
         "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _nullable(structure.width_m, len(s)),
         "sigma_m": _nullable(structure.sigma_m, len(s)), "sightings": structure.sightings.tolist(),
         "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": _nullable(structure.opening, len(s)),
+        "section": _sections(structure),
     }  # fmt: skip
     joint = _nullable(structure.joint_sigma_m, len(structure.joint))
     for column, values in columns.items():
@@ -165,6 +170,13 @@ def _to_json(structure: Structure, name: str, about: Mapping[str, Any]) -> str:
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
+def _sections(structure: Structure) -> list[str | None]:
+    """Which section each bar has, null where it is not known."""
+    tube, opening = structure.tube, _nullable(structure.opening, len(structure))
+    angle = ["angle" if towards else None for towards in opening]
+    return angle if tube is None else ["round" if r else a for r, a in zip(tube.tolist(), angle, strict=True)]
+
+
 def _nullable(values: Array | None, count: int) -> list[Any]:
     """``count`` numbers or rows of numbers, null where they are not known."""
     return [None] * count if values is None else [None if np.isnan(row).all() else row for row in values.tolist()]
@@ -177,7 +189,7 @@ def _from_json(text: str | bytes, name: str, misfit: type[SteelnbError] = FileCo
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else type(raw).__name__
         raise FileContentError(f"{name}: format = {found!r:.60}; expected {FORMAT!r}")
-    if raw.get("version") not in (VERSION, OLDER):
+    if raw.get("version") not in (VERSION, *OLDER):
         older = "; version 1 is no longer read: write the file again" if raw.get("version") == 1 else ""
         raise VersionError(f"{name}: version = {raw.get('version')!r:.60}; expected {VERSION}{older}")
     if raw.get("units") != {"length": "metre"}:
@@ -207,6 +219,9 @@ def _structure(document: Document) -> Structure:
         reason=document.reason,
         opening=_known([bar.opening for bar in bars], (np.nan,) * 3),
         joint_sigma_m=_known([joint.sigma_m for joint in document.joints], np.nan),
+        tube=np.array([bar.section == "round" for bar in bars])
+        if any(bar.section == "round" for bar in bars)
+        else None,
     )
 
 

@@ -222,3 +222,24 @@ def _mesh(joints: Array, members: list[Member]) -> tuple[Array, IntArray, IntArr
 
 def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
+
+
+def build_tubes(axes: Array, radius_m: float, sides: int = 48) -> Tower:
+    """Round tubes along ``axes (M, 2, 3)``, metres, world frame, as open prisms with so many sides, of the same area as
+    the circle. Their members have the diameter for a width, and flanges that say nothing."""
+    axes, angle = np.asarray(axes, dtype=np.float64), 2 * np.pi * np.arange(sides) / sides
+    reach = radius_m * np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
+    ring, members, vertices = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1), [], []
+    for k, (start, end) in enumerate(axes):
+        first = _unit(np.cross(end - start, np.eye(3)[np.argmin(np.abs(end - start))]))
+        second = np.cross(_unit(end - start), first)
+        flanges = tuple(first.tolist()), tuple(second.tolist())
+        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *flanges))
+        across = ring @ np.stack([first, second])
+        vertices += [start + across, end + across]
+    low = np.arange(sides)
+    high = (low + 1) % sides
+    wall = np.concatenate([np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)])
+    triangles = (2 * sides * np.arange(len(axes))[:, None, None] + wall).reshape(-1, 3)
+    owner = np.repeat(np.arange(len(axes)), len(wall))
+    return Tower(axes.reshape(-1, 3), tuple(members), np.concatenate(vertices), triangles, owner, TowerSettings())

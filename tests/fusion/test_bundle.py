@@ -87,9 +87,9 @@ def moved(T, bars, k, b, n, step, size):
     return T, Bars(new, np.stack([first, np.cross(new.direction, first)], axis=1), turn, flange)
 
 
-@pytest.mark.parametrize("tilt_sigma_rad", [0.0, 0.02])
-def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad):
-    T, bars, seen = made_up(4, 0.0)
+@pytest.mark.parametrize(("tilt_sigma_rad", "tubes"), [(0.0, ()), (0.02, (1, 4))])
+def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes):
+    T, bars, seen = made_up(4, 0.0, tubes)
     bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
     T = T.copy()
     tilted = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix()  # roll and pitch, and a face seen aslant

@@ -26,11 +26,11 @@ def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flan
     rows = np.column_stack([-0.5 * flange + zero[:9], 0.6 * flange + zero[:9], cells[:9, 3:5], weight[:9], view[:9]])
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     sections.outline(2 * math.pi * turn / section_fit.TURNS, flange, corner)
-    exact = section_fit._step(cells, rows, corner, np.zeros(4), normal)
+    exact = section_fit.section_step(cells, rows, corner, np.zeros(4), normal)
     total = cells[:, 2].sum()
     move = np.linalg.solve(normal[:2, :2] + 1e-3 * total * np.eye(2), normal[:2, 4]).clip(-0.03, 0.03)
     found = np.zeros(2)
-    cost = section_fit._place(cells, rows, *section_fit._profiles(), flange, turn, found, 1)
+    cost = section_fit._place(cells, rows, *section_fit.profiles(), flange, turn, found, 1)
     assert cost == pytest.approx(exact, rel=0.02)
     assert np.linalg.norm(move) > 0.02 * flange
     assert found == pytest.approx(move, abs=0.005 * flange)

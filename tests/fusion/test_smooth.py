@@ -101,8 +101,9 @@ def test_a_flight_without_bars_comes_back_as_it_was(flown, height_m, says):
     assert found.corrected is given.corrected
 
 
-def made_up(seed: int, noise_m: float):
-    """Four posts and two beams of angle sections about a sensor that slides past, points on their near faces."""
+def made_up(seed: int, noise_m: float, tubes=()):
+    """Four posts and two beams of angle sections, some of them ``tubes``, about a sensor that slides past, points on
+    their near faces."""
     rng = np.random.default_rng(seed)
     foot = np.array([(2, -1.5), (2, -0.5), (2.5, 0.5), (2, 1.5)])
     posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]
@@ -110,6 +111,7 @@ def made_up(seed: int, noise_m: float):
     segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
     across = sections.frames(segments.direction)
     bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
+    bars.turn[list(tubes)] = np.nan
     corner = sections.outlines(bars.turn, bars.flange)
     T = np.tile(np.eye(4), (40, 1, 1))
     T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, 40), 0.2 * np.sin(np.arange(40) / 6)

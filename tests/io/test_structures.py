@@ -34,6 +34,9 @@ def assert_same(a: Structure, b: Structure) -> None:
     assert (a.joint_sigma_m is None) == (b.joint_sigma_m is None)
     if a.joint_sigma_m is not None:
         np.testing.assert_array_equal(a.joint_sigma_m, b.joint_sigma_m)
+    assert (a.tube is None) == (b.tube is None)
+    if a.tube is not None:
+        np.testing.assert_array_equal(a.tube, b.tube)
 
 
 @pytest.mark.parametrize("structure", [tower(), frame(), shifted(tower(1), UTM), Structure.empty("no “bar”")])
@@ -50,8 +53,9 @@ def test_what_is_not_known_is_null_and_may_be_missing(tmp_path: Path) -> None:
     content = json.loads(path.read_text())
     assert (content["bars"][2].pop("opening"), content["joints"][0]["sigma_m"]) == (None, None)
     content["version"] = 2
-    for part, key in ((content["bars"][0], "opening"), (content["bars"][1], "opening")):
-        part.pop(key)
+    for bar in content["bars"]:
+        bar.pop("opening", None)
+        bar.pop("section")
     for joint in content["joints"]:
         joint.pop("sigma_m")
     path.write_text(json.dumps(content))
@@ -64,6 +68,20 @@ def test_the_order_of_ties_is_kept(tmp_path: Path) -> None:
     assert_same(read_structure(tmp_path / "a.json"), mixed)
 
 
+def test_round_tubes_survive_and_files_without_sections_are_read(tmp_path: Path) -> None:
+    none = np.full(3, np.nan)
+    known = replace(frame(), opening=np.array([[0.6, 0.8, 0.0], none, none]), tube=np.array([False, True, False]))
+    (path,) = write_structure(known, tmp_path / "a.json")
+    assert_same(read_structure(path), known)
+    content = json.loads(path.read_text())
+    assert [bar["section"] for bar in content["bars"]] == ["angle", "round", None]
+    content["version"] = 3
+    for bar in content["bars"]:
+        bar.pop("section")
+    path.write_text(json.dumps(content))
+    assert_same(read_structure(path), replace(known, tube=None))
+
+
 def changed(tmp_path: Path, change) -> Path:
     """The file of a small structure, after ``change`` was applied to its content."""
     (path,) = write_structure(frame(), tmp_path / "changed.json")
@@ -74,7 +92,7 @@ def changed(tmp_path: Path, change) -> Path:
 
 
 CASES = {
-    "a later version": (lambda c: c.update(version=4), VersionError, "version = 4; expected 3"),
+    "a later version": (lambda c: c.update(version=5), VersionError, "version = 5; expected 4"),
     "version 1": (lambda c: c.update(version=1), VersionError, "version 1 is no longer read"),
     "farther than any map": (lambda c: c["bars"][0].update(start_m=[1e308, 0, 0]), FileContentError, "start_m[0]"),
     "no version": (lambda c: c.pop("version"), VersionError, "version = None"),
@@ -84,6 +102,7 @@ CASES = {
     "infinite": (lambda c: c["joints"][0].update(position_m=[0, np.inf, 0]), NonFiniteError, "joints[0].position_m[1]"),
     "text": (lambda c: c["bars"][0].update(end_m=[1, 2, "3"]), FileContentError, "bars[0].end_m[2] = 3"),
     "negative width": (lambda c: c["bars"][2].update(width_m=-1), FileContentError, "bars[2].width_m = -1"),
+    "a square bar": (lambda c: c["bars"][2].update(section="square"), FileContentError, "bars[2].section = square"),
     "misspelt": (lambda c: c["bars"][2].update(widht_m=1), FileContentError, "bars[2].widht_m"),
     "y up": (lambda c: c["frame"].update(up="y"), FileContentError, "frame.up = y"),
     "no bars": (lambda c: c.pop("bars"), FileContentError, "bars: field required"),

@@ -101,7 +101,7 @@ def test_conversion(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_bad_input_is_one_line(
     files: Path, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (files / "bad.json").write_text((files / "a.json").read_text().replace('"version": 3', '"version": 9'))
+    (files / "bad.json").write_text((files / "a.json").read_text().replace('"version": 4', '"version": 9'))
     assert cli.main(["structure", *arguments]) == 2
     err = capsys.readouterr().err
     assert words in err

@@ -1,0 +1,111 @@
+"""Round tubes: the fit of a circle, and the choice between it and an angle section, on scans of simulated bars."""
+
+import math
+
+import numpy as np
+import pytest
+
+from steelnb.fusion import reconstruct, round_fit, sections
+from steelnb.fusion.known import KnownBars
+from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.reconstruct import map_scans
+from steelnb.metrics.matching import match_members
+from steelnb.settings import StructureSettings
+from steelnb.simulation import build_tubes
+from tests import naive
+from tests.fusion.made import around, small_tower
+
+AXES = np.array([
+    [[-0.7, -0.7, 0.3], [-0.7, -0.7, 3.4]], [[0.7, 0.6, 0.3], [0.7, 0.6, 3.4]], [[0.6, -0.8, 0.4], [0.8, -0.6, 3.3]],
+    [[-0.7, -0.7, 2.6], [0.7, 0.6, 2.9]], [[-0.8, 0.8, 0.5], [0.7, 0.6, 1.5]],
+])  # fmt: skip
+SIDES = {"one side": 0.7, "all round": math.pi}
+
+
+def offsets(found, tower) -> np.ndarray:
+    """Distance of each axis to the middle of the bar found on it, metres, NaN for none."""
+    match, result = match_members(found, tower.axes, distance_max_m=0.15), np.full(len(tower.axes), np.nan)
+    for bar, member in enumerate(match.member.tolist()):
+        start, end = tower.axes[member]
+        result[member] = np.linalg.norm(np.cross(found.middle[bar] - start, end - start)) / np.linalg.norm(end - start)
+    return result
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("radius_m", [0.03, 0.05])
+def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
+    tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
+    flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
+    T = flight.prior.T_world_drone
+    plain, _ = find_bars(map_scans(flight.scans, T, settings), settings)
+    assert np.nanmedian(offsets(plain, tower)) > 0.2 * radius_m  # the bias to the near side
+    found = reconstruct(flight.scans, T, settings=settings)
+    off = offsets(found.segments, tower)
+    assert len(found) == len(AXES)
+    assert found.tube.all()
+    assert off.max() < 0.004
+    assert np.abs(found.width_m - 2 * radius_m).max() < 0.003
+    assert np.isnan(found.opening).all()
+    assert found.sigma_m.max() < 0.002
+
+
+def test_tubes_take_part_in_an_adjustment():
+    """Poses that walk off by centimetres."""
+    tower, rng = build_tubes(AXES, 0.05), np.random.default_rng(3)
+    flight = around(tower, 160, noise_m=0.01, seed=12, turn_rad=math.pi)
+    T = flight.prior.T_world_drone.copy()
+    T[1:, :3, 3] += np.cumsum(0.002 * rng.standard_normal((len(T) - 1, 3)), axis=0)
+    adjusted, plain = (reconstruct(flight.scans, T, None, StructureSettings(adjust=adjust)) for adjust in (True, False))
+    assert adjusted.tube.all()
+    assert offsets(adjusted.segments, tower).mean() < 0.5 * np.nanmean(offsets(plain.segments, tower))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_angle_sections_are_not_round(side):
+    flight = around(small_tower(), 120, noise_m=0.01, seed=11, turn_rad=SIDES[side])
+    found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
+    assert len(found) > 15
+    assert found.tube is None
+
+
+def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
+    """Cells of a tube off its assumed axis, from the directions of an arc, with noise in depth of 4 mm."""
+    view = rng.integers(0, max(1, round(arc_rad / 2 / np.pi * sections.VIEWS)), n)
+    angle = (view + 0.5) * 2 * np.pi / sections.VIEWS - np.pi
+    beside, along = radius_m * rng.uniform(-0.98, 0.98, n), rng.uniform(-0.5, 0.5, n)
+    depth = np.sqrt(radius_m**2 - beside**2) + 0.004 * rng.standard_normal(n)
+    towards, left = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+    u, v = depth * towards + beside * left + np.array([[0.012], [-0.02]]) + np.array([[0.006], [-0.004]]) * along
+    return np.column_stack([u, v, rng.uniform(0.5, 2.0, n), *towards, along, view])
+
+
+@pytest.mark.parametrize("arc_rad", [1.0, 2 * np.pi])
+@pytest.mark.parametrize("radius_m", [0.025, 0.05, 0.1])
+def test_a_circle_is_fitted_to_depths(radius_m, arc_rad):
+    cells, place, normal = seen_arc(np.random.default_rng(1), radius_m, arc_rad), np.empty(5), np.empty((5, 6))
+    cost = round_fit.fit_circle(cells, cells, place, normal)
+    assert place == pytest.approx([0.012, -0.02, 0.006, -0.004, radius_m], abs=0.0025)
+    assert math.sqrt(cost / cells[:, 2].sum()) < 0.005
+
+
+def test_a_step_is_that_of_its_slow_twin():
+    rng = np.random.default_rng(4)
+    cells, place, normal = seen_arc(rng, 0.05, 3.0), np.array([0.02, -0.01, 0.003, 0.001, 0.04]), np.empty((5, 6))
+    cost = round_fit.circle_step(cells, place, normal)
+    expected, matrix, vector = naive.circle_step(cells, place)
+    assert cost == pytest.approx(expected)
+    np.testing.assert_allclose(normal[:, :5], matrix, rtol=1e-6, atol=1e-6 * np.abs(matrix).max())
+    np.testing.assert_allclose(normal[:, 5], vector, rtol=1e-6, atol=1e-6 * np.abs(vector).max())
+
+
+def test_a_tube_of_a_map_has_its_circle_for_an_outline():
+    tower = build_tubes(AXES[:1], 0.05)
+    flight = around(tower, 160, turn_rad=math.pi)
+    known = KnownBars.of(reconstruct(flight.scans, flight.prior.T_world_drone))
+    for angle in (0.3, 2.0, 4.4):
+        cosine, sine = math.cos(angle), math.sin(angle)
+        height, rise = sections.front_face(known.corner[0], cosine, sine, 0.03)
+        assert height == pytest.approx(0.04, abs=0.002)
+        assert rise == pytest.approx(-0.75, abs=0.05)
+        assert sections.extent(known.corner[0], cosine, sine) == pytest.approx((-0.05, 0.05), abs=0.002)
+        assert sections.front_face(known.corner[0], cosine, sine, 0.06)[0] < -1e8
