@@ -135,6 +135,14 @@ def test_ifc_is_valid_and_holds_every_member(full: Structure, tmp_path: Path) ->
     assert "Width" not in ifcopenshell.util.element.get_psets(members[3])["steelnb_estimate"]
 
 
+def test_ifc_draws_a_tube_as_a_circle(tmp_path: Path) -> None:
+    ifc = pytest.importorskip("ifcopenshell", reason="the extra steelnb[io] is not installed")
+    model = ifc.open(str(written(replace(frame(), tube=np.array([False, True, False])), tmp_path, ".ifc")))
+    sections = [solid.SweptArea for solid in model.by_type("IfcExtrudedAreaSolid")]
+    assert [section.is_a("IfcCircleProfileDef") for section in sections] == [False, True, False]
+    assert sections[1].Radius == frame().width_m[1] / 2
+
+
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM])
 def test_ifc_bodies_lie_on_the_bars(origin: np.ndarray, tmp_path: Path) -> None:
     ifc = pytest.importorskip("ifcopenshell", reason="the extra steelnb[io] is not installed")
