@@ -45,10 +45,10 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
         outline(fitted.turn[b], fitted.flange[b], corner)
         other[:2], other[2:] = fitted.centre[b], fitted.slope[b]
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
-        if cost > bound * section_step(cells, edges, corner, other, equations):
+        if not cost <= bound * section_step(cells, edges, corner, other, equations):
             continue  # most bars, whose sections need not be fitted again
         _, _, _, _, least = fit_section(cells, merged, edges, face, side, other[:2], other[2:])
-        if cost > bound * least:
+        if not cost <= bound * least:
             continue
         total = cells[:, 2].sum()
         inverse = np.linalg.inv(normal[:, :PLACE] + 1e-6 * total * np.eye(PLACE)) * cost / len(cells)
