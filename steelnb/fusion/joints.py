@@ -5,10 +5,12 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from steelnb.fusion.scales import Scales
+from steelnb.fusion.structure import Structure
 from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
@@ -63,6 +65,24 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
     left, place = np.unique(tie[reached, 0], return_inverse=True)
     tie, lead = np.column_stack([place, tie[reached, 1]]), lead[reached]
     return joint[left], tie, _led(bars, joint[left], tie, lead, same_m)
+
+
+def between_joints(structure: Structure, weak: NDArray[np.bool_], same_m: float) -> Segments:
+    """The bars of a structure, the ``weak (B,)`` ones from joint to joint, if they are tied at both ends.
+
+    The points of a strut of half a metre, without those near its ends, which may be its neighbours', tell its direction
+    to some degrees. Its joints lie on the axes of longer bars, to some millimetres across these. So where the direction
+    is weakly told, the axis runs through the first and the last joint that tie the bar, if each lies within ``same_m``
+    metres of an end of it.
+    """
+    bars = structure.segments
+    start, end = bars.start.copy(), bars.end.copy()
+    for bar in np.flatnonzero(weak):
+        joint = structure.joint[structure.tie[structure.tie[:, 1] == bar, 0]]
+        along = (joint - bars.start[bar]) @ bars.direction[bar]
+        if len(joint) >= 2 and along.min() <= same_m and along.max() >= bars.length[bar] - same_m:
+            start[bar], end[bar] = joint[along.argmin()], joint[along.argmax()]
+    return Segments(start, end, bars.count, bars.radius)
 
 
 def trim_bends(bars: Segments, scales: Scales) -> Segments:

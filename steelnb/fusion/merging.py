@@ -14,20 +14,35 @@ SAMPLES = 9
 """Bounds of pieces in line and of copies, chosen with `fusion.scales.Scales`; points along a bar that are compared."""
 
 
-def merge_pieces(bars: Segments, gap_m: float, copy_m: float, aside_m: float, width_m: Array | None = None) -> Segments:
+def merge_pieces(
+    bars: Segments,
+    gap_m: float,
+    copy_m: float,
+    aside_m: float,
+    width_m: Array | None = None,
+    rise_m: float = math.inf,
+) -> Segments:
     """Join bars in line, up to ``gap_m`` apart and ``aside_m`` beside each other; drop copies; strongest first.
 
-    A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that. Where the widths of
-    bars are known ``(B,)``, NaN where not, a wide one has wider bounds: points of an angle section lie as far from its
-    centroid as 0.8 of its flange, and the middles of two views of it half a flange apart. A joined bar has the
-    moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
+    A copy runs at up to 15° to a bar with more points, and 60 % of it within ``copy_m`` of that; and across that bar it
+    rises by at most ``rise_m``, over its own length. The last bound tells a copy from a brace that leaves a chord at an
+    acute angle, and lies within ``copy_m`` of it for most of its length: a copy is a line through the points of the
+    stronger bar, which lie within a tube about it. With those points spread evenly over the tube, of radius t, a line
+    that is fitted to any part of them rises by at most t: as far as from the middle of one half of the tube to that of
+    the other, if one end has the points of one half and the other those of the other. A brace rises by its length times
+    the sine of its angle, 0.2 m for one metre at 12°. So ``rise_m`` is the radius of the tubes, if the braces are
+    wanted; without it, all of them are copies.
+
+    Where the widths of bars are known ``(B,)``, NaN where not, a wide one has wider bounds: points of an angle section
+    lie as far from its centroid as 0.8 of its flange, and the middles of two views of it half a flange apart. A joined
+    bar has the moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
     """
     width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
     while len(bars):
         order = np.argsort(-bars.count, kind="stable")
         bars, width = bars.take(order), width[order]
         copy, aside = np.maximum(copy_m, 0.8 * width), np.maximum(aside_m, 0.5 * width)
-        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy, aside)
+        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy, aside, rise_m)
         if (fate == np.arange(len(bars))).all():
             break
         bars, width = _joined(bars, fate), width[fate == np.arange(len(bars))]
@@ -61,7 +76,7 @@ def combined(pieces: Segments) -> tuple[np.ndarray, np.ndarray, int, float]:
 
 
 @njit(cache=True)
-def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyped-def]
+def _fates(start, direction, length, gap, copy, aside, rise):  # type: ignore[no-untyped-def]
     """The stronger bar that each bar joins, itself for none, or −1 for a copy. At most one join a bar and round."""
     n = len(length)
     fate = np.arange(n)
@@ -89,7 +104,8 @@ def _fates(start, direction, length, gap, copy, aside):  # type: ignore[no-untyp
                 distance = math.sqrt(max((r * r).sum() - t * t, 0.0))
                 if distance <= near_by and -near_by <= t <= length[i] + near_by:
                     near += 1
-            if near >= COPY_SHARE * SAMPLES:
+            across = length[j] * math.sqrt(max(1.0 - cosine * cosine, 0.0))
+            if near >= COPY_SHARE * SAMPLES and across <= rise:
                 fate[j] = -1
                 break
             if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j]:

@@ -24,18 +24,19 @@ GRIDS = 4
 
 
 def find_bars(
-    voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS, coarse: bool = False
+    voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS, coarse: bool = False, rise_m: float = math.inf
 ) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points, strongest first; or none, and the reason.
 
     ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``coarse``: bars may be only a few tubes apart.
+    ``rise_m``: bars that rise by more across a stronger one are no copies of it (`fusion.merging`).
     """
     tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
     points = voxel_grid(ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.contract_m), tube / math.sqrt(3))
     if len(points) < votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
     lines = segment_structure(points, tube, votes, s.length_min_m / tube, grids)
-    bars = _with_struts(voxels, lines, settings, grids)
+    bars = _with_struts(voxels, lines, settings, grids, rise_m)
     # A bar inside a lattice looks volumetric, but not most of a structure; unless the cloud is so coarse that all its
     # bars are near others: then braces claim the points of the legs, unless long bars come first.
     if len(bars) and linear_share(points, bars, 2 * tube) < LINEAR_SHARE_MIN:
@@ -45,28 +46,36 @@ def find_bars(
         left = points[~within(points, long, SHADOW * tube)]
         lines = segment_structure(left, tube, votes, s.length_min_m / tube, grids) if len(left) else Segments.empty()
         lines = Segments.joined((long, lines))
-        bars = _with_struts(voxels, lines, settings, grids)
+        bars = _with_struts(voxels, lines, settings, grids, rise_m)
     return bars, "" if len(bars) else f"none of {len(points)} points on ridges lie along a line"
 
 
-def _with_struts(voxels: VoxelMap, lines: Segments, settings: StructureSettings, grids: int) -> Segments:
-    """Bars of the lines of a voxel map, and the short ones between them.
-
-    A short bar between long ones is weak beside them, and its ends lie within their tubes: it is found in what they
-    leave.
-    """
-    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
-    bars = merge_pieces(lines, s.gap_max_m, settings.copy_distance_m, tube)
+def _with_struts(voxels: VoxelMap, lines: Segments, settings: StructureSettings, grids: int, rise_m: float) -> Segments:
+    """Bars of the lines of a voxel map, and the short ones between them."""
+    gap_m, tube = Scales.at(settings.tube_m).gap_max_m, settings.tube_m
+    bars = merge_pieces(lines, gap_m, settings.copy_distance_m, tube, rise_m=rise_m)
     if not len(bars):
         return bars
-    hidden = within(voxels.means(), bars, s.strut_hide_m)
+    more = find_struts(voxels, bars, settings, Scales.at(tube).strut_hide_m, grids)
+    return merge_pieces(Segments.joined((bars, more)), gap_m, settings.copy_distance_m, tube, rise_m=rise_m)
+
+
+def find_struts(
+    voxels: VoxelMap, bars: Segments, settings: StructureSettings, hide_m: float, grids: int = GRIDS
+) -> Segments:
+    """Short bars between the ``bars`` of a voxel map.
+
+    A short bar between long ones is weak beside them, and its ends lie within their tubes: it is found in what they
+    leave, the voxels further than ``hide_m`` from all of them.
+    """
+    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
+    hidden = within(voxels.means(), bars, hide_m)
     left = ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.strut_contract_m, hidden)
     left = voxel_grid(left, s.strut_tube_m / math.sqrt(3))
     if len(left) < votes:
-        return bars
+        return Segments.empty()
     more = segment_structure(left, s.strut_tube_m, votes, s.strut_length_min_m / s.strut_tube_m, grids)
-    more = more.take(_between_bars(more, bars, s.reach_m, tube))
-    return merge_pieces(Segments.joined((bars, more)), s.gap_max_m, settings.copy_distance_m, tube)
+    return more.take(_between_bars(more, bars, s.reach_m, tube))
 
 
 def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,12 @@ from steelnb.errors import EmptyCloudError, SettingsError
 from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.joints import find_joints, trim_bends
+from steelnb.fusion.joints import between_joints, find_joints, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.proposals import find_bars, find_struts
 from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
@@ -28,8 +28,10 @@ from steelnb.types import Array, IntArray, Scan, Segments
 
 END_TUBES = 1.2
 """Points within this many tubes of the ends of a bar are left out of the fit of its section."""
-TILT_MAX_RAD = 0.05
-"""A bar whose direction has a larger standard deviation is left out."""
+TILT_TOLD_RAD, TILT_MAX_RAD = 0.02, 0.1
+"""A bar whose direction has a standard deviation above the first is not turned by the fit of its section, and runs from
+joint to joint in the end; above the second it is left out. Chosen on the development seed 11; see
+benchmarks/structure.md."""
 CHUNK = 1 << 17
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
@@ -72,15 +74,19 @@ def reconstruct(
         if fitted is not None:
             T_world_sensor = flight.adjusted(fitted)
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
-    bars, reason = find_bars(flight.voxels, settings)
+    bars, reason = find_bars(flight.voxels, settings, rise_m=settings.tube_m)
     if not len(bars):
         return Structure.empty(reason)
-    _, bars = flight.refine(bars)
-    fitted = flight.fit(trim_bends(bars, scales), every=1, pixels=2)
+    bars = flight.refine_closely(bars)
+    # Short bars that the first axes hid, through the middles of their points, show between those of fitted sections.
+    more = find_struts(flight.voxels, bars, settings, settings.tube_m)
+    bars = flight.refine_closely(flight.merged(Segments.joined((bars, more))))
+    fitted = flight.fit(trim_bends(bars, scales), every=1)
     fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # not NaN: too few points to tell a section
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
-    return _tied(fitted, scales)
+    structure = _tied(fitted, scales)
+    return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_TOLD_RAD, scales.same_m))
 
 
 def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
@@ -235,6 +241,22 @@ class MappedScans:
         fitted = self.fit(trim_bends(bars, scales), every)
         tied = _tied(fitted, scales).segments
         return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
+
+    def refine_closely(self, bars: Segments) -> Segments:
+        """As `refine` for the last passes: a fit that does not tell the direction of a bar does not turn it, and braces
+        at an acute angle to their chord are no copies of it (`merged`)."""
+        scales = Scales.at(self.settings.tube_m)
+        bars = trim_bends(bars, scales)
+        fitted = self.fit(bars, every=5)
+        told = (fitted.tilt <= TILT_TOLD_RAD)[:, None]
+        start, end = np.where(told, fitted.bars.start, bars.start), np.where(told, fitted.bars.end, bars.end)
+        fitted = replace(fitted, bars=Segments(start, end, bars.count, bars.radius))
+        return self.merged(_tied(fitted, scales).segments, fitted.width)
+
+    def merged(self, bars: Segments, width_m: Array | None = None) -> Segments:
+        """Pieces and copies merged; a bar that rises by more than a tube across a stronger one is no copy of it."""
+        s = self.settings
+        return merge_pieces(bars, Scales.at(s.tube_m).gap_max_m, s.copy_distance_m, s.tube_m, width_m, s.tube_m)
 
     def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason."""

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import Structure
-from steelnb.fusion.joints import find_joints, nearest_point, trim_bends
+from steelnb.fusion.joints import between_joints, find_joints, nearest_point, trim_bends
 from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.scales import Scales
 from steelnb.types import Segments
@@ -52,6 +52,51 @@ def test_a_wide_bar_has_wide_copies_and_pieces():
     merged = merge_pieces(bars, 0.3, 0.12, 0.06, width)
     assert sorted(np.round(merged.length, 1)) == [3.0, 5.0]
     assert len(merge_pieces(bars.take(np.array([3, 1, 2, 0])), 0.3, 0.12, 0.06, width[[3, 1, 2, 0]])) == 2
+
+
+def test_a_brace_at_an_acute_angle_to_its_chord_is_no_copy():
+    """The arm of a tower: chords 0.4 m apart at the body that meet at the tip, and braces between them at 11° and 14°.
+    By angle and distance alone, both braces pass for copies of the chord that they leave."""
+    upper, lower = [[0, 0, 0.4], [2.4, 0, 0]], [[0, 0, 0], [2.4, 0, 0]]
+    braces = [[0.5, 0, 0], [1.4, 0, 0.17]], [[1.4, 0, 0], [2.1, 0, 0.18]]
+    along, across = (
+        [[0.3, 0.03, 0], [1.5, -0.02, 0.02]],
+        [[0.4, -0.02, 0.0], [1.8, 0.03, 0.0]],
+    )  # fits to the chord's points
+    bars = bars_of(upper, lower, *braces, along, across)
+    assert len(merge_pieces(bars, 0.3, 0.2, 0.06)) == 2
+    merged = merge_pieces(bars, 0.3, 0.2, 0.06, rise_m=0.06)
+    assert sorted(np.round(merged.length, 2)) == sorted(np.round(bars.length[:4], 2))
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.floats(0.3, 3), st.floats(5, 14))
+def test_a_bar_across_a_stronger_one_stays_if_it_rises_by_more_than_the_bound(seed, length, angle_deg):
+    """In any place and heading: both through one point, the weaker one near the stronger over all its length."""
+    up = np.radians(angle_deg)
+    rise = length * np.sin(up)
+    assume(rise < 0.3 and abs(rise - 0.06) > 1e-6)
+    half = 0.5 * length * np.array([np.cos(up), 0, np.sin(up)])
+    bars = bars_of([[-2.5, 0, 0], [2.5, 0, 0]], np.array([-half, half])).transformed(rigid(seed))
+    assert len(merge_pieces(bars, 0.3, 0.2, 0.06, rise_m=0.06)) == 1 + (rise > 0.06)
+    assert len(merge_pieces(bars, 0.3, 0.2, 0.06)) == 1
+
+
+def test_a_bar_of_weak_direction_runs_from_joint_to_joint_if_it_is_tied_at_both_ends():
+    posts = [[0, 0, 0], [0, 0, 2]], [[0.5, 0, 0], [0.5, 0, 2]]
+    strut, loose = [[0.03, 0.02, 1], [0.45, -0.03, 1.04]], [[0.02, 0, 1.6], [0.3, 0, 1.6]]
+    joint, tie, led = find_joints(bars_of(*posts, strut, loose), np.full(4, 0.06), SCALES)
+    structure = structure_of_bars(np.stack([led.start, led.end], axis=1), joint, tie)
+    weak = np.array([True, False, True, True])
+    straight = between_joints(structure, weak, SCALES.same_m)
+    own = joint[tie[tie[:, 1] == 2, 0]]
+    assert len(own) == 2
+    np.testing.assert_allclose(np.sort([straight.start[2], straight.end[2]], axis=0), np.sort(own, axis=0))
+    for bar in (0, 1, 3):
+        np.testing.assert_array_equal(straight.start[bar], led.start[bar])
+        np.testing.assert_array_equal(straight.end[bar], led.end[bar])
+    told = between_joints(structure, np.zeros(4, dtype=bool), SCALES.same_m)
+    np.testing.assert_array_equal(told.end, led.end)
 
 
 def test_bars_are_extended_to_the_first_that_they_meet():
