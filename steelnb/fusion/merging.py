@@ -34,15 +34,16 @@ def merge_pieces(
     wanted; without it, all of them are copies.
 
     Where the widths of bars are known ``(B,)``, NaN where not, a wide one has wider bounds: points of an angle section
-    lie as far from its centroid as 0.8 of its flange, and the middles of two views of it half a flange apart. A joined
-    bar has the moments of its pieces, each taken for a uniform bar of its points: they add exactly, whatever the order.
+    lie as far from its centroid as 0.8 of its flange, which is then the radius of its tube, and the middles of two
+    views of it half a flange apart. A joined bar has the moments of its pieces, each taken for a uniform bar of its
+    points: they add exactly, whatever the order.
     """
     width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
     while len(bars):
         order = np.argsort(-bars.count, kind="stable")
         bars, width = bars.take(order), width[order]
         copy, aside = np.maximum(copy_m, 0.8 * width), np.maximum(aside_m, 0.5 * width)
-        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy, aside, rise_m)
+        fate = _fates(bars.start, bars.direction, bars.length, gap_m, copy, aside, np.maximum(rise_m, 0.8 * width))
         if (fate == np.arange(len(bars))).all():
             break
         bars, width = _joined(bars, fate), width[fate == np.arange(len(bars))]
@@ -105,7 +106,7 @@ def _fates(start, direction, length, gap, copy, aside, rise):  # type: ignore[no
                 if distance <= near_by and -near_by <= t <= length[i] + near_by:
                     near += 1
             across = length[j] * math.sqrt(max(1.0 - cosine * cosine, 0.0))
-            if near >= COPY_SHARE * SAMPLES and across <= rise:
+            if near >= COPY_SHARE * SAMPLES and across <= rise[i]:
                 fate[j] = -1
                 break
             if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j]:

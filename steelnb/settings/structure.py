@@ -12,9 +12,9 @@ class StructureSettings(Settings):
 
     ``tube_m``: radius of the tube about a bar that holds its points; all lengths of the method are in proportion to it
     (`fusion.scales`). ``min_votes``: fewest filtered points of a bar. ``copy_distance_m``: what mostly runs within it
-    of a stronger bar is a copy of that. Points below ``floor_m`` or further from the sensor than ``range_max_m`` are
-    left out. ``adjust``: poses and bars are adjusted together. The defaults were chosen with those of
-    `fusion.scales.Scales`.
+    of a stronger bar, and hardly rises across that, is a copy of it (`fusion.merging`). Points below ``floor_m`` or
+    further from the sensor than ``range_max_m`` are left out. ``adjust``: poses and bars are adjusted together. The
+    defaults were chosen with those of `fusion.scales.Scales`.
     """
 
     tube_m: Positive = 0.06

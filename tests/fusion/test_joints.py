@@ -82,6 +82,13 @@ def test_a_bar_across_a_stronger_one_stays_if_it_rises_by_more_than_the_bound(se
     assert len(merge_pieces(bars, 0.3, 0.2, 0.06)) == 1
 
 
+def test_a_line_from_flange_to_flange_of_a_wide_leg_is_a_copy():
+    leg, across = [[0, 0, 0], [0, 0, 5]], [[-0.05, 0, 1], [0.06, 0, 2]]
+    bars, width = bars_of(leg, across), np.array([0.16, np.nan])
+    assert len(merge_pieces(bars, 0.3, 0.2, 0.06, rise_m=0.06)) == 2
+    assert len(merge_pieces(bars, 0.3, 0.2, 0.06, width, rise_m=0.06)) == 1
+
+
 def test_a_bar_of_weak_direction_runs_from_joint_to_joint_if_it_is_tied_at_both_ends():
     posts = [[0, 0, 0], [0, 0, 2]], [[0.5, 0, 0], [0.5, 0, 2]]
     strut, loose = [[0.03, 0.02, 1], [0.45, -0.03, 1.04]], [[0.02, 0, 1.6], [0.3, 0, 1.6]]
