@@ -7,6 +7,7 @@ that writes there.
 
 import contextlib
 import fcntl
+import io
 import os
 import shutil
 import tempfile
@@ -16,6 +17,8 @@ from pathlib import Path
 from steelnb.errors import FileContentError, FileMissingError, OutputError, SteelnbError
 
 PREFIX = ".steelnb-"
+LINE_BYTES_MAX = 1 << 20
+"""Longest line of a text file that is read."""
 _SHOWN = 200
 
 
@@ -41,6 +44,31 @@ def reading(
             raise FileMissingError(f"{path}: cannot be read: {fault.strerror}; expected {form}") from None
         said = " ".join(str(fault).replace(f"{path}", "it").split())[:_SHOWN].rstrip(".") or type(fault).__name__
         raise content(f"{path}: not {form}: {said}") from None
+
+
+def open_lines(path: Path) -> io.BufferedReader:
+    """Open a text file for its bytes.
+
+    Reading raises `FileContentError` for zero bytes, which are no text, and for a line of more than `LINE_BYTES_MAX`.
+    """
+    return io.BufferedReader(_Lines(path), 1 << 18)
+
+
+class _Lines(io.FileIO):
+    """A file of lines of bounded length, so that no reader holds a whole file for want of a line end."""
+
+    _since_end = 0
+
+    def readinto(self, buffer) -> int | None:  # type: ignore[no-untyped-def]
+        count = super().readinto(buffer)
+        data = bytes(memoryview(buffer)[:count])
+        last = max(data.rfind(b"\n"), data.rfind(b"\r"))
+        self._since_end = count - last - 1 if last >= 0 else self._since_end + (count or 0)
+        if b"\0" in data:
+            raise FileContentError(f"{self.name}: holds zero bytes; expected text in UTF-8 or ASCII")
+        if self._since_end > LINE_BYTES_MAX:
+            raise FileContentError(f"{self.name}: a line of more than {LINE_BYTES_MAX} bytes; expected shorter ones")
+        return count
 
 
 def plain_name(path: Path) -> str:

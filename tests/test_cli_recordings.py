@@ -303,6 +303,67 @@ def test_where_files_may_not_grow_nothing_is_left(bag, place, options):
     assert list(place.iterdir()) == []
 
 
+TOGETHER = """
+import sys, time
+from pathlib import Path
+from steelnb import cli, experiment, odometry
+def met(first):
+    def call(*given, **named):
+        Path(f"here-{sys.argv[1]}").touch()
+        while len(list(Path().glob("here-*"))) < 2:
+            time.sleep(0.01)
+        return first(*given, **named)
+    return call
+experiment.simulate_anew, odometry.run = met(experiment.simulate_anew), met(odometry.run)
+sys.exit(cli.main(sys.argv[2:]))
+"""
+"""A command that waits for another one just before its work, when both have checked what they will write."""
+
+
+def both(place: Path, *commands: list[str]) -> list[tuple[int, str]]:
+    """Exit codes and errors of two commands, each in a process, neither of which is done before the other has begun."""
+    given = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    started = [subprocess.Popen([sys.executable, "-c", TOGETHER, str(k), *c], **given) for k, c in enumerate(commands)]
+    errors = [process.communicate(timeout=300)[1] for process in started]
+    for file in place.glob("here-*"):
+        file.unlink()
+    return sorted((process.returncode, error) for process, error in zip(started, errors, strict=True))
+
+
+def test_of_two_recordings_to_one_name_one_is_whole_and_one_is_refused(place):
+    commands = [["record", "a.mcap", *SMALL, "--noise", "none", "--seed", seed] for seed in "45"]
+    (code, _), (refused, error) = both(place, *commands)
+    assert (code, refused) == (0, 2)
+    *stages, error = error.splitlines()  # on a slow machine stages are told before
+    assert re.fullmatch(r"steelnb: error: \S*a\.\S+: exists already; expected a new name, or .*", error)
+    assert not [line for line in stages if "rror" in line or "Traceback" in line], stages
+    assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
+    prior, truth = read_flight("a.mcap").prior, read_truth("a.mcap")
+    np.testing.assert_allclose(prior.position, truth.at(prior.stamp_s).position, atol=1e-9)
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_of_two_runs_into_one_new_folder_the_files_are_those_of_one(bag, place, force):
+    options = ["--no-viewer", "--no-structure", "--noise", "random-walk:0.01", *(["--force"] if force else [])]
+    for seed in "45":
+        assert cli.main(["run", str(bag), "-o", seed, "--seed", seed, *options]) == 0
+    ended = both(place, *(["run", str(bag), "-o", "out", "--seed", seed, *options] for seed in "45"))
+    assert [code for code, _ in ended] == [0, 0 if force else 2], ended
+    assert sorted(file.name for file in place.iterdir()) == ["4", "5", "out"]
+    assert os.listdir(place / "4") != []
+    same = ["prior.tum", "corrected.tum", "map.ply", "trajectories.png"]
+    sources = {
+        seed
+        for seed in "45"
+        for name in same
+        if (place / "out" / name).read_bytes() == (place / seed / name).read_bytes()
+    }
+    assert len(sources) == 1
+    (seed,) = sources
+    assert sorted(os.listdir(place / "out")) == sorted(os.listdir(place / seed))
+    assert all((place / "out" / name).read_bytes() == (place / seed / name).read_bytes() for name in same)
+
+
 def test_ctrl_c_is_exit_130_and_leaves_nothing(bag, place, capfd, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import platform
+import random
 import re
 import shutil
 import signal
@@ -380,6 +381,26 @@ def test_a_stopped_run_leaves_no_process_and_the_next_one_resumes(
     assert main(["reproduce", "pair"]) == 0
     assert started(capsys.readouterr().err) == {"pair/orbit"}
     assert len(json.loads((root / "results" / "pair" / "metrics.json").read_text())) == 6
+
+
+def test_runs_killed_at_any_moment_end_with_the_same_bytes(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, chance = make_project(tmp_path / "project"), random.Random(7)
+    whole = {name: data for name, data in contents(finished).items() if name.startswith("results")}
+    for attempt, number in enumerate((signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGKILL)):
+        end_s = time.monotonic() + chance.uniform(0.5, 9.0)
+        interrupt(root, number, lambda end_s=end_s: time.monotonic() > end_s, f"{os.getpid()}-any-{attempt}")
+        for name, data in contents(root).items():
+            if name.startswith("results") and not name.endswith("timing.csv") and ".steelnb-" not in name:
+                assert whole[name] == data, name
+    monkeypatch.chdir(root)
+    assert main(["reproduce"]) == 0
+    now = contents(root)
+    assert {name: now[name] for name in whole if "timing" not in name} == {
+        name: data for name, data in whole.items() if "timing" not in name
+    }
+    assert not [name for name in now if ".steelnb-" in name]
 
 
 def test_check_compares_a_second_run_with_the_last_commit(project: Path, capsys: pytest.CaptureFixture) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.errors import EmptyCloudError, FileContentError
+from steelnb.files import open_lines
 from steelnb.types import Array
 
 _NAN = ("nan", "-nan", "NaN", "-NaN", "NAN")
@@ -41,7 +42,7 @@ def text_chunks(path: Path, layout: TextLayout, size: int) -> Iterator[Array]:
     if layout.rows == 0:
         return
     try:
-        with path.open("rb") as file, pd.read_csv(
+        with open_lines(path) as file, pd.read_csv(
             file, sep=layout.separator or r"\s+", decimal=layout.decimal, header=None, usecols=sorted(layout.columns),
             dtype=np.float64, skiprows=layout.skip, nrows=layout.rows, comment="#", skipinitialspace=True,
             quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=list(_NAN), encoding="utf-8",
@@ -62,9 +63,9 @@ def sniff(path: Path) -> TextLayout:
 
     Comment lines (``#``, ``//``), a count of points on its own line (PTS) and one line of column names may come first.
     Columns named x, y and z are used wherever they are; without such names, the first three. A comma is a decimal sign
-    beside semicolons or tabs. Raises `EmptyCloudError`.
+    beside semicolons or tabs. Raises `EmptyCloudError`, or `FileContentError` where the file is not text.
     """
-    with path.open("rb") as file:
+    with open_lines(path) as file:
         sample = file.read(_SAMPLE_BYTES)
     columns: tuple[int, int, int] | None = None
     rows: int | None = None

@@ -1,5 +1,6 @@
 """Trajectory files (TUM, KITTI, EuRoC) and stamps in text files and file names. NumPy reads the numbers, evo writes."""
 
+import io
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import FileContentError, RecordingError, SteelnbError, needs
-from steelnb.files import new_file, reading
+from steelnb.files import new_file, open_lines, reading
 from steelnb.fusion.uncertainty import POSE_AXES, check_covariances
 from steelnb.io.clouds import FARTHEST_M
 from steelnb.types import Array, Trajectory
@@ -166,7 +167,7 @@ def _numbers(path: Path, rows: int | None = None) -> tuple[str, Array]:
 
 def _lines(path: Path) -> Iterator[str]:
     """The lines of a text file from the first number on; bytes that are no UTF-8 are replaced."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
+    with io.TextIOWrapper(open_lines(path), "utf-8-sig", "replace") as file:
         lines = dropwhile(lambda line: not _BEGINS.match(line), file)
         yield from (line for line in lines if line.strip() and not line.startswith("#"))
 

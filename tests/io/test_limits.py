@@ -15,8 +15,9 @@ from backports import zstd
 from steelnb.errors import (
     FileContentError,
     FileMissingError,
+    SettingsError,
 )
-from steelnb.files import reading
+from steelnb.files import LINE_BYTES_MAX, open_lines, reading
 from steelnb.io import (
     bag_files,
     read_cloud,
@@ -28,8 +29,9 @@ from steelnb.io import (
     write_tum,
 )
 from steelnb.io.bag_files import bounded
+from steelnb.io.calibration import read_settings
 from steelnb.io.images import read_depth
-from steelnb.settings import read_toml
+from steelnb.settings import parse_parameter, read_toml
 from steelnb.types import Trajectory
 from tests.io.samples import KINDS, Bagged, made_up, poses
 from tests.io.test_clouds import by_laspy
@@ -61,6 +63,16 @@ def test_whatever_a_library_raises_is_one_line_with_the_name(tmp_path: Path) -> 
             raise fault
     with pytest.raises(KeyboardInterrupt), reading(tmp_path / "a", "a thing"):
         raise KeyboardInterrupt
+
+
+def test_a_line_without_an_end_is_not_held_in_memory(tmp_path: Path) -> None:
+    for name, begin in (("a.xyz", "1 2 3\n4 5 6\n"), ("a.tum", "1 0 0 0 0 0 0 1\n")):
+        (tmp_path / name).write_text(begin + "7" * (2 * LINE_BYTES_MAX))
+        with pytest.raises(FileContentError, match=f"a line of more than {LINE_BYTES_MAX} bytes"):
+            READERS[name](tmp_path / name)
+    (tmp_path / "long.txt").write_text(f"1 {'7' * (LINE_BYTES_MAX // 2)}\n" * 5)
+    with open_lines(tmp_path / "long.txt") as file:
+        assert sum(1 for _ in file) == 5
 
 
 def test_faces_of_a_ply_take_no_memory(tmp_path: Path) -> None:
@@ -201,3 +213,16 @@ def test_poses_beyond_every_map_are_left_out(tmp_path: Path) -> None:
     flight = read_flight(bag.write())
     assert flight.skipped["tf that is no transform"] == 1
     assert np.isfinite(flight.prior.T_world_drone).all()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [f"x = {'[' * 3000}{']' * 3000}", f"{'.'.join('a' * 3000)} = 1", f"x = {'9' * 5000}", "x = 1\n" + "#" * (1 << 22)],
+)
+def test_toml_of_any_depth_and_size(tmp_path: Path, content: str) -> None:
+    (tmp_path / "s.toml").write_text(content)
+    for read in (read_toml, read_settings):
+        with pytest.raises(SettingsError, match=r"s\.toml") as caught:
+            read(tmp_path / "s.toml")
+        assert len(str(caught.value)) < 500
+    assert parse_parameter(f"x={'[' * 3000}")[0] == "x"
