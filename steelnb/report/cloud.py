@@ -59,7 +59,8 @@ def segment_file(
     voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
     filtered points of a bar, and the least number by which those in its tube outweigh those around it. With
     ``structure``, the final reconstruction, its lengths in proportion to dx, goes to ``structure.json``: bars, joints,
-    and which joint ties which bars; a cloud without bars gives an empty one, with the reason.
+    and which joint ties which bars; a cloud without bars gives an empty one, with the reason. ``segments.png`` and
+    ``structure.png`` show what was found.
 
     Raises the errors of `read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
     """
@@ -88,12 +89,15 @@ def segment_file(
         }  # fmt: skip
         write_segments(folder, found, cloud.origin, groups, about)
         built = _structure(cloud, dx, folder, name) if structure else None
-        from steelnb.report.three_views import figure_segments
+        from steelnb.report.three_views import figure_segments, figure_structure
 
         title = (
             f"{name}: {counted(len(found), 'segment')}, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
         )
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
+        if built:
+            placed = cloud.points + cloud.origin
+            figure_structure(placed, built, f"{name}: {_counts(built)}").savefig(folder / "structure.png", dpi=150)
     seconds = time.perf_counter() - began
     segments = found.moved(cloud.origin)
     summary = (
@@ -103,7 +107,9 @@ def segment_file(
         f"({100 * filtered:.0f} % of the filtered ones)",
         *_summary_of_segments(segments, groups),
         *([_summary_of_structure(built)] if built is not None else []),
-        f"written   {target}/: segments.csv, .json, .obj, .ply, .png{'; structure.json' if structure else ''}",
+        f"written   {target}/: segments.csv, .json, .obj, .ply, .png"
+        + ("; structure.json" if structure else "")
+        + (", .png" if built else ""),
     )
     return SegmentReport(target, segments, built, voxel, dx, explained, filtered, seconds, summary)
 
@@ -164,5 +170,8 @@ def _summary_of_structure(structure: Structure) -> str:
     if not len(structure):
         return f"structure empty: {structure.reason}"
     pieces = structure.graph().number_of_edges()
-    bars, joints = counted(len(structure), "bar"), counted(len(structure.joint), "joint")
-    return f"structure {bars}, {joints}, {counted(pieces, 'piece')} of bars between joints"
+    return f"structure {_counts(structure)}, {counted(pieces, 'piece')} of bars between joints"
+
+
+def _counts(structure: Structure) -> str:
+    return f"{counted(len(structure), 'bar')}, {counted(len(structure.joint), 'joint')}"

@@ -8,6 +8,7 @@ import numpy as np
 from steelnb.fusion.changes import Changes
 from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
+from steelnb.io.segments import orientation
 from steelnb.report.style import (
     COLOURS,
     INDIGO,
@@ -32,6 +33,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
 """Kinds of `Changes` in the order in which they are drawn: nothing that has changed may lie below what has not."""
+JOINT: dict[str, Any] = {"color": INDIGO, "marker": "o", "ls": "", "ms": 2.5, "mew": 0.8}
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
 
@@ -39,12 +41,24 @@ Layer = tuple[str, dict[str, Any], Array]
 @style()
 def figure_segments(points: Array, segments: Segments, groups: Sequence[str], title: str) -> Figure:
     """Points ``(N, 3)`` in grey, segments coloured by their class of orientation."""
+    return figure_layers(layers_by_group(segments, groups), title, thinned(points, POINTS_MAX))
+
+
+@style()
+def figure_structure(points: Array, structure: Structure, title: str) -> Figure:
+    """Points ``(N, 3)`` in grey, bars coloured by their class of orientation, joints as dots."""
+    layers = layers_by_group(structure.segments, orientation(structure.segments))
+    layers.append((f"joints ({len(structure.joint)})", JOINT, structure.joint))
+    return figure_layers(layers, title, thinned(points, POINTS_MAX))
+
+
+def layers_by_group(segments: Segments, groups: Sequence[str]) -> list[Layer]:
+    """Segments in a layer for each of `GROUPS`, of which ``groups`` names one for each segment."""
     ends, of = end_points(segments), np.array(groups)
-    layers = [
+    return [
         (f"{name.replace('_', ' ')} ({np.count_nonzero(of == name)})", {"color": colour, "lw": 1.1}, ends[of == name])
         for name, colour in GROUPS.items()
     ]
-    return figure_layers(layers, title, thinned(points, POINTS_MAX))
 
 
 @style()
@@ -114,7 +128,8 @@ def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = Non
             if shapes.ndim == 3:
                 draw_lines(panel, drawn, colors=look["color"], linewidths=look["lw"], linestyles=look.get("ls", "-"))
             else:
-                panel.plot(*drawn.T, "o", mfc="none", mec=look["color"], ms=6, mew=1.5)
+                ring = {"ms": look.get("ms", 6), "mew": look.get("mew", 1.5)}
+                panel.plot(*drawn.T, "o", mfc="none", mec=look["color"], **ring)
         middle = (flat[name].min(axis=0) + flat[name].max(axis=0)) / 2
         (left, right), (bottom, top) = np.stack([middle - size / 2, middle + size / 2], axis=1)
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", title=name, xlabel="(m)", ylabel="height (m)")

@@ -20,7 +20,7 @@ from steelnb.report.cloud import segment_file
 from steelnb.types import Segments
 from tests.lattice import lattice, scanned, thinned
 
-FILES = {"segments.csv", "segments.json", "segments.obj", "segments.ply", "segments.png", "structure.json"}
+FILES = {f"segments.{ending}" for ending in ("csv", "json", "obj", "ply", "png")} | {"structure.json", "structure.png"}
 UTM = np.array([299100.0, 2801400.0, 1900.0])
 
 
@@ -149,7 +149,7 @@ def test_the_same_file_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None
 def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
     given = ["-o", str(tmp_path / "cli"), "--voxel", "0.05", "--dx", "0.2", "--min-votes", "30", "--no-structure"]
     assert cli.main(["segment", str(saved), *given]) == 0
-    assert {path.name for path in (tmp_path / "cli").iterdir()} == FILES - {"structure.json"}
+    assert {path.name for path in (tmp_path / "cli").iterdir()} == FILES - {"structure.json", "structure.png"}
     found = json.loads((tmp_path / "cli" / "segments.json").read_text())
     assert found["settings"] == {"voxel_m": 0.05, "dx_m": 0.2, "min_votes": 30}
     assert min(segment["count"] for segment in found["segments"]) >= 30
@@ -209,7 +209,8 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
         report = segment_file(path, tmp_path / "out")
     except SteelnbError as fault:
         pytest.fail(str(fault))
-    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
+    undrawn = set() if report.structure else {"structure.png"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES - undrawn
     if shape in ("line", "upright"):
         assert report.segments.length.max() == pytest.approx(30, abs=0.2)
         assert report.explained == 1.0
@@ -223,6 +224,7 @@ def test_the_structure_of_a_cloud_ties_its_bars_at_joints_in_the_coordinates_of_
     np.savetxt(path, scanned(bars, 100, 0.07, 0.01), delimiter=",", fmt="%.3f")
     report = segment_file(path, tmp_path / "out")
     assert report.structure is not None
+    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
     written = read_structure(tmp_path / "out" / "structure.json")
     np.testing.assert_array_equal(written.joint, report.structure.joint)
     right, seen = score(written.segments, bars, 0.1)
@@ -241,6 +243,7 @@ def test_a_cloud_without_bars_has_an_empty_structure_that_says_why(tmp_path: Pat
     report = segment_file(path, tmp_path / "out")
     assert report.structure is not None
     assert len(report.structure) == len(read_structure(tmp_path / "out" / "structure.json")) == 0
+    assert not (tmp_path / "out" / "structure.png").exists()
     assert f"structure empty: {report.structure.reason}" in report.summary
     assert read_structure(tmp_path / "out" / "structure.json").reason == report.structure.reason != ""
     assert segment_file(path, tmp_path / "fine", dx_m=1e-7, voxel_m=1e-7).structure is not None
