@@ -17,7 +17,9 @@ from steelnb.fusion.sections import cells_of, outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Where the search starts."""
-RADIUS_MIN_M, RADIUS_MAX_M = 0.005, 0.15
+RADIUS_MIN_M, RADIUS_MAX_M, WIDEST_M = 0.005, 0.15, 0.12
+"""Bounds of the search, and the largest radius of a tube: nearly flat faces are arcs of 14 cm and more, and one of them
+was taken for a tube on the development seed 13."""
 COST_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
 """A bar is round if a circle leaves at most this share of the squared depths that the best angle section leaves, and is
 likelier by so much: half the number of cells times the logarithm of that share, as normal residuals of unknown variance
@@ -42,6 +44,8 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
             continue
         merged = cells_of(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)
         cost = fit_circle(cells, merged, place, normal)
+        if place[4] > WIDEST_M:
+            continue
         outline(fitted.turn[b], fitted.flange[b], corner)
         other[:2], other[2:] = fitted.centre[b], fitted.slope[b]
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
