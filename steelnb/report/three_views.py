@@ -1,11 +1,10 @@
 """Front, side and perspective of bars: the pictures of `steelnb segment`, `steelnb run` and `steelnb structure A B`."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steelnb.fusion.changes import Changes
 from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
 from steelnb.io.segments import orientation
@@ -23,6 +22,9 @@ from steelnb.report.style import (
     thinned,
 )
 from steelnb.types import Array, Segments
+
+if TYPE_CHECKING:  # imports scipy.stats, which takes longer than a small cloud
+    from steelnb.fusion.changes import Changes
 
 GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
 LOOKS: dict[str, dict[str, Any]] = {
@@ -82,7 +84,7 @@ def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str)
 
 
 @style()
-def figure_changes(changes: Changes, title: str) -> Figure:
+def figure_changes(changes: "Changes", title: str) -> Figure:
     """The bars of a map and the new ones, coloured by kind."""
     ends = end_points(changes.segments)
     layers = [(f"{kind}: {len(changes.of(kind))}", LOOKS[kind], ends[changes.of(kind)]) for kind in CHANGES]

@@ -93,9 +93,9 @@ def test_conversion(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["a.json", "-o", "out"], "expected two structures to compare"),
         (["a.json", "b.json", "--angle", "-1"], "angle_deg = -1.0: input should be greater than or equal to 0"),
         (["a.json", "b.json", "-o", "a.json"], "a.json"),
-        (["bad.json"], "bad.json: version = 9; expected 3"),
-        (["a.json", "bad.json"], "bad.json: version = 9; expected 3"),
-        (["bad.json", "--to", "x.csv"], "bad.json: version = 9; expected 3"),
+        (["bad.json"], "bad.json: version = 9; expected 4"),
+        (["a.json", "bad.json"], "bad.json: version = 9; expected 4"),
+        (["bad.json", "--to", "x.csv"], "bad.json: version = 9; expected 4"),
     ],
 )
 def test_bad_input_is_one_line(
