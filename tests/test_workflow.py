@@ -20,6 +20,7 @@ import pytest
 
 from steelnb.errors import FileMissingError
 from steelnb.keys import find_root
+from workflow import task_notebooks
 from workflow.__main__ import main, make_plans
 from workflow.check import CheckSettings, differences, read_committed, read_results
 from workflow.experiments import read_experiments
@@ -173,7 +174,7 @@ def test_fresh_run_merges_parts(finished: Path) -> None:
         assert text not in (pair / "provenance.json").read_text()
     assert "cores" in (single / "timing.csv").read_text()
     assert not list(finished.rglob(".steelnb-*"))
-    assert not list(finished.rglob("scratch"))
+    assert not list(finished.rglob("scratch*"))
     assert not (finished / "notebooks" / "tiny.ipynb").read_text().count("output_type"), "the notebook was written to"
 
 
@@ -381,6 +382,22 @@ def test_a_stopped_run_leaves_no_process_and_the_next_one_resumes(
     assert main(["reproduce", "pair"]) == 0
     assert started(capsys.readouterr().err) == {"pair/orbit"}
     assert len(json.loads((root / "results" / "pair" / "metrics.json").read_text())) == 6
+
+
+def test_what_a_killed_run_removes_late_is_not_of_the_next_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Path] = []
+
+    def build(tasks, events, *_):
+        for earlier in seen:  # as its workers do, which may end after the next run has begun
+            shutil.rmtree(earlier, ignore_errors=True)
+        assert events.scratch.is_dir()
+        seen.append(events.scratch)
+        return events.report
+
+    monkeypatch.setattr(task_notebooks, "_build", build)
+    for _ in range(2):
+        task_notebooks.run([], tmp_path / "cache")
+    assert len(seen) == 2
 
 
 def test_runs_killed_at_any_moment_end_with_the_same_bytes(

@@ -89,16 +89,17 @@ def part_folder(cache: Path, part: Part) -> Path:
     return cache / "parts" / part.experiment.id / (part.name or "all")
 
 
-def make_tasks(plans: Sequence[Plan], cache: Path, mark: str, force: bool = False) -> list[Task]:
-    """A task for each part and one for each experiment; with ``force``, none of them reads arrays of former runs."""
+def make_tasks(plans: Sequence[Plan], cache: Path, scratch: Path, mark: str, force: bool = False) -> list[Task]:
+    """A task for each part, which runs in ``scratch``, and one for each experiment; with ``force``, none of them reads
+    arrays of former runs."""
     tasks = []
     for plan in plans:
         stores = {}
         for part in plan.parts:
             store = stores[part.name or "all"] = Folder(f"part {part.label}", part_folder(cache, part))
             key = Value(name=f"key {part.label}", value=part.key(), hash=True)
-            arrays = cache / "scratch" / "arrays" if force else part.root / ".cache"
-            run = partial(run_part, part, os.getpid(), mark, cache / "scratch", arrays)
+            arrays = scratch / "arrays" if force else part.root / ".cache"
+            run = partial(run_part, part, os.getpid(), mark, scratch, arrays)
             tasks.append(Task(name=part.label, function=run, depends_on={"key": key}, produces={"store": store}))
         about = {"experiment": plan.experiment.id, "notebook": plan.experiment.notebook, "budget": plan.budget}
         name = os.path.relpath(plan.folder, cache)
@@ -113,13 +114,16 @@ def run(plans: Sequence[Plan], cache: Path, jobs: int = 2, force: bool = False) 
 
     SIGINT, SIGTERM and SIGHUP end all workers and kernels and raise SystemExit; files are whole whenever that happens.
     """
-    mark, scratch = f"{os.getpid()}-{time.time_ns()}:", cache / "scratch"
+    name = f"{os.getpid()}-{time.time_ns()}"
+    # Workers of a run that was killed remove its folder when they have ended, which may be after this one began.
+    mark, scratch = f"{name}:", cache / f"scratch-{name}"
     with locked(cache), stopped(mark):
-        shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed
+        for left in cache.glob("scratch-*"):
+            shutil.rmtree(left, ignore_errors=True)
         scratch.mkdir()
         os.environ[RUN_VARIABLE] = mark
         try:
-            return _build(make_tasks(plans, cache, mark, force), Events(plans, scratch), cache, jobs, force)
+            return _build(make_tasks(plans, cache, scratch, mark, force), Events(plans, scratch), cache, jobs, force)
         finally:
             del os.environ[RUN_VARIABLE]
             kill_marked(mark)
