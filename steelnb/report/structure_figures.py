@@ -32,6 +32,7 @@ from steelnb.report.style import (
     project_perspective,
     style,
 )
+from steelnb.report.words import worded
 from steelnb.simulation import Tower
 from steelnb.types import Array
 
@@ -189,7 +190,7 @@ def figure_near_side(bias: pd.DataFrame, source: StructureFlight) -> Figure:
 def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
     """A panel for each goal: a dot a flight, by tower and method, from a `structure_table`.
 
-    The goal is the dashed line; lines through dots are means. Names and units are those of the table.
+    The goal is the dashed line; lines through dots are means.
     """
     towers, methods = list(table["tower"].unique()), list(table["method"].unique())
     figure = Figure(figsize=(12.5, 8.6))
@@ -199,7 +200,7 @@ def figure_goals(table: pd.DataFrame, goals: pd.DataFrame) -> Figure:
             values = own[goal["goal"]].to_numpy()
             draw_sample(panel, place, values, COLOURS[str(method)], MARKERS[str(method)], markersize=4.5)
         panel.axhline(goal["limit"], color=DARK_GREY, linestyle="--", linewidth=1.2)
-        panel.set_title(f"{goal['goal']}: {goal['side']} {goal['limit']:g}", fontsize=11)
+        panel.set_title(f"{worded(goal['goal'])}: {goal['side']} {goal['limit']:g}", fontsize=11)
         panel.set_xticks(range(len(towers)), towers)
         panel.grid(axis="x", visible=False)
     keys: dict[str, dict[str, Any]] = {m: {"color": COLOURS[m], "marker": MARKERS[m], "ls": ""} for m in methods}

@@ -137,6 +137,9 @@ def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
     drawn = figures.figure_goals(table, goals).axes
     assert [panel.get_title().split(":")[0] for panel in drawn[:2]] == ["recall", "precision"]
     assert len(drawn) == len(goals) == 12
+    assert {"offset p90 (m)", "edge recall", "angle median (°)", "ATE (m)"} <= {
+        panel.get_title().split(":")[0] for panel in drawn
+    }
     assert drawn[0].lines[0].get_ydata() == pytest.approx(table["recall"].iloc[:1])
 
 
