@@ -202,7 +202,7 @@ HUGE = "ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nprope
         ("a.csv", "x,y,z\n1,2,3\n1,,3\n", FileContentError, "could not convert"),
         ("a.csv", "x,y,z\n1,2\n", FileContentError, "a.csv"),
         ("a.txt", "1 2 3\n4 5 1e20\n", FileContentError, "1e[+]20"),
-        ("a.txt", "\0\1\2", EmptyCloudError, "no line with a point"),
+        ("a.txt", "\0\1\2", FileContentError, "zero bytes"),
         ("a.pts", "3\n1 2 3\n4 5 6\n", FileContentError, "2 points, expected the 3"),
         ("a.ply", "plx\nend_header\n", FileContentError, "expected 'ply'"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vertex 2\nend_header\n", FileContentError, "expected x, y and z"),
