@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numba import njit
 
 from steelnb.settings import FusionSettings
 from steelnb.types import Array, IntArray, Segments
@@ -27,20 +28,38 @@ def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntAr
 
 def pair_distance(new: Segments, known: Segments, settings: FusionSettings) -> Array:
     """Distances across ``(M, K)`` in metres between all pairs; infinite for pairs that do not match."""
-    axis = known.direction
-    parallel = np.abs(new.direction @ axis.T) >= math.cos(settings.angle_max_rad)
-    begin, length = known.start, known.length
-    t_start = new.start @ axis.T - (begin * axis).sum(axis=1)
-    t_end = new.end @ axis.T - (begin * axis).sum(axis=1)
-    low, high = np.minimum(t_start, t_end), np.maximum(t_start, t_end)
-    gap = np.maximum(low - length, -high)
+    return _pair_distance(
+        new.start, new.end, new.radius, known.start, known.end, known.radius, math.cos(settings.angle_max_rad),
+        settings.distance_max_m, settings.add_radii,
+    )  # fmt: skip
 
-    # Compare the axes where both are: in the middle of the overlap, or of the gap between them.
-    t_middle = 0.5 * (np.clip(low, 0, length) + np.clip(high, 0, length))
-    run = t_end - t_start
-    share = np.clip((t_middle - t_start) / np.where(np.abs(run) < 1e-9, 1e-9, run), 0, 1)
-    at_new = new.start[:, None] + share[..., None] * (new.end - new.start)[:, None]
-    across = at_new - begin - ((at_new - begin) * axis).sum(axis=2)[..., None] * axis
-    distance = np.linalg.norm(across, axis=2)
-    limit = settings.distance_max_m + (new.radius[:, None] + known.radius if settings.add_radii else 0.0)
-    return np.where(parallel & (gap <= GAP_MAX_M) & (distance <= limit), distance, np.inf)
+
+@njit(cache=True)
+def _pair_distance(start, end, radius, known_start, known_end, known_radius, cosine_min, limit_m, add_radii):  # type: ignore[no-untyped-def]
+    distance = np.full((len(start), len(known_start)), np.inf)
+    for k in range(len(known_start)):
+        x, y, z = known_start[k, 0], known_start[k, 1], known_start[k, 2]
+        ux, uy, uz = known_end[k, 0] - x, known_end[k, 1] - y, known_end[k, 2] - z
+        length = math.sqrt(ux * ux + uy * uy + uz * uz)
+        scale = 1.0 / max(length, 1e-12)
+        ux, uy, uz = ux * scale, uy * scale, uz * scale
+        for m in range(len(start)):
+            rx, ry, rz = end[m, 0] - start[m, 0], end[m, 1] - start[m, 1], end[m, 2] - start[m, 2]
+            run = rx * ux + ry * uy + rz * uz
+            if not abs(run) >= cosine_min * max(math.sqrt(rx * rx + ry * ry + rz * rz), 1e-12):
+                continue
+            ax, ay, az = start[m, 0] - x, start[m, 1] - y, start[m, 2] - z
+            t_start = ax * ux + ay * uy + az * uz
+            low, high = min(t_start, t_start + run), max(t_start, t_start + run)
+            if max(low - length, -high) > GAP_MAX_M:
+                continue
+            # Compare the axes where both are: in the middle of the overlap, or of the gap between them.
+            t_middle = 0.5 * (min(max(low, 0.0), length) + min(max(high, 0.0), length))
+            share = min(max((t_middle - t_start) / (run if abs(run) > 1e-9 else 1e-9), 0.0), 1.0)
+            ax, ay, az = ax + share * rx, ay + share * ry, az + share * rz
+            t = ax * ux + ay * uy + az * uz
+            ax, ay, az = ax - t * ux, ay - t * uy, az - t * uz
+            across = math.sqrt(ax * ax + ay * ay + az * az)
+            if across <= limit_m + (radius[m] + known_radius[k] if add_radii else 0.0):
+                distance[m, k] = across
+    return distance

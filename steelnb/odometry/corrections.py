@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from steelnb.fusion import SegmentMap, associate
 from steelnb.settings import SegmentSettings
@@ -127,28 +128,48 @@ def bar_equations(
     point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
     """
     segments, bars = _paired(seen, known, SIGHTINGS_MIN)
-    direction = bars.direction
-    ends = shared_ends(segments, bars)
-    apart = ends - bars.start[:, None]
-    across = apart - (apart * direction[:, None]).sum(axis=2)[..., None] * direction[:, None]
     count = np.minimum(segments.count, POINTS_MAX)
     information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
-    square = (across**2).sum(axis=2)
-    robust = 1.0 / (1.0 + square / settings.robust_scale_m**2)
-    weight = information[:, None] * robust**2
-    projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    arm = ends - position
-    # How a step moves an end; the projector is applied to what it is multiplied with.
-    J = np.zeros((*ends.shape, 6 if tilt else 4))
-    J[..., 0, 0], J[..., 1, 0] = -arm[..., 1], arm[..., 0]
-    J[..., 1:4] = np.eye(3)
-    if tilt:
-        J[..., 1, 4], J[..., 2, 4] = -arm[..., 2], arm[..., 1]
-        J[..., 0, 5], J[..., 2, 5] = arm[..., 2], -arm[..., 0]
-    H = np.einsum("pe,peik,pij,pejl->kl", weight, J, projector, J, optimize=True)
-    b = np.einsum("pe,peik,pei->k", weight, J, across)
-    loss = 0.5 * float((information[:, None] * square * robust).sum())
+    loss, H, b = _bar_equations(
+        shared_ends(segments, bars), bars.start, bars.direction, information, position, settings.robust_scale_m,
+        6 if tilt else 4,
+    )  # fmt: skip
     return BarEquations(H, b, loss, len(bars))
+
+
+@njit(cache=True)
+def _bar_equations(ends, start, direction, information, centre, scale_m, size):  # type: ignore[no-untyped-def]
+    """The loss and the normal equations ``(size, size)`` and ``(size,)`` of ends ``(P, 2, 3)`` beside bars."""
+    loss, H, b, J = 0.0, np.zeros((size, size)), np.zeros(size), np.zeros((6, 3))
+    for pair in range(len(ends)):
+        ux, uy, uz = direction[pair, 0], direction[pair, 1], direction[pair, 2]
+        for end in range(2):
+            px, py, pz = ends[pair, end, 0], ends[pair, end, 1], ends[pair, end, 2]
+            x, y, z = px - start[pair, 0], py - start[pair, 1], pz - start[pair, 2]
+            t = x * ux + y * uy + z * uz
+            x, y, z = x - t * ux, y - t * uy, z - t * uz
+            square = x * x + y * y + z * z
+            robust = 1.0 / (1.0 + square / (scale_m * scale_m))
+            loss += 0.5 * information[pair] * square * robust
+            weight = information[pair] * robust * robust
+            px, py, pz = px - centre[0], py - centre[1], pz - centre[2]
+            # How a step of yaw, x, y, z, roll and pitch moves the end, and that across the bar.
+            J[0, 0], J[0, 1], J[0, 2] = -py, px, 0.0
+            J[1, 0], J[1, 1], J[1, 2] = 1.0, 0.0, 0.0
+            J[2, 0], J[2, 1], J[2, 2] = 0.0, 1.0, 0.0
+            J[3, 0], J[3, 1], J[3, 2] = 0.0, 0.0, 1.0
+            J[4, 0], J[4, 1], J[4, 2] = 0.0, -pz, py
+            J[5, 0], J[5, 1], J[5, 2] = pz, 0.0, -px
+            for r in range(size):
+                t = J[r, 0] * ux + J[r, 1] * uy + J[r, 2] * uz
+                J[r, 0], J[r, 1], J[r, 2] = J[r, 0] - t * ux, J[r, 1] - t * uy, J[r, 2] - t * uz
+                b[r] += weight * (J[r, 0] * x + J[r, 1] * y + J[r, 2] * z)
+                for c in range(r + 1):
+                    H[r, c] += weight * (J[r, 0] * J[c, 0] + J[r, 1] * J[c, 1] + J[r, 2] * J[c, 2])
+    for r in range(size):
+        for c in range(r):
+            H[c, r] = H[r, c]
+    return loss, H, b
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:

@@ -51,7 +51,7 @@ class Prediction:
         offset = T_world_drone[:3, 3] - T_world_drone_prior[:3, 3]
         if self._followed:  # a jump after a gap is no rate
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
-            turned = Rotation.from_matrix(turn @ self.turn.T).as_rotvec()
+            turned = Rotation.from_matrix(turn @ self.turn.T, assume_valid=True).as_rotvec()
             self.turn_rate = self.turn_rate + self.gain * (turned - self.turn_rate)
             if self.tilt_sigma_rad:
                 self.turn_rate[:2] = 0.0

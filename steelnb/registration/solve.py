@@ -122,7 +122,7 @@ def prior_term(information: Array, T_init: Array, source: Array) -> Term:
     middle, _ = middle_and_length(source)
 
     def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-        turned = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T).as_rotvec()
+        turned = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T, assume_valid=True).as_rotvec()
         apart = np.append(turned, centre - T_init[:3, :3] @ middle - T_init[:3, 3])
         return information, information @ apart, 0.5 * float(apart @ information @ apart)
 
