@@ -51,7 +51,7 @@ test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their
 lint: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/mypy && $(BIN)/mypy -p workflow
+	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
 docs: $(READY)  ## pages to read offline, with every notebook as executed: docs/_build/html/index.html (BUDGET=full: as published)

@@ -17,15 +17,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from shared import aligned_m
 from steelnb import KnownStructureOdometry, Structure, experiment, find_changes, odometry, reconstruct, smooth
 from steelnb.io import read_structure, write_structure
 from steelnb.metrics.matching import match_members
 from steelnb.noise import drifting
-from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import build_tower, changed_tower, fly, scan_flight
 from steelnb.types import Flight, Trajectory
 
-FLIGHTS = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 NOISE = "random-walk+yaw-random-walk"
 CHANGES = {"removed": 0.0, "moved 5 cm": 0.05, "moved 2 cm": 0.02, "moved 1 cm": 0.01, "bent 3 cm": 0.03}
 EACH = 6
@@ -61,7 +62,7 @@ def main() -> None:
             print(f"| {change} | {bars} | {seen} | {found / max(seen, 1):.3f} | {dict(counts)} |", flush=True)
 
 
-def map_of(name: str, seed: int, folder: Path | None) -> Structure:
+def map_of(name: TrajectoryName, seed: int, folder: Path | None) -> Structure:
     """The structure of a smoothed flight around the unchanged tower."""
     kept = folder / f"{name}-{seed}.json" if folder else None
     if kept is not None and kept.exists():
@@ -75,7 +76,7 @@ def map_of(name: str, seed: int, folder: Path | None) -> Structure:
     return known
 
 
-def measure(name: str, seed: int, known: Structure) -> tuple[list[str], dict[str, Counter[str]]]:
+def measure(name: TrajectoryName, seed: int, known: Structure) -> tuple[list[str], dict[str, Counter[str]]]:
     """Localise a flight around the changed tower and compare: numbers of the poses, and the verdicts by change."""
     settings = ExperimentSettings.preset(name, NOISE, seed=seed)
     tower, rng = build_tower(settings.tower), np.random.default_rng(seed)
@@ -121,10 +122,7 @@ def errors(found: Trajectory, true: Trajectory) -> list[str]:
     apart = np.linalg.norm(found.position - true.position, axis=1)
     turned = found.T_world_drone[:, :3, :3] @ true.T_world_drone[:, :3, :3].transpose(0, 2, 1)
     angle = np.degrees(Rotation.from_matrix(turned).magnitude())
-    a, b = (path.position - path.position.mean(axis=0) for path in (found, true))
-    turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
-    aligned = np.linalg.norm(Rotation.from_rotvec([0, 0, turn]).apply(a) - b, axis=1)
-    rms = [1e3 * np.sqrt((each**2).mean()) for each in (apart, aligned)]
+    rms = [1e3 * np.sqrt((each**2).mean()) for each in (apart, aligned_m(found.position, true.position))]
     return [*(f"{each:.1f}" for each in (*rms, *1e3 * np.quantile(apart, [0.5, 0.95]))),
             f"{np.sqrt((angle**2).mean()):.3f}"]  # fmt: skip
 

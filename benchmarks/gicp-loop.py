@@ -14,6 +14,8 @@ import small_gicp
 from steelnb import experiment
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import CloudOdometry, run
+from steelnb.odometry.clouds import Registered
+from steelnb.registration import AnyTarget
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Array
@@ -27,11 +29,11 @@ class PeerOdometry(CloudOdometry):
     def _prepare(self, points: Array, T_init: Array) -> tuple[None, None]:
         return None, None
 
-    def _register(self, points: Array, covariance: None, target: None, T_init: Array) -> tuple[Array, str, int]:
+    def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
         if len(points) < 10:
-            return T_init, "too few points", 0
-        if not len(self.map):
-            return T_init, "first scan", 0
+            return Registered(T_init, "too few points")
+        if not self.mapped:
+            return Registered(T_init, "first scan")
         around, source = small_gicp.PointCloud(self.map.means()), small_gicp.PointCloud(points)
         tree = small_gicp.KdTree(around)
         small_gicp.estimate_covariances(around, tree, NEIGHBOURS)
@@ -42,8 +44,8 @@ class PeerOdometry(CloudOdometry):
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.num_inliers < 0.3 * len(points) or jump > self.clouds.jump_max_m:
-            return T_init, "too little overlap, or a jump", result.num_inliers
-        return np.array(result.T_target_source), "", result.num_inliers
+            return Registered(T_init, "too little overlap, or a jump", result.num_inliers)
+        return Registered(np.array(result.T_target_source), "", result.num_inliers)
 
 
 def main() -> None:

@@ -16,7 +16,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
+from unittest.mock import patch
 
 os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -25,14 +29,17 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np
 from numba import njit
 
+from shared import command
 from steelnb import rng
 from steelnb.hough import detect_lines, directions, lines
+from steelnb.hough.transform import iterate
 from steelnb.hough.votes import far_apart
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.types import Array, Lines, Trajectory
 
+Found = TypeVar("Found")
 SIZES, WIDTHS, MIN_VOTES, RUNS, DENSER = (2_000, 5_000, 10_000, 20_000, 50_000), (0.1, 0.05), 20, 3, 4
 AT_S = (20.0, 60.0, 100.0, 140.0, 180.0)
 GOAL = {0.1: 40, 0.05: 100}
@@ -70,7 +77,9 @@ def frames(at_s: tuple[float, ...]) -> list[tuple[Array, Array]]:
     tower = build_tower(s.tower)
     flight, _ = fly(tower, s.flight, s.seed)
     poses = flight.at(np.array([*at_s, at_s[-1]])).T_world_drone  # a flight has one pose after its last scan
-    scans, _ = scan_flight(tower, Trajectory(np.arange(len(poses)) * 1.0, poses), tof.T_drone_sensor, tof, s.seed)
+    scans, _ = scan_flight(
+        tower, Trajectory(np.arange(len(poses), dtype=np.float64), poses), tof.T_drone_sensor, tof, s.seed
+    )
     found = []
     for scan, T in zip(scans, poses @ tof.T_drone_sensor, strict=False):
         points = np.asarray(scan.points, dtype=np.float64).reshape(-1, 3)
@@ -97,27 +106,24 @@ def reference(exe: Path, file: Path, *options: str) -> tuple[float, Array]:
     return usage.ru_utime + usage.ru_stime, np.array([row.split() for row in rows], dtype=float).reshape(-1, 7)
 
 
-def timed(call):
+def timed(call: Callable[[], Found]) -> tuple[float, Found]:
     """(seconds on the core, what the call returned)."""
     began = time.process_time()
     found = call()
     return time.process_time() - began, found
 
 
-def votes_of(call) -> int:
+def votes_of(call: Callable[[], Lines]) -> int:
     """The votes that a call of `detect_lines` casts."""
-    cast, iterate = [], lines.iterate
+    cast: list[int] = []
 
-    def counted(*arguments):
+    def counted(*arguments: Any) -> tuple[int, int]:
         found, votes = iterate(*arguments)
         cast.append(votes)
         return found, votes
 
-    lines.iterate = counted
-    try:
+    with patch.object(lines, "iterate", counted):
         call()
-    finally:
-        lines.iterate = iterate
     return cast[0]
 
 
@@ -154,7 +160,7 @@ def lattice_frames(exe: Path, clouds: list[Array], folder: Path) -> dict[str, bo
                 points = some(cloud, size)
                 np.savetxt(file, points, fmt="%.6f", delimiter=",")
                 runs.append(compare(exe, file, points, dx, MIN_VOTES))
-                votes.append(votes_of(lambda p=points, dx=dx: detect_lines(p, dx, MIN_VOTES)))
+                votes.append(votes_of(partial(detect_lines, points, dx, MIN_VOTES)))
             theirs, ours = (np.array([run[k] for run in runs]) for k in (0, 1))
             ratio, vote_ns = theirs / ours, 1e9 * np.median(ours / votes)
             plain = [plain_loop_ns(points, dx, apart) for apart in (False, True)]
@@ -180,7 +186,7 @@ def lattice_frames(exe: Path, clouds: list[Array], folder: Path) -> dict[str, bo
 
 
 @njit
-def plain_loop(index, image, times):
+def plain_loop(index, image, times):  # type: ignore[no-untyped-def]
     for _ in range(times):
         for i in range(len(index)):
             image[index[i]] += 1
@@ -218,14 +224,14 @@ def public_clouds(exe: Path, folder: Path) -> dict[str, bool]:
 
 def large_clouds(cloud: Array, tower: Array, folder: Path) -> dict[str, bool]:
     """Print time and memory with the settings of the experiments, on one frame and on the tower that a flight saw."""
-    s = ExperimentSettings.preset().hough
+    s = ExperimentSettings.preset().odometry.hough
+    assert s, "the default odometry is by segments"
     print(LARGE.format(s.dx_m, s.min_votes, s.granularity, s.skip_weak, s.max_lines))
     reached = {}
     for what, points, limit_ms in (("frame", some(cloud, 10_000), 12), ("tower", some(tower, 100_000), 150),
                                    ("tower", some(tower, 1_000_000), 3000)):  # fmt: skip
         for most in (s.max_lines, None):
-            options = {"max_lines": most, "skip_weak": s.skip_weak, "granularity": s.granularity}
-            call = lambda p=points, o=options: detect_lines(p, s.dx_m, s.min_votes, **o)  # noqa: E731
+            call = partial(detect_lines, points, s.dx_m, s.min_votes, most, s.granularity, s.skip_weak)
             ours = [timed(call) for _ in range(2 * RUNS - 1)]
             seconds, votes = float(np.median([run[0] for run in ours])), votes_of(call)
             peak = peak_mb(points, folder, s.dx_m, s.min_votes, most, s.granularity, s.skip_weak)
@@ -285,14 +291,13 @@ def main() -> None:
     parser.add_argument("reference_exe", type=Path, help="the built program hough3dlines")
     parser.add_argument("--data", type=Path, help="folder with the reference's point clouds, *.dat")
     given = parser.parse_args()
-    command = next(line.strip() for line in (__doc__ or "").splitlines() if line.startswith("    "))
-    print(f"# The Hough transform on one core\n\n{machine()}. `{command.split(' >')[0]}`\n\n{NOTES}")
+    print(f"# The Hough transform on one core\n\n{machine()}. `{command(__doc__)}`\n\n{NOTES}")
     exe = given.reference_exe.resolve()
     clouds = [points for points, _ in frames(AT_S)]
-    parts = frames(tuple(np.arange(10.0, 200.0, 19.0)))
+    parts = frames(tuple(np.arange(10.0, 200.0, 19.0).tolist()))
     tower = np.concatenate([points @ T[:3, :3].T + T[:3, 3] for points, T in parts])
     detect_lines(some(clouds[0], 100), 0.1)
-    reached = {}
+    reached: dict[str, bool] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if given.data:

@@ -17,8 +17,8 @@ from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.odometry.run import smoothed
 from steelnb.report.honest import HONEST
-from steelnb.settings import ExperimentSettings, OdometrySettings
-from steelnb.types import Trajectory
+from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryName
+from steelnb.types import Estimate, Trajectory
 
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "combined": ("combined", {"inertial": None}),
@@ -45,11 +45,12 @@ def main() -> None:
             print(f"| {name} | {seed} | {row(name, seed, arguments.duration)} |", flush=True)
 
 
-def row(flight_name: Any, seed: int, duration_s: float) -> str:
+def row(flight_name: TrajectoryName, seed: int, duration_s: float) -> str:
     """Position errors of each of `KINDS`, and the leans of the prior and of the one with the IMU."""
     usual: dict[str, Any] = {"sensor": HONEST, "seed": seed, "duration_s": duration_s}
     flight, truth = experiment.simulate(ExperimentSettings.preset(flight_name, "random-walk", **usual))
-    true, found = truth.trajectory.at(flight.prior.stamp_s), {}
+    true = truth.trajectory.at(flight.prior.stamp_s)
+    found: dict[str, Estimate] = {}
     for kind, (method, changed) in KINDS.items():
         settings = OdometrySettings.preset(method, HONEST, changed)
         odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu)

@@ -80,7 +80,7 @@ def row(duration_s: float, gust_m_s: float, rebuilt: bool, case: tuple[str, str,
         flown = fly_all({name: settings})
     except CollisionError as error:
         return {**found, "collision": 1, "why": str(error)}
-    found |= {"collision": 0, **flight_table(flown).iloc[0].to_dict()}
+    found |= {"collision": 0, **{str(column): value for column, value in flight_table(flown).iloc[0].items()}}
     if rebuilt:
         flight, truth = flown[name].flight, flown[name].result.truth
         smoothed = experiment.estimate(
@@ -104,7 +104,7 @@ def table(rows: pd.DataFrame) -> Iterator[str]:
     yield "|---" * len(heads) + "|"
     for case, chosen in rows.groupby(["flight", "sensor", "tower"], sort=False):
         hit = share_of_seeds(chosen["collision"].to_numpy(dtype=float))
-        cells = [*case, f"{len(chosen)}", f"{int(chosen['collision'].sum())} (≤ {100 * hit.high:.0f} %)"]
+        cells = [*map(str, case), f"{len(chosen)}", f"{int(chosen['collision'].sum())} (≤ {100 * hit.high:.0f} %)"]
         for name in columns:
             values = SCALES[name][1] * chosen[name].dropna().to_numpy()
             if len(values) < 2:

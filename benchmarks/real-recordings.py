@@ -12,14 +12,12 @@ import argparse
 import json
 import os
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -27,13 +25,15 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from shared import command, in_own_process
 from steelnb import odometry, rng
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import within
 from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_tum
-from steelnb.io.transforms import matrices
+from steelnb.io.trajectories import matrices
 from steelnb.metrics import score_trajectory
 from steelnb.report.cloud import segment_file
 from steelnb.report.recording_settings import Scene, recording_settings
@@ -150,12 +150,12 @@ class Case(NamedTuple):
     run: Callable[[Path, Path], dict]
 
 
-def corrected(path: Path, options: Options, **named: str | Path) -> dict:
+def corrected(path: Path, options: Options, true: str | None = None) -> dict:
     """A recording through an odometry, as `steelnb run` would; without a truth, how well the scans lie on each other.
 
     That is the median distance of a scan's points to the nearest of the scan before.
     """
-    flight, truth = read_flight(path, **named), read_truth(path, **named)
+    flight, truth = read_flight(path, truth=true), read_truth(path, truth=true)
     settings, _ = recording_settings(options.method, scene=Scene.of(flight), range_max_m=options.range_max_m)
     if options.noise is not None:
         flight, truth = with_drift(flight, truth, NoiseSettings.parse(options.noise), 1, None)
@@ -203,7 +203,9 @@ def apart(scans: list[Array], T_world_sensor: Array) -> float:
     return float(np.median([np.median(cKDTree(a).query(b[::5])[0]) for a, b in pairwise(placed)]))
 
 
-def bars(file: Path, work: Path, dx_m: float | None = None, box: Callable[[Array], Array] | None = None) -> dict:
+def bars(
+    file: Path, work: Path, dx_m: float | None = None, box: Callable[[Array], NDArray[np.bool_]] | None = None
+) -> dict:
     """A cloud's bars, as `steelnb segment` would find them, and what bars as many explain of points moved at random."""
     if box is not None:
         points = read_cloud(file).points
@@ -265,7 +267,7 @@ def car_pair(data: Path, work: Path) -> dict:
     stamp_s = np.arange(len(rows)) / 10
     folder = folder_of(work, [read_cloud(data / row[0]).points for row in rows], stamp_s)
     write_tum(work / "true.tum", Trajectory(stamp_s, true))
-    return corrected(folder, UNKNOWN, truth=str(work / "true.tum"))
+    return corrected(folder, UNKNOWN, str(work / "true.tum"))
 
 
 def nano_flights(data: Path, work: Path) -> dict:
@@ -339,7 +341,8 @@ def message(file: Path, work: Path) -> dict:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     raw = file.read_bytes()
-    stamp = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2").header.stamp
+    cloud: Any = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2")  # its class is made from the definition
+    stamp = cloud.header.stamp
     stamp_ns = stamp.sec * 10**9 + stamp.nanosec
     with Writer(work / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         topic = writer.add_connection("/points", "sensor_msgs/msg/PointCloud2", typestore=store)
@@ -464,16 +467,6 @@ def measure(name: str, clones: Path) -> dict:
     return row | {"peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9}
 
 
-def apart_from_others(name: str, clones: Path) -> dict:
-    """Measure a case in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, str(clones), "--case", name], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise SystemExit(f"{name}: {done.stderr.strip().splitlines()[-1]}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
-
-
 def cell(row: dict, name: str, form: str) -> str:
     return format(row[name], form) if name in row else "–"
 
@@ -493,8 +486,7 @@ def main() -> None:
             parser.error(
                 f"{clone}: no such folder; expected a clone of {SOURCES[source].repository} (or leave it out by --only)"
             )
-    command = next(line.strip() for line in (__doc__ or "").splitlines() if line.startswith("    "))
-    print(f"# Recordings that others made\n\n{machine()}. `{command.split(' >')[0]}`\n\n{NOTES}")
+    print(f"# Recordings that others made\n\n{machine()}. `{command(__doc__)}`\n\n{NOTES}")
     print("| data | repository | licence | what |\n|---|---|---|---|")
     for source in given.only:
         whose = SOURCES[source]
@@ -504,7 +496,7 @@ def main() -> None:
     for name, case in CASES.items():
         if case.source not in given.only:
             continue
-        row = apart_from_others(name, given.clones)
+        row = in_own_process(__file__, str(given.clones), "--case", name)
         print(
             f"| {case.source} | {case.said} | {row['frames']} | {row['outcome']} | {cell(row, 'read_ms', '.1f')} "
             f"| {cell(row, 'ms', '.0f')} | {row['peak_gb']:.2f} |", flush=True,

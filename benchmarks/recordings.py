@@ -11,17 +11,18 @@ import argparse
 import contextlib
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shared import command, in_own_process
 from steelnb import experiment, odometry
 from steelnb.io import read_flight, write_flight
 from steelnb.io.bag_files import typestore
@@ -45,7 +46,7 @@ def main() -> None:
         return
     load = os.getloadavg()[0]
     print(f"# Reading and writing recordings\n\n{machine()}. Load when it began: {load:.1f}. "
-          f"`{__doc__.split('by hand:')[1].split('>')[0].strip()}`\n")  # fmt: skip
+          f"`{command(__doc__)}`\n")  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="steelnb-bench-") as scratch:
         throughput(Path(scratch))
         memory(Path(scratch))
@@ -92,12 +93,12 @@ def throughput(scratch: Path) -> None:
         for _ in range(REPEATS):
             for written in (path, other):
                 written.unlink(missing_ok=True)
-            seconds["write"].append(_timed(lambda path=path: write_flight(path, alone)))
-            seconds["write peer"].append(_timed(lambda other=other: _peer_writes(other, alone)))
-            seconds["open"].append(_timed(lambda path=path: read_flight(path)))
+            seconds["write"].append(_timed(partial(write_flight, path, alone)))
+            seconds["write peer"].append(_timed(partial(_peer_writes, other, alone)))
+            seconds["open"].append(_timed(partial(read_flight, path)))
             opened = read_flight(path)
-            seconds["read"].append(_timed(lambda opened=opened: _drain(iter(opened.scans))))
-            seconds["read peer"].append(_timed(lambda path=path: _drain(_peer_reads(path))))
+            seconds["read"].append(_timed(partial(_drain, opened.scans)))
+            seconds["read peer"].append(_timed(partial(_drain, _peer_reads(path))))
         rate = {key: megabytes / min(values) for key, values in seconds.items()}
         print(
             f"| {form} | {rate['write']:.0f} | {rate['write peer']:.0f} | {rate['write'] / rate['write peer']:.2f} "
@@ -124,7 +125,7 @@ def memory(scratch: Path) -> None:
     )
     for form, name in FORMS.items():
         path = scratch / f"long-{name}"
-        wrote, ran = _child("write", path), _child("run", path)
+        wrote, ran = (in_own_process(__file__, "--child", what, str(path)) for what in ("write", "run"))
         print(
             f"| {form} | {wrote['tenth']:.0f} | {wrote['end']:.0f} | {ran['opened']:.0f} | {ran['tenth']:.0f} "
             f"| {ran['end']:.0f} | {ran['rate']:.0f} |",
@@ -159,11 +160,6 @@ def _run(path: Path) -> dict[str, float]:
     return peaks | {"end": _peak(), "rate": LONG_SCANS / (time.process_time() - began)}
 
 
-def _child(what: str, path: Path) -> dict[str, float]:
-    command = [sys.executable, __file__, "--child", what, str(path)]
-    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-
-
 def _peer_reads(path: Path) -> Iterator[Array]:
     """rosbags' loop, then one structured array and its fields, as ros_numpy's `pointcloud2_to_xyz_array`."""
     from rosbags.highlevel import AnyReader
@@ -171,14 +167,14 @@ def _peer_reads(path: Path) -> Iterator[Array]:
     with AnyReader([path]) as reader:
         wanted = [each for each in reader.connections if each.msgtype == CLOUD]
         for connection, _, raw in reader.messages(wanted):
-            message = reader.deserialize(raw, connection.msgtype)
-            kind = np.dtype({
+            message: Any = reader.deserialize(raw, connection.msgtype)  # its class is made from the bag's definitions
+            layout: Any = {
                 "names": [field.name for field in message.fields],
                 "formats": ["<f4"] * len(message.fields),
                 "offsets": [field.offset for field in message.fields],
                 "itemsize": message.point_step,
-            })  # fmt: skip
-            records = np.frombuffer(message.data, kind).reshape(message.height, message.width)
+            }
+            records = np.frombuffer(message.data, np.dtype(layout)).reshape(message.height, message.width)
             points = np.zeros((*records.shape, 3))
             for k, axis in enumerate("xyz"):
                 points[..., k] = records[axis]
@@ -203,10 +199,10 @@ def _peer_writes(path: Path, flight: Flight) -> None:
             stamp_ns = round(scan.stamp_s * 1e9)
             stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
             header = types["std_msgs/msg/Header"](*((0,) if ros == 1 else ()), stamp, "tof")
-            records = np.zeros(scan.points.shape[:2], [(axis, "<f4") for axis in "xyz"])
+            rows, columns = scan.points.shape[:2]
+            records = np.zeros((rows, columns), [(axis, "<f4") for axis in "xyz"])
             for k, axis in enumerate("xyz"):
                 records[axis] = scan.points[..., k]
-            rows, columns = records.shape
             data = np.frombuffer(records.tobytes(), np.uint8)
             message = types[CLOUD](header, rows, columns, fields, False, 12, 12 * columns, data, False)
             writer.write(connection, stamp_ns, serialize(message, CLOUD))
@@ -228,7 +224,7 @@ def _timed(call: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def _drain(items: Iterator[object]) -> None:
+def _drain(items: Iterable[object]) -> None:
     for _ in items:
         pass
 

@@ -15,7 +15,7 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -25,15 +25,17 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial.transform import Rotation
 
+from shared import command, map_mb
 from steelnb import experiment, rng
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import Target, align, free_directions, make_target, voxel_target
+from steelnb.registration import AnyTarget, Target, align, free_directions, make_target, voxel_target
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings, PreprocessSettings
+from steelnb.types import Array
 
-small_gicp = importlib.import_module("small_gicp") if importlib.util.find_spec("small_gicp") else None
+small_gicp: Any = importlib.import_module("small_gicp") if importlib.util.find_spec("small_gicp") else None
 NEIGHBOURS, ITERATIONS, TURN_RAD, MOVE_M = 20, 50, np.radians(0.1), 1e-3
 ERROR = {"icp": "point", "plane": "plane", "gicp": "gicp", "vgicp": "gicp"}
 OURS, SMALL, OPEN3D = "steelnb", "small_gicp", "Open3D"
@@ -61,11 +63,15 @@ class Problem(NamedTuple):
     voxel_m: float
 
 
-class Job(NamedTuple):
-    """A registration in two parts: ``prepare()`` indexes both clouds, ``finish(prepared)`` gives (pose, iterations)."""
+Posed = tuple[Array, int | None]
+"""T_target_source ``(4, 4)``, and the iterations where a program tells them."""
 
-    prepare: Callable
-    finish: Callable
+
+class Job(NamedTuple):
+    """A registration in two parts: ``prepare()`` indexes both clouds, ``finish(prepared)`` solves."""
+
+    prepare: Callable[[], Any]
+    finish: Callable[[Any], Posed]
 
 
 def jobs(method: str, p: Problem) -> dict[str, Job]:
@@ -78,7 +84,7 @@ def jobs(method: str, p: Problem) -> dict[str, Job]:
     return found
 
 
-def _our_prepare(method, p):
+def _our_prepare(method: str, p: Problem) -> tuple[AnyTarget, Array | None]:
     if method == "vgicp":
         voxels = VoxelMap(p.voxel_m)
         voxels.update_shapes(voxels.insert(p.target))
@@ -88,7 +94,7 @@ def _our_prepare(method, p):
     return goal, regularised(neighbour_covariances(p.source, NEIGHBOURS)) if method == "gicp" else None
 
 
-def _our_finish(method, p, ready):
+def _our_finish(method: str, p: Problem, ready: tuple[AnyTarget, Array | None]) -> Posed:
     result = align(
         p.source, ready[0], ERROR[method], np.eye(6), p.T_init, p.distance_m, ready[1], "none", 1.0, ITERATIONS,
         TURN_RAD, MOVE_M,
@@ -96,7 +102,7 @@ def _our_finish(method, p, ready):
     return result.T_target_source, result.iterations
 
 
-def _small_prepare(method, p):
+def _small_prepare(method: str, p: Problem) -> tuple[Any, Any, Any]:
     source, target = small_gicp.PointCloud(p.source), small_gicp.PointCloud(p.target)
     tree = small_gicp.KdTree(target)
     if method in ("gicp", "vgicp"):
@@ -111,7 +117,7 @@ def _small_prepare(method, p):
     return source, target, tree
 
 
-def _small_finish(method, p, ready):
+def _small_finish(method: str, p: Problem, ready: tuple[Any, Any, Any]) -> Posed:
     source, target, tree = ready
     rule = {"max_iterations": ITERATIONS, "rotation_epsilon": TURN_RAD, "translation_epsilon": MOVE_M}
     rule |= {"max_correspondence_distance": p.distance_m, "num_threads": 1}
@@ -123,14 +129,14 @@ def _small_finish(method, p, ready):
     return result.T_target_source, result.iterations + 1
 
 
-def _open3d_prepare(method, p):
+def _open3d_prepare(method: str, p: Problem) -> list[o3d.geometry.PointCloud]:
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in (p.source, p.target)]
     for cloud in clouds if method == "gicp" else clouds[1:] if method == "plane" else []:
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     return clouds
 
 
-def _open3d_finish(method, p, ready):
+def _open3d_finish(method: str, p: Problem, ready: list[o3d.geometry.PointCloud]) -> Posed:
     pipeline = o3d.pipelines.registration
     estimation = {
         "icp": pipeline.TransformationEstimationPointToPoint, "plane": pipeline.TransformationEstimationPointToPlane,
@@ -141,7 +147,7 @@ def _open3d_finish(method, p, ready):
     return call(*ready, p.distance_m, p.T_init, estimation, criteria).transformation, None
 
 
-def apart(T_one, T_two, source) -> tuple[float, float]:
+def apart(T_one: Array, T_two: Array, source: Array) -> tuple[float, float]:
     """(millimetres between the middles of the source, degrees) of two poses."""
     middle = np.append(source.mean(axis=0), 1)
     turn = Rotation.from_matrix(T_one[:3, :3].T @ T_two[:3, :3]).magnitude()
@@ -154,9 +160,9 @@ def measure(problems: list[Problem], repeats: int) -> None:
     print("| from ours (mm, °) |")
     print("|---|---|---|---|---|---|---|---|---|")
     for method in ERROR:
-        seconds: dict = {}
-        poses: dict = {}
-        steps: dict = {}
+        seconds: dict[str, list[tuple[float, float]]] = {}
+        poses: dict[str, list[Array]] = {}
+        steps: dict[str, list[int | None]] = {}
         for p in problems:
             for name, job in jobs(method, p).items():  # compile and warm up, and keep the answer
                 T, count = job.finish(job.prepare())
@@ -182,9 +188,10 @@ def measure(problems: list[Problem], repeats: int) -> None:
             ratio = [
                 f"{mine / its:.2f}" if name != OURS else "" for mine, its in zip(ours, (whole, alone), strict=True)
             ]
-            count = "" if None in steps[name] else f"{np.median(steps[name]):.0f}"
+            told = [count for count in steps[name] if count is not None]
+            median = f"{np.median(told):.0f}" if told else ""
             print(
-                f"| {method} | {name} | {whole:.1f} | {ratio[0]} | {alone:.1f} | {ratio[1]} | {count} "
+                f"| {method} | {name} | {whole:.1f} | {ratio[0]} | {alone:.1f} | {ratio[1]} | {median} "
                 f"| {error[0]:.1f}, {error[1]:.3f} | {'' if name == OURS else f'{other[0]:.2f}, {other[1]:.4f}'} |",
                 flush=True,
             )
@@ -194,7 +201,7 @@ def measure(problems: list[Problem], repeats: int) -> None:
 def pair(folder: Path) -> Problem:
     """The pair in a folder, thinned to 25 cm, from the identity."""
     source, target = (
-        voxel_grid(np.asarray(o3d.io.read_point_cloud(str(folder / f"{name}.ply")).points), 0.25)
+        voxel_grid(np.asarray(o3d.io.read_point_cloud(folder / f"{name}.ply").points), 0.25)
         for name in ("source", "target")
     )
     return Problem(source, target, np.eye(4), np.loadtxt(folder / "T_target_source.txt"), 1.0, 1.0)
@@ -206,7 +213,7 @@ def flight(duration_s: float, every: int) -> tuple[list[Problem], VoxelMap]:
     settings = ExperimentSettings.preset(duration_s=duration_s)
     recording, truth = experiment.simulate(settings)
     true = truth.trajectory.at(recording.prior.stamp_s).T_world_drone
-    crop = PreprocessSettings(x_max_m=6.0, y_max_m=6.0, z_max_m=6.0, voxel_leaf_m=0.033)
+    crop = PreprocessSettings(crop_m=6.0, voxel_leaf_m=0.033)
     voxels, problems = VoxelMap(0.1), []
     for k, (scan, T) in enumerate(zip(recording.scans, true, strict=True)):
         points = preprocess_scan(scan, T, recording.T_drone_sensor, crop)
@@ -263,7 +270,7 @@ def against_map_size(p: Problem, voxels: VoxelMap) -> None:
             clock.append(time.process_time())
             seconds.append(np.diff(clock))
         seen, as_is, insert, whole = 1e3 * np.median(seconds, axis=0)
-        print(f"| {size} | {len(near)} | {grown.nbytes / 1e6:.0f} | {seen:.1f} | {as_is:.1f} ", end="")
+        print(f"| {size} | {len(near)} | {map_mb(grown):.0f} | {seen:.1f} | {as_is:.1f} ", end="")
         print(f"| {insert:.2f} | {whole:.1f} |", flush=True)
 
 
@@ -274,8 +281,7 @@ def main() -> None:
     given = parser.parse_args()
     versions = {SMALL: small_gicp and importlib.metadata.version("small_gicp"), OPEN3D: o3d.__version__}
     programs = ", ".join(f"{name} {version or 'is not installed'}" for name, version in versions.items())
-    command = next(line.strip() for line in (__doc__ or "").splitlines() if line.startswith("    "))
-    print(f"# Registration on one core\n\n{machine()}. `{command.split(' >')[0]}`\n\n{programs}.\n")
+    print(f"# Registration on one core\n\n{machine()}. `{command(__doc__)}`\n\n{programs}.\n")
     print(NOTES.format(NEIGHBOURS, ITERATIONS))
     if given.pair:
         p = pair(given.pair)

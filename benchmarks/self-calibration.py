@@ -11,7 +11,7 @@ self-calibration.md.
 """
 
 import argparse
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,12 @@ from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.report.calibration import SHOWN
 from steelnb.report.self_calibration import DRAWN, METHODS, WITH_IMU, errors_of, estimates, wrongly_told
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.types import Estimate, Flight
 
 CASES = {"none": "none", "scale": "range × 1.02", "mount": "mount off by 1 cm and 1°", "drawn": DRAWN}
-FLIGHTS = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 
 
 def main() -> None:
@@ -55,7 +55,7 @@ class Flown(NamedTuple):
     truth: Truth
 
 
-def fly(flight_name: Any, seed: int, duration_s: float) -> Flown:
+def fly(flight_name: TrajectoryName, seed: int, duration_s: float) -> Flown:
     settings = ExperimentSettings.preset(
         flight_name, "random-walk", seed=seed, duration_s=duration_s, method="combined"
     )

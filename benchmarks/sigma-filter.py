@@ -13,10 +13,10 @@ import numpy as np
 
 from steelnb import experiment
 from steelnb.points import smooth_ranges
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.types import Flight
 
-FLIGHTS = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 SENSORS = {
     "σ 1 % of the range, as in the preset": ("starling2", {}),
     "σ 2 %": ("starling2", {"tof.sigma_relative": 0.02}),

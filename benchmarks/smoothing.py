@@ -12,12 +12,13 @@ import time
 
 import numpy as np
 
+from shared import aligned_m
 from steelnb import experiment
 from steelnb.fusion import smooth
 from steelnb.metrics import score_trajectory
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, TrajectoryName
 
-FLIGHTS = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 NOISES = ("random-walk", "constant-drift", "random-walk+yaw-random-walk")
 START = {"starling2": "combined", "report": "best"}
 
@@ -40,7 +41,7 @@ def main() -> None:
         )
 
 
-def measure(flight_name: str, noise: str, sensor: str, start: str, seed: int) -> tuple[float, ...]:
+def measure(flight_name: TrajectoryName, noise: str, sensor: str, start: str, seed: int) -> tuple[float, ...]:
     """Errors without correction, of the odometry, smoothed, smoothed and aligned, in millimetres; seconds."""
     settings = ExperimentSettings.preset(flight_name, noise, sensor=sensor, seed=seed, method=start)
     flight, truth = experiment.simulate(settings)
@@ -49,18 +50,10 @@ def measure(flight_name: str, noise: str, sensor: str, start: str, seed: int) ->
     smoothed = smooth(flight, result)
     seconds = time.process_time() - begin_s
     after = score_trajectory(smoothed.corrected, truth.trajectory)["ate_rmse_m"]
-    apart = smoothed.corrected.position, truth.trajectory.at(flight.prior.stamp_s).position
-    errors = result.metrics["raw_ate_rmse_m"], result.metrics["ate_rmse_m"], after, aligned_rmse_m(*apart)
+    left = aligned_m(smoothed.corrected.position, truth.trajectory.at(flight.prior.stamp_s).position)
+    aligned = float(np.sqrt((left**2).mean()))
+    errors = result.metrics["raw_ate_rmse_m"], result.metrics["ate_rmse_m"], after, aligned
     return *(1e3 * error for error in errors), seconds
-
-
-def aligned_rmse_m(found: np.ndarray, true: np.ndarray) -> float:
-    """Error that a turn about z and a shift of the whole path leave, positions ``(K, 3)`` in metres."""
-    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
-    turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
-    cosine, sine = np.cos(turn), np.sin(turn)
-    a[:, :2] = a[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
-    return float(np.sqrt(((a - b) ** 2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":

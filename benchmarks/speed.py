@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from shared import command, map_mb
 from steelnb import experiment
 from steelnb.noise import drifting
 from steelnb.odometry import CloudOdometry, make_odometry
@@ -36,7 +37,7 @@ growth 1.2, 100 MB; `combined` 25 ms."""
 def main() -> None:
     for method in METHODS:  # imports and compilation, not timed
         experiment.run(ExperimentSettings.preset(duration_s=3.0, method=method))
-    print(f"# Speed on one core\n\n{machine()}. `{__doc__.split('by hand:')[1].split('>')[0].strip()}`\n")
+    print(f"# Speed on one core\n\n{machine()}. `{command(__doc__)}`\n")
     print(f"{FLIGHTS}\n{'|---' * (FLIGHTS.count('|') - 1)}|")
     frames = [row for t in TRAJECTORIES for sensor in SENSORS for row in measure(t, sensor)]
     print(f"\n{NOTE}\n\n{FRAMES}\n{'|---' * (FRAMES.count('|') - 1)}|")
@@ -71,7 +72,7 @@ def measure(trajectory: TrajectoryName, sensor: str) -> list[str]:
         stages = ", ".join(
             f"{name} {1e3 * np.median([x.seconds[name] for x in steps]):.1f}" for name in steps[0].seconds
         )
-        size = f"{odometry.map.nbytes / 1e6:.0f}" if isinstance(odometry, CloudOdometry) else ""
+        size = f"{map_mb(odometry.map):.0f}" if isinstance(odometry, CloudOdometry) else ""
         rows.append(
             f"| {trajectory}, {sensor} | {method} | {np.median(frame):.1f} | {np.percentile(frame, 95):.1f} | {stages} "
             f"| {growth:.2f} | {size} |"

@@ -12,9 +12,8 @@ import argparse
 import json
 import os
 import resource
-import subprocess
-import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -25,6 +24,7 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import cKDTree
 
+from shared import command, in_own_process
 from steelnb import experiment, rng
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.structure import Structure
@@ -32,9 +32,9 @@ from steelnb.hough.blocks import within
 from steelnb.hough.tube import tube_radius
 from steelnb.io.clouds import read_cloud
 from steelnb.report.results import machine
-from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import build_tower
-from steelnb.types import Array, Segments
+from steelnb.types import Array, IntArray, Segments
 
 LEG_MIN_M, LEG_NEAR_M, LEG_GAP_M, LEG_SLOPE_MAX = 6.0, 0.3, 3.0, 0.35
 """Least length of a leg; distance of a bar or a point from it; largest gap; largest run over rise."""
@@ -99,7 +99,7 @@ def cloud(towers: int) -> dict:
     return _measured(reconstruct_cloud(points), began) | {"points": len(points)}
 
 
-def flight(trajectory: str, poses: str) -> dict:
+def flight(trajectory: TrajectoryName, poses: str) -> dict:
     """A whole flight, reconstructed from true or corrected poses."""
     settings = ExperimentSettings.preset(trajectory, "random-walk", sensor="starling2", method="combined")
     recording, truth = experiment.simulate(settings)
@@ -157,7 +157,7 @@ def fit_legs(points: Array) -> Array:
     return np.array(legs).reshape(-1, 2, 3)
 
 
-def _longest_line(corners: Array) -> Array:
+def _longest_line(corners: Array) -> IntArray:
     """Places of the corners on the steep line through two of them that most lie on, its longest part without a gap."""
     best = np.zeros(0, dtype=np.int64)
     for i, first in enumerate(corners):
@@ -208,19 +208,11 @@ def _measured(found: Structure, began: float) -> dict:
     }  # fmt: skip
 
 
-def apart(*case: str) -> dict:
-    """Measure a case in a process of its own."""
-    done = subprocess.run([sys.executable, __file__, "--case", *case], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    return dict(json.loads(done.stdout.splitlines()[-1]))
-
-
 def print_tables(folder: Path | None, source: str) -> None:
     print("| towers | points (million) | bars | joints | seconds | seconds per million | peak (GB) |")
     print(f"{'|---' * 7}|")
     for towers in TOWERS:
-        row = apart("cloud", str(towers))
+        row = in_own_process(__file__, "--case", "cloud", str(towers))
         million = row["points"] / 1e6
         print(
             f"| {towers} | {million:.2f} | {row['bars']} | {row['joints']} | {row['seconds']:.1f} "
@@ -232,7 +224,7 @@ def print_tables(folder: Path | None, source: str) -> None:
     )
     for trajectory in ("vertical", "orbit"):
         for poses in ("true", "combined"):
-            row = apart("flight", trajectory, poses)
+            row = in_own_process(__file__, "--case", "flight", trajectory, poses)
             print(
                 f"| {trajectory} | {poses} | {row['scans']} | {row['bars']} | {row['joints']} | {row['seconds']:.1f} "
                 f"| {row['peak_gb']:.2f} |",
@@ -244,7 +236,7 @@ def print_tables(folder: Path | None, source: str) -> None:
     print("\n| cloud | points | extent (m) | tube (m) | bars | metres | joints | largest | within | control ", end="")
     print(f"| bars in control | legs | leg coverage | seconds |\n{'|---' * 14}|")
     for file in sorted(folder.glob("*.txt")):
-        row = apart("surveyed", str(file))
+        row = in_own_process(__file__, "--case", "surveyed", str(file))
         print(
             f"| {file.stem} | {row['points']} | {row['extent']} | {row['tube']:.3f} | {row['bars']} "
             f"| {row['length']:.0f} | {row['joints']} | {row['largest']} | {row['within']:.2f} | {row['control']:.2f} "
@@ -252,6 +244,13 @@ def print_tables(folder: Path | None, source: str) -> None:
             f"{' ' + row['reason'] if row['reason'] else ''}",
             flush=True,
         )
+
+
+CASES: dict[str, Callable[..., dict]] = {
+    "cloud": lambda towers: cloud(int(towers)),
+    "flight": flight,
+    "surveyed": surveyed,
+}
 
 
 def main() -> None:
@@ -262,10 +261,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.case:
         kind, *rest = given.case
-        print(json.dumps({"cloud": lambda k: cloud(int(k)), "flight": flight, "surveyed": surveyed}[kind](*rest)))
+        print(json.dumps(CASES[kind](*rest)))
         return
-    command = next(line.strip() for line in (__doc__ or "").splitlines() if line.startswith("    "))
-    print(f"# The final reconstruction on one core\n\n{machine()}. `{command.split(' >')[0]}`\n\n{NOTES}")
+    print(f"# The final reconstruction on one core\n\n{machine()}. `{command(__doc__)}`\n\n{NOTES}")
     print_tables(given.surveyed, given.source)
 
 

@@ -14,11 +14,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from shared import command
 from steelnb.report.results import machine
 from steelnb.study.cluster import compute, connected
 from steelnb.study.plan import Block, Run, by_flight, make_run
@@ -33,7 +35,7 @@ CLUSTER_CORES = 256
 def main() -> None:
     quick = "--quick" in sys.argv
     few = make(["report"], METHODS, "1-2" if quick else "1-4", 10.0 if quick else 40.0)
-    print(f"# A study of many runs\n\n{machine()}. `{__doc__.split('by hand:')[1].split('>')[0].strip()}`"
+    print(f"# A study of many runs\n\n{machine()}. `{command(__doc__)}`"
           f"{' --quick: a trial, no measurement' if quick else ''}\n")  # fmt: skip
     with memory() as peaks_one, cluster(1) as run_one:
         # In turn, so that both have the same share of whatever else the machine does.
@@ -53,7 +55,7 @@ def main() -> None:
         for size in sizes:
             many = make(["report"], ["icp", "icp-3dof", "best", "average"], f"1-{size // 4}", 5.0, ["vertical"])
             begin = time.process_time()
-            each[size] = timed(lambda runs=many: run_many(runs)) / len(many)
+            each[size] = timed(partial(run_many, many)) / len(many)
             own_s = (time.process_time() - begin) / len(many)  # of client and scheduler, which are this process
     print(f"| seconds a run, {sizes[0]} runs of 5 s | {each[sizes[0]]:.3f} | |")
     print(f"| seconds a run, {sizes[1]} runs of 5 s | {each[sizes[1]]:.3f}, "
@@ -101,14 +103,10 @@ def make(
 ) -> list[Run]:
     """The runs of a block, with two noises where there are two trajectories."""
     noises = ["random-walk", "constant-drift"][: len(trajectories)]
-    block = Block(
-        seeds=seeds,
-        trajectories=[*trajectories],
-        noises=noises,
-        sensors=sensors,
-        methods=methods,
-        duration_s=duration_s,  # type: ignore[arg-type]
-    )
+    block = Block.model_validate({
+        "seeds": seeds, "trajectories": [*trajectories], "noises": noises, "sensors": sensors, "methods": methods,
+        "duration_s": duration_s,
+    })  # fmt: skip
     return [make_run(*each) for each in block.settings()]
 
 

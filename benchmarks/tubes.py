@@ -9,16 +9,15 @@ around towers of angle sections, both sensors. Prints the tables of tubes.md.
 
 import argparse
 import importlib
-from collections.abc import Callable
+from unittest.mock import patch
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.fusion import Structure
 from steelnb.fusion.proposals import find_bars
 from steelnb.metrics.matching import match_members
-from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import CastScans, Tower, build_tubes
 from steelnb.types import Array, RangeScans, Segments, Trajectory
 
@@ -29,6 +28,7 @@ AXES = np.array([
     [[-1, -1, 0.8], [-1, 1, 2.8]],
 ])  # fmt: skip
 """Four posts, two beams and a brace, metres."""
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 RADII_M, SIDES = (0.025, 0.05, 0.1), {"all round": np.pi, "one side": 0.6}
 SCANS, STANDOFF_M = 240, 3.5
 TUBE_MIN_M, TUBE_SHARE = 0.06, 1.2
@@ -55,7 +55,7 @@ def main() -> None:
         print("\n| flight | sensor | seed | bars | round |\n|---|---|---|---|---|")
     for seed in arguments.steel:
         for sensor in ("starling2", "report"):
-            for name in ("vertical", "orbit"):
+            for name in FLIGHTS:
                 flight, truth = experiment.simulate(
                     ExperimentSettings.preset(name, "random-walk", sensor=sensor, seed=seed)
                 )
@@ -78,7 +78,8 @@ def measure(radius_m: float, side: str, adjust: bool, seed: int) -> tuple[Array,
     scans, T = seen(tower, SIDES[side], seed)
     settings = StructureSettings(adjust=adjust, tube_m=max(TUBE_MIN_M, TUBE_SHARE * radius_m))
     plain, _ = find_bars(reconstruction.map_scans(scans, T, settings), settings)
-    angles = without_tubes(lambda: reconstruction.reconstruct(scans, T, None, settings))
+    with patch.object(reconstruction, "fit_rounds", lambda *_: None):  # no bar is taken for a round tube
+        angles = reconstruction.reconstruct(scans, T, None, settings)
     both = reconstruction.reconstruct(scans, T, None, settings)
     tube = np.zeros(len(both)) if both.tube is None else both.tube.astype(float)
     return offsets(plain, tower), offsets(angles.segments, tower), offsets(both.segments, tower), tube
@@ -92,21 +93,11 @@ def seen(tower: Tower, turn_rad: float, seed: int) -> tuple[RangeScans, Array]:
     height = 1.8 + 0.8 * np.sin(7 * turn)
     T[:-1, :3, 3] = np.stack([-STANDOFF_M * np.cos(angle), -STANDOFF_M * np.sin(angle), height], axis=1)
     T[-1] = T[-2]
-    path = Trajectory(0.2 * np.arange(SCANS + 1), T)
+    path = Trajectory(0.2 * np.arange(SCANS + 1, dtype=np.float64), T)
     tof = ExperimentSettings.preset("orbit", "random-walk", sensor="starling2").tof
     scans = CastScans(tower, path, np.eye(4), tof, seed)
     image = np.array([measured for measured, *_ in scans.cast()])
     return RangeScans(scans.stamp_s, image, scans.ray), path.at(scans.stamp_s).T_world_drone
-
-
-def without_tubes(reconstruct: Callable[[], Structure]) -> Structure:
-    """A structure for which no bar was taken for a round tube."""
-    chosen = reconstruction.fit_rounds
-    reconstruction.fit_rounds = lambda *_: None
-    try:
-        return reconstruct()
-    finally:
-        reconstruction.fit_rounds = chosen
 
 
 def offsets(found: Segments, tower: Tower) -> Array:

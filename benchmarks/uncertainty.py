@@ -19,9 +19,9 @@ from steelnb.metrics import axis_errors, coverage, nees, pose_errors
 from steelnb.metrics.matching import match_members
 from steelnb.metrics.reconstruction import reference
 from steelnb.metrics.uncertainty import HELD
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, TrajectoryName
 
-FLIGHTS = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
 NOISE = "random-walk"
 START = {"starling2": "combined", "report": "best"}
 CASES = {"before": (0.0, 0.0), "after": (uncertainty.SHARED_SIGMA_M, uncertainty.END_SIGMA_M)}
@@ -48,13 +48,15 @@ def main() -> None:
 
 
 def measure(
-    flight_name: str, sensor: str, seed: int, shared_sigma_m: float, end_sigma_m: float
+    flight_name: TrajectoryName, sensor: str, seed: int, shared_sigma_m: float, end_sigma_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """NEES per degree of freedom of all poses but the first, which is held, and of all axes that lie on a member."""
     settings = ExperimentSettings.preset(flight_name, NOISE, sensor=sensor, seed=seed, method=START[sensor])
     flight, truth = experiment.simulate(settings)
     uncertainty.SHARED_SIGMA_M, uncertainty.END_SIGMA_M = shared_sigma_m, end_sigma_m
     smoothed = smooth(flight, experiment.estimate(settings, flight, truth))
+    assert smoothed.pose_covariance is not None, smoothed.unsmoothed
+    assert smoothed.axis_covariance is not None
     held = np.array(HELD)
     error = pose_errors(smoothed.corrected, truth.trajectory)[1:, held]
     axes = reference(truth.tower, truth.visibility).axes
