@@ -11,7 +11,6 @@ times are those of the process, not of the clock.
 import argparse
 import json
 import os
-import resource
 import tempfile
 import time
 from collections.abc import Callable
@@ -28,7 +27,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from shared import command, in_own_process
+from shared import command, in_own_process, peak_bytes
 from steelnb import odometry, rng
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import within
@@ -464,7 +463,7 @@ def measure(name: str, clones: Path) -> dict:
     clone = SOURCES[case.source].clone(clones)
     with tempfile.TemporaryDirectory() as work:
         row = case.run(clone, Path(work))
-    return row | {"peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9}
+    return row | {"peak_gb": peak_bytes() / 1e9}
 
 
 def cell(row: dict, name: str, form: str) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import command, in_own_process
+from shared import command, in_own_process, peak_bytes
 from steelnb import experiment, odometry
 from steelnb.io import read_flight, write_flight
 from steelnb.io.bag_files import typestore
@@ -230,9 +230,7 @@ def _drain(items: Iterable[object]) -> None:
 
 
 def _peak() -> float:
-    """In MB. Not that of getrusage, which a process inherits from the one that started it."""
-    status = Path("/proc/self/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+    return peak_bytes() / 2**20
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,12 @@ def in_own_process(script: str, *arguments: str) -> dict[str, Any]:
     if done.returncode:
         raise SystemExit(f"{' '.join(arguments)}: {done.stderr.strip().splitlines()[-1]}")
     return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def peak_bytes() -> int:
+    """Peak memory of this process. Not that of getrusage, which a process inherits from the one that started it."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(status.partition("VmHWM:")[2].split()[0])
 
 
 def map_mb(voxels: VoxelMap) -> float:

@@ -5,12 +5,11 @@
 Seconds belong to the machine named in the table; on another only their ratios hold.
 """
 
-import resource
 import time
 
 import numpy as np
 
-from shared import command, map_mb
+from shared import command, map_mb, peak_bytes
 from steelnb import experiment
 from steelnb.noise import drifting
 from steelnb.odometry import CloudOdometry, make_odometry
@@ -42,7 +41,7 @@ def main() -> None:
     frames = [row for t in TRAJECTORIES for sensor in SENSORS for row in measure(t, sensor)]
     print(f"\n{NOTE}\n\n{FRAMES}\n{'|---' * (FRAMES.count('|') - 1)}|")
     print("\n".join(frames))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    peak = peak_bytes() / 2**30
     print(f"\nPeak memory of the process: {peak:.2f} GiB. {GOALS}")
 
 

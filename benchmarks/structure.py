@@ -11,7 +11,6 @@ such as the files 001Tower.txt to 010Tower.txt of https://github.com/HyperLambda
 import argparse
 import json
 import os
-import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +23,7 @@ import networkx as nx
 import numpy as np
 from scipy.spatial import cKDTree
 
-from shared import command, in_own_process
+from shared import command, in_own_process, peak_bytes
 from steelnb import experiment, rng
 from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
 from steelnb.fusion.structure import Structure
@@ -204,7 +203,7 @@ def largest(structure: Structure) -> int:
 def _measured(found: Structure, began: float) -> dict:
     return {
         "seconds": time.process_time() - began, "bars": len(found), "joints": len(found.joint), "reason": found.reason,
-        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        "peak_gb": peak_bytes() / 1e9,
     }  # fmt: skip
 
 
