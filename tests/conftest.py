@@ -9,6 +9,7 @@ import os
 import pytest
 from hypothesis import settings
 
+import workflow  # noqa: F401 before nbformat: what it leaves out takes seconds to import
 from steelnb import cli_progress
 
 settings.register_profile("same", derandomize=True, deadline=None)
