@@ -124,7 +124,7 @@ def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
     table = of_sensors(smoke, "cloud-odometry")
     assert not table.duplicated(["trajectory", "noise", "method", "map", "sensor", "seed"]).any()
     assert table.notna().all(axis=None)
-    assert (table["scans"] == 50).all()
+    assert (table["scans"] == 35).all()
     # One scan of the orbit has fewer points than `best` registers.
     assert (table["unused_share"] * (table["scans"] - 1) < 1.5).all()
     report = {"icp", "icp-3dof", "gicp"}
@@ -192,7 +192,7 @@ def test_the_convergence_notebook_maps_the_basin_and_searches(smoke):
 
 def test_the_yaw_notebook_flies_every_method_and_best_takes_the_turn_out(smoke):
     table = of_sensors(smoke, "yaw-drift")
-    assert (table["scans"] == 50).all()
+    assert (table["scans"] == 35).all()
     for (flight, sensor), rows in table.groupby(["trajectory", "sensor"]):
         where = f"{flight}, {sensor}"
         ate = rows.set_index("method")["ate_rmse_m"]
