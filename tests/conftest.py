@@ -3,6 +3,7 @@
 ``HYPOTHESIS_PROFILE=random`` draws new ones: what they find becomes an ``@example``.
 """
 
+import gc
 import math
 import os
 
@@ -15,6 +16,13 @@ from steelnb import cli_progress
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """The garbage collector leaves alone what has been imported by now and stays: a tenth of the tests' time."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)
