@@ -9,7 +9,7 @@ from steelnb.errors import SettingsError
 from steelnb.odometry.base import Odometry, nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PosePredictor
-from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
+from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
@@ -125,9 +125,8 @@ class CloudOdometry(Odometry):
             return Target(tree), None
         if s.shape == "neighbours":
             return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
-        around = self.map.shapes(chosen)[tree.order].copy()
-        around[:, [0, 3, 5]] += (0.5 * SIGMA_M) ** 2
-        return Target(tree, covariance=around), self._ray_covariances(points)
+        shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
+        return Target.of_voxels(tree, shapes), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
         """Range noise along each ray, and the floor across it, upper triangles ``(N, 6)`` in the drone frame."""

@@ -131,14 +131,30 @@ def link(first, last, keys, table_key, table_slot, around):
 
 
 @njit(cache=True)
-def shapes(touched, voxel, around, moment, shape, seen, mark):
-    """Covariances of the 3×3×3 voxels around each voxel touched and each of its neighbours."""
+def outdate(touched, around, outdated):
+    """Note in ``outdated (V,)`` that the shapes of the voxels touched and of each of their neighbours have changed."""
     for slot in touched:
         for place in range(27):
             near = around[slot, place]
-            if near >= 0 and seen[near] != mark:
-                seen[near] = mark
-                _shape(near, voxel, around, moment, shape)
+            if near >= 0:
+                outdated[near] = True
+
+
+@njit(cache=True)
+def shapes(asked, slots, floor, value, voxel, around, moment, shape, outdated):
+    """Write to ``value (M, 6)``, NaN where it was not asked for before, the shapes of the voxels at places ``asked`` of
+    ``slots (M,)``, −1 for none, with ``floor`` added to their diagonals; those outdated are computed first."""
+    for i in asked:
+        if i < 0 or value[i, 0] == value[i, 0]:
+            continue
+        slot = slots[i]
+        if outdated[slot]:
+            outdated[slot] = False
+            _shape(slot, voxel, around, moment, shape)
+        value[i, :] = shape[slot]
+        value[i, 0] += floor
+        value[i, 3] += floor
+        value[i, 5] += floor
 
 
 @njit(cache=True)

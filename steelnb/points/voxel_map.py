@@ -1,5 +1,6 @@
 """An incremental voxel map: hashed voxels with the moments of their points."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ class VoxelMap:
         self._moment = np.zeros((1 << 12, 10))  # weight, sum (3), outer (6), all about the voxel's corner
         self._mean = np.zeros((1 << 12, 3))
         self._shape = np.zeros((1 << 12, 6))
+        self._outdated = np.zeros(1 << 12, dtype=bool)  # whether a shape is that of earlier moments
         self._seen = np.zeros(1 << 12, dtype=np.int64)
         self._around = np.zeros((1 << 12, 27), dtype=np.int32)  # slots of the 3×3×3 voxels around the first `_linked`
         self._size = self._linked = self._mark = 0
@@ -66,7 +68,7 @@ class VoxelMap:
 
     def _reserve(self, more: int) -> None:
         while self._size + more > len(self._key):
-            for name in ("_key", "_seen", "_moment", "_mean", "_shape", "_around"):
+            for name in ("_key", "_seen", "_moment", "_mean", "_shape", "_outdated", "_around"):
                 array = getattr(self, name)
                 setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
         if 2 * (self._size + more) > len(self._table_key):
@@ -92,22 +94,51 @@ class VoxelMap:
         return kernels.near(self._key[: self._size], low, high)
 
     def update_shapes(self, touched: IntArray) -> None:
-        """Recompute the covariances of the 3×3×3 voxels around each slot in ``touched`` and around its neighbours."""
+        """Note that each slot in ``touched`` has new points: the covariances of the 3×3×3 voxels around it and around
+        its neighbours are computed anew when they are asked for next."""
         kernels.link(self._linked, self._size, self._key, self._table_key, self._table_slot, self._around)
         self._linked = self._size
-        self._mark += 1
-        kernels.shapes(
-            np.asarray(touched, dtype=np.int64), self.voxel_m, self._around, self._moment, self._shape, self._seen,
-            self._mark,
-        )  # fmt: skip
+        kernels.outdate(np.asarray(touched, dtype=np.int64), self._around, self._outdated)
 
     def shapes(self, chosen: IntArray | None = None) -> Array:
         """Covariances ``(M, 6)`` in m² of the points in the 3×3×3 voxels around each, as of the last `update_shapes`.
 
         Upper triangles xx xy xz yy yz zz; of all voxels, or of the slots ``chosen``.
         """
-        return self._shape[: self._size].copy() if chosen is None else self._shape[chosen]
+        shapes = VoxelShapes.of(self, np.arange(self._size) if chosen is None else chosen)
+        shapes.fill(np.arange(len(shapes.slot)))
+        return shapes.value
+
+    def fill_shapes(self, asked: IntArray, slot: IntArray, floor_m2: float, value: Array) -> None:
+        """See `VoxelShapes`."""
+        kernels.shapes(
+            asked, slot, floor_m2, value, self.voxel_m, self._around, self._moment, self._shape, self._outdated
+        )
 
     def grid(self) -> tuple[VoxelGrid, Array]:
         """The grid and the shapes ``(capacity, 6)`` by slot, without copies; valid until the next `insert`."""
+        self.shapes()
         return VoxelGrid(self.voxel_m, self._table_key, self._table_slot, self._mean), self._shape
+
+
+@dataclass(frozen=True)
+class VoxelShapes:
+    """`VoxelMap.shapes` of some voxels, each computed when a registration first asks for it: a scan meets few of them.
+
+    ``slot (M,)``: the voxels; ``floor_m2`` is added to all three variances; ``value (M, 6)`` is NaN until asked for.
+    Valid until the next `VoxelMap.insert`.
+    """
+
+    voxels: VoxelMap
+    slot: IntArray
+    floor_m2: float
+    value: Array
+
+    @classmethod
+    def of(cls, voxels: VoxelMap, slot: IntArray, floor_m2: float = 0.0) -> "VoxelShapes":
+        """Those of the voxels ``slot (M,)``, none computed yet."""
+        return cls(voxels, slot, floor_m2, np.full((len(slot), 6), np.nan))
+
+    def fill(self, asked: IntArray) -> None:
+        """Compute those at the places ``asked (N,)`` that are missing; −1 asks for none."""
+        self.voxels.fill_shapes(asked, self.slot, self.floor_m2, self.value)

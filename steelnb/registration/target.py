@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from steelnb.errors import EmptyCloudError
-from steelnb.points import VoxelGrid, VoxelMap
+from steelnb.points import VoxelGrid, VoxelMap, VoxelShapes
 from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals
 from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree
@@ -33,20 +33,25 @@ class Pairs:
 class Target:
     """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 
-    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero. Covariances that
-    are ``planes`` are computed as pairs need them.
+    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero. ``filled``
+    computes covariances as pairs need them.
     """
 
     tree: KdTree
     normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    planes: PlaneCovariances | None = None
+    filled: PlaneCovariances | VoxelShapes | None = None
 
     @classmethod
     def with_planes(cls, tree: KdTree, neighbours: int) -> "Target":
         """Covariances of GICP, from the nearest ``neighbours`` points around each."""
         planes = PlaneCovariances.of(tree, neighbours)
-        return cls(tree, covariance=planes.value, planes=planes)
+        return cls(tree, covariance=planes.value, filled=planes)
+
+    @classmethod
+    def of_voxels(cls, tree: KdTree, shapes: VoxelShapes) -> "Target":
+        """The shapes of voxels, in the order of the tree, as covariances."""
+        return cls(tree, covariance=shapes.value, filled=shapes)
 
     @property
     def point(self) -> Array:
@@ -60,8 +65,8 @@ class Target:
 
         def update(T: Array) -> None:
             correspond_points(self.tree, source, T, limit_m, match, *state)
-            if self.planes:
-                self.planes.fill(match)
+            if self.filled:
+                self.filled.fill(match)
 
         return Pairs(match, update)
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.errors import SettingsError
-from steelnb.points import VoxelMap, voxel_grid
+from steelnb.points import VoxelMap, VoxelShapes, voxel_grid
 from steelnb.points import voxel_kernels as kernels
 from tests import naive
 
@@ -157,3 +157,17 @@ def test_voxels_in_a_row_spread_over_the_table(step):
     keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
     places = {kernels.place_of(key, (1 << 12) - 1) for key in keys}
     assert len(places) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # as many as at random, and a tenth less
+
+
+def test_shapes_are_computed_where_a_registration_asks_for_them():
+    voxels = VoxelMap(VOXEL)
+    for frame in frames():
+        voxels.update_shapes(voxels.insert(frame))
+        slot = np.arange(len(voxels))[::-1].copy()
+        shapes = VoxelShapes.of(voxels, slot, floor_m2=0.25)
+        shapes.fill(np.array([3, -1, 0, 3]))
+        missing = np.ones(len(slot), dtype=bool)
+        missing[[0, 3]] = False
+        assert np.isnan(shapes.value[missing]).all()
+        expected = naive.full(voxels.shapes(slot)) + 0.25 * np.eye(3)
+        np.testing.assert_array_equal(naive.full(shapes.value[[0, 3]]), expected[[0, 3]])

@@ -30,8 +30,8 @@ class Problem:
         self.C_source = regularised(neighbour_covariances(self.source)) if error == "gicp" else NONE
         self.T = motion(4, 0.05)
         self.match = naive.pairs(moved(self.source, self.T), self.target.point, 0.6)
-        if self.target.planes:
-            self.target.planes.fill(np.arange(len(self.target.point)))
+        if self.target.filled:
+            self.target.filled.fill(np.arange(len(self.target.point)))
         self.centre = np.array([0.3, -0.2, 0.5])
 
     def fast(self, T, spread=False):
