@@ -1,11 +1,12 @@
 """Localisation in the structure of an earlier flight, and the changes found in a tower since.
 
     PYTHONPATH=. .venv/bin/python benchmarks/changes.py [--seeds 102 103 …] [--map-seed 101] [--maps FOLDER]
+        [--flights vertical orbit] [--picture changes.png]
 
 The map of each flight path is the structure of a smoothed flight around the unchanged tower with the map's seed, with
 its own errors. In each later flight some members are removed, moved by 1, 2 and 5 cm or bent by 3 cm, in directions
 across them that the seed draws, and it starts 0.47 m and 4.5° beside the map. Prints the tables of changes.md.
-FOLDER keeps the maps between calls.
+FOLDER keeps the maps between calls; the picture is that of the first flight.
 """
 
 import argparse
@@ -19,9 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from shared import aligned_m
 from steelnb import KnownStructureOdometry, Structure, experiment, find_changes, odometry, reconstruct, smooth
+from steelnb.fusion.changes import Changes
 from steelnb.io import read_structure, write_structure
 from steelnb.metrics.matching import match_members
 from steelnb.noise import drifting
+from steelnb.report.three_views import figure_changes
 from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import build_tower, changed_tower, fly, scan_flight
 from steelnb.types import Flight, Trajectory
@@ -41,6 +44,7 @@ def main() -> None:
     parser.add_argument("--map-seed", type=int, default=101)
     parser.add_argument("--maps", type=Path)
     parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=FLIGHTS)
+    parser.add_argument("--picture", type=Path)
     arguments = parser.parse_args()
     for name in arguments.flights:
         known = map_of(name, arguments.map_seed, arguments.maps)
@@ -48,7 +52,9 @@ def main() -> None:
         print("| flight | seed | scans placed | rms, mm | aligned | median | p95 | yaw, ° | ms a scan |")
         print("|---|---|---|---|---|---|---|---|---|", flush=True)
         for seed in arguments.seeds:
-            numbers, told = measure(name, seed, known)
+            numbers, told, changes = measure(name, seed, known)
+            if arguments.picture and (name, seed) == (arguments.flights[0], arguments.seeds[0]):
+                figure_changes(changes, f"Changes found on the {name} flight of seed {seed}").savefig(arguments.picture)
             print(f"| {name} | {seed} | " + " | ".join(numbers) + " |", flush=True)
             for change, counts in told.items():
                 total[change] += counts
@@ -76,7 +82,7 @@ def map_of(name: TrajectoryName, seed: int, folder: Path | None) -> Structure:
     return known
 
 
-def measure(name: TrajectoryName, seed: int, known: Structure) -> tuple[list[str], dict[str, Counter[str]]]:
+def measure(name: TrajectoryName, seed: int, known: Structure) -> tuple[list[str], dict[str, Counter[str]], Changes]:
     """Localise a flight around the changed tower and compare: numbers of the poses, and the verdicts by change."""
     settings = ExperimentSettings.preset(name, NOISE, seed=seed)
     tower, rng = build_tower(settings.tower), np.random.default_rng(seed)
@@ -113,7 +119,7 @@ def measure(name: TrajectoryName, seed: int, known: Structure) -> tuple[list[str
             told[what.get(int(m), "same")][kind] += 1
     new = match_members(changes.new.segments, tower.axes).member
     told["new"].update("on a changed member" if m in what else "on a member" if m >= 0 else "on none" for m in new)
-    return [f"{placed:.3f}", *errors(found.corrected, trajectory.at(scans.stamp_s)), f"{ms:.1f}"], told
+    return [f"{placed:.3f}", *errors(found.corrected, trajectory.at(scans.stamp_s)), f"{ms:.1f}"], told, changes
 
 
 def errors(found: Trajectory, true: Trajectory) -> list[str]:
