@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.regions import dimensions, is_lattice, linear_share
+from steelnb.fusion.scales import Scales
 from steelnb.hough.blocks import segment_structure
-from steelnb.points import voxel_grid
+from steelnb.points import VoxelMap, voxel_grid
+from steelnb.settings import StructureSettings
 from steelnb.types import Segments
 from tests.fusion.made import bars_of
 from tests.lattice import lattice, scanned, thinned
@@ -61,3 +64,13 @@ def test_a_lattice_is_known_where_bars_are_few_tubes_apart(panels: int, tube: fl
     spread = points + np.random.default_rng(3).uniform(-1, 1, points.shape)
     assert not passes_for_lattice(voxel_grid(spread, tube / np.sqrt(3)), tube)
     assert not passes_for_lattice(grid[:20], tube)
+
+
+@pytest.mark.parametrize(("width_m", "refused"), [(3.2, False), (6.0, True)])
+def test_a_lattice_has_bars_beside_a_small_box_but_not_where_most_is_box(width_m: float, refused: bool) -> None:
+    settings = StructureSettings(floor_m=-1e6)
+    box = 0.5 * width_m * clouds(40000)["box"] + [8, 0, 3]
+    voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
+    voxels.insert(np.concatenate([scanned(lattice(6, 3, 2, 4), 60, 0.08, 0.01), box]))
+    bars, reason = find_bars(voxels, settings, grids=1)
+    assert ("planar or volumetric regions" in reason) == (len(bars) == 0) == refused
