@@ -16,21 +16,27 @@ from steelnb.types import Segments
 
 RIDGE_SHARE = 0.2
 """Least weight of a voxel on a ridge, as a share of the largest around it. Chosen with `fusion.scales.Scales`."""
-LINEAR_SHARE_MIN, COARSE_SHARE_MIN = 0.25, 0.5
+LINEAR_SHARE_MIN, BLURRED_SHARE_MIN = 0.5, 0.25
 """Least share of the length of all lines outside planar and volumetric regions (`regions.linear_share`: at most 0.02 in
-shapes without bars, at least 0.75 on towers scanned closely, and 0.48 in the first map of a flight around one whose
-sensor has all errors that calibration seeks, the least of seeds 11 to 14); and that below which a cloud is coarse."""
+shapes without bars, at least 0.75 on towers scanned closely); and that of a map which an adjustment is to sharpen: with
+all errors of a sensor that calibration seeks, 0.48 in the first map of a flight, the least of seeds 11 to 14."""
 GRIDS = 4
 """Grids of blocks in which bars are proposed. On flights eight find no more."""
 
 
 def find_bars(
-    voxels: VoxelMap, settings: StructureSettings, grids: int = GRIDS, coarse: bool = False, rise_m: float = math.inf
+    voxels: VoxelMap,
+    settings: StructureSettings,
+    grids: int = GRIDS,
+    coarse: bool = False,
+    rise_m: float = math.inf,
+    linear_min: float = LINEAR_SHARE_MIN,
 ) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points, strongest first; or none, and the reason.
 
     ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``coarse``: bars may be only a few tubes apart.
-    ``rise_m``: bars that rise by more across a stronger one are no copies of it (`fusion.merging`).
+    ``rise_m``: bars that rise by more across a stronger one are no copies of it (`fusion.merging`). ``linear_min``:
+    least share of lines outside planar and volumetric regions.
     """
     tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
     points = voxel_grid(ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.contract_m), tube / math.sqrt(3))
@@ -40,7 +46,7 @@ def find_bars(
     bars = _with_struts(voxels, lines, settings, grids, rise_m)
     # A bar inside a lattice looks volumetric, but not most of a structure; unless the cloud is so coarse that all its
     # bars are near others: then braces claim the points of the legs, unless long bars come first.
-    if len(bars) and linear_share(points, bars, 2 * tube) < (COARSE_SHARE_MIN if coarse else LINEAR_SHARE_MIN):
+    if len(bars) and linear_share(points, bars, 2 * tube) < linear_min:
         if not (coarse and is_lattice(points, lines, tube, votes, s.length_min_m / tube)):
             return Segments.empty(), f"most of {len(bars)} lines lie in planar or volumetric regions"
         long = long_bars(voxels.means(), tube, votes)

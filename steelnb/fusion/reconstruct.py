@@ -16,7 +16,7 @@ from steelnb.fusion.merging import merge_pieces
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.proposals import find_bars, find_struts
+from steelnb.fusion.proposals import LINEAR_SHARE_MIN, find_bars, find_struts
 from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
@@ -257,9 +257,11 @@ class MappedScans:
         s = self.settings
         return merge_pieces(bars, Scales.at(s.tube_m).gap_max_m, s.copy_distance_m, s.tube_m, width_m, s.tube_m)
 
-    def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
+    def find_and_fit(
+        self, fits: int, every: int = 5, linear_min: float = LINEAR_SHARE_MIN
+    ) -> tuple[FittedBars | None, str]:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason."""
-        bars, reason = find_bars(self.voxels, self.settings, grids=1)
+        bars, reason = find_bars(self.voxels, self.settings, grids=1, linear_min=linear_min)
         fitted = None
         for _ in range(fits if len(bars) else 0):
             # Bars extended to their joints have more points, so a second fit is more exact.
@@ -268,13 +270,17 @@ class MappedScans:
 
 
 def map_and_fit(
-    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, fits: int = 2
+    scans: Sequence[Scan],
+    T_world_sensor: Array,
+    settings: StructureSettings,
+    fits: int = 2,
+    linear_min: float = LINEAR_SHARE_MIN,
 ) -> tuple[MappedScans, FittedBars | None, str]:
     """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
-    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `EmptyCloudError` as
-    `map_scans`."""
+    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. ``linear_min`` as for
+    `find_bars`. Raises `EmptyCloudError` as `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
-    return flight, *flight.find_and_fit(fits)
+    return flight, *flight.find_and_fit(fits, linear_min=linear_min)
 
 
 def _tied(fitted: FittedBars, scales: Scales) -> Structure:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.proposals import BLURRED_SHARE_MIN, find_bars
 from steelnb.fusion.regions import dimensions, is_lattice, linear_share
 from steelnb.fusion.scales import Scales
 from steelnb.hough.blocks import segment_structure
@@ -67,10 +67,11 @@ def test_a_lattice_is_known_where_bars_are_few_tubes_apart(panels: int, tube: fl
 
 
 @pytest.mark.parametrize(("width_m", "refused"), [(3.2, False), (6.0, True)])
-def test_a_lattice_has_bars_beside_a_small_box_but_not_where_most_is_box(width_m: float, refused: bool) -> None:
+def test_a_map_that_is_to_be_sharpened_may_have_fewer_bars_but_not_next_to_none(width_m: float, refused: bool) -> None:
     settings = StructureSettings(floor_m=-1e6)
     box = 0.5 * width_m * clouds(40000)["box"] + [8, 0, 3]
     voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
     voxels.insert(np.concatenate([scanned(lattice(6, 3, 2, 4), 60, 0.08, 0.01), box]))
-    bars, reason = find_bars(voxels, settings, grids=1)
+    bars, reason = find_bars(voxels, settings, grids=1, linear_min=BLURRED_SHARE_MIN)
     assert ("planar or volumetric regions" in reason) == (len(bars) == 0) == refused
+    assert not len(find_bars(voxels, settings, grids=1)[0])
