@@ -288,3 +288,37 @@ def circle_step(cells, place, robust_m=0.03):
         matrix += weight * np.outer(gradient, gradient)
         vector -= weight * np.array(gradient) * found
     return cost, matrix, vector
+
+
+def pair_distance(new, known, settings, gap_max_m):
+    """Distances across (M, K) of `fusion.association.pair_distance`, pair by pair; infinite where two do not match."""
+    result = np.full((len(new), len(known)), np.inf)
+    for m, (start, end) in enumerate(zip(new.start, new.end, strict=True)):
+        for k, axis in enumerate(known.direction):
+            first, last = ((point - known.start[k]) @ axis for point in (start, end))
+            low, high = min(first, last), max(first, last)
+            middle = np.mean(np.clip([low, high], 0, known.length[k]))
+            at_new = start + np.clip((middle - first) / (last - first), 0, 1) * (end - start)
+            across = np.linalg.norm(np.cross(at_new - known.start[k], axis))
+            parallel = abs(new.direction[m] @ axis) >= np.cos(settings.angle_max_rad)
+            limit_m = settings.distance_max_m + settings.add_radii * (new.radius[m] + known.radius[k])
+            if parallel and max(low - known.length[k], -high) <= gap_max_m and across <= limit_m:
+                result[m, k] = across
+    return result
+
+
+def bar_equations(ends, start, direction, information, centre, scale_m, columns):
+    """Loss, H and b of `odometry.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end, in some columns
+    of (yaw, x, y, z, roll, pitch)."""
+    loss, H, b = 0.0, np.zeros((columns, columns)), np.zeros(columns)
+    for both, at, axis, weight in zip(ends, start, direction, information, strict=True):
+        projector = np.eye(3) - np.outer(axis, axis)
+        for end in both:
+            turns = [np.cross(about, end - centre) for about in np.eye(3)]
+            J = np.column_stack([turns[2], *np.eye(3), turns[0], turns[1]])[:, :columns]
+            across = projector @ (end - at)
+            robust = 1 / (1 + across @ across / scale_m**2)
+            loss += 0.5 * weight * across @ across * robust
+            H += weight * robust**2 * J.T @ projector @ J
+            b += weight * robust**2 * J.T @ across
+    return loss, H, b

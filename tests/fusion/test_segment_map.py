@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import SegmentMap, associate
+from steelnb.fusion.association import GAP_MAX_M, pair_distance
 from steelnb.report.structure_tables import structure_of
 from steelnb.settings import FusionSettings
 from steelnb.types import Segments
+from tests import naive
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, turned
 
 NARROW = FusionSettings(angle_max_rad=math.radians(5), distance_max_m=0.1, add_radii=False)
@@ -67,6 +69,18 @@ def test_the_nearest_of_two_bars_is_taken_and_radii_widen_the_gate():
     assert associate(far, wide, NARROW.replace(add_radii=True))[0] == 1
     assert len(associate(Segments.empty(), known, NARROW)) == 0
     np.testing.assert_array_equal(associate(far, Segments.empty(), NARROW), [-1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(SEEDS)
+def test_distances_are_those_of_the_definition(seed):
+    rng = np.random.default_rng(seed)
+    known, wide = random_bars(seed, 12), FusionSettings(angle_max_rad=0.5, distance_max_m=0.3, add_radii=bool(seed % 2))
+    shift = rng.normal(scale=0.2, size=(2, 12, 3))
+    new = Segments(known.end + shift[0], known.start + shift[1], known.count, known.radius)
+    expected = naive.pair_distance(new, known, wide, GAP_MAX_M)
+    assert np.isfinite(expected).any()
+    np.testing.assert_allclose(pair_distance(new, known, wide), expected, atol=1e-12)
 
 
 @settings(max_examples=100, deadline=None)

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
-from steelnb.fusion import SegmentMap
+from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
 from steelnb.settings import FusionSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Scan, Segments
+from tests import naive
 
 BARS = np.array(
     [
@@ -95,6 +96,21 @@ def test_bar_equations_are_the_derivatives_of_their_loss(known):
     for k, axis in enumerate(np.eye(4)):
         there = bar_equations(moved(near, step * axis, DRONE), known, square, DRONE)
         np.testing.assert_allclose((there.b - here.b) / step, here.H[:, k], atol=2e-3 * np.abs(here.H[:, k]).max())
+
+
+@pytest.mark.parametrize("tilt", [False, True])
+def test_bar_equations_are_those_of_the_definition(known, tilt):
+    apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
+    found = bar_equations(apart, known, FREE, DRONE, tilt)
+    bars = known.segments.take(associate(apart, known.segments, known.settings))
+    information = 0.5 * apart.count / (apart.radius**2 + corrections.SIGMA_FLOOR_M**2)
+    loss, H, b = naive.bar_equations(
+        shared_ends(apart, bars), bars.start, bars.direction, information, DRONE, FREE.robust_scale_m, 6 if tilt else 4
+    )
+    assert found.matches == len(apart)
+    assert found.loss == pytest.approx(loss, rel=1e-12)
+    np.testing.assert_allclose(found.H, H, atol=1e-9 * H.max())
+    np.testing.assert_allclose(found.b, b, atol=1e-9 * np.abs(b).max())
 
 
 def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
