@@ -69,11 +69,13 @@ lab: $(READY)  ## open JupyterLab on the notebook to explore
 	@JUPYTER_CONFIG_PATH="$(CURDIR)/scripts/jupyterlab" $(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
 
 GROUPS := workflow docs dev build
+# With extras named, since pip takes `package[extra]` for another requirement, which wants a version of its own: without,
+# set-up fails as soon as a newer version of such a package is released.
 lock:  ## write environment.lock anew from pyproject.toml, versions kept where they fit (needs uv)
 	@mkdir -p .cache
-	grep -oE '^[A-Za-z0-9_.-]+==[^ ;]+' environment.lock > .cache/constraints.txt
+	sed -nE 's/^([A-Za-z0-9_.-]+)(\[.*\])?(==[^ ;]+).*/\1\3/p' environment.lock > .cache/constraints.txt
 	uv pip compile pyproject.toml --extra all $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
-	    --no-header --no-annotate --no-emit-package steelnb --quiet -c .cache/constraints.txt -o environment.lock
+	    --no-header --no-annotate --no-strip-extras --no-emit-package steelnb --quiet -c .cache/constraints.txt -o environment.lock
 
 clean:  ## remove the environment and every cache; results stay
 	rm -rf $(VENV) .cache results-smoke docs/_build docs/notebooks docs/_static/plotly.min.js .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
