@@ -117,7 +117,7 @@ class VoxelMap:
 
     def grid(self) -> tuple[VoxelGrid, Array]:
         """The grid and the shapes ``(capacity, 6)`` by slot, without copies; valid until the next `insert`."""
-        self.shapes()
+        self.shapes(np.flatnonzero(self._outdated[: self._size]))
         return VoxelGrid(self.voxel_m, self._table_key, self._table_slot, self._mean), self._shape
 
 
