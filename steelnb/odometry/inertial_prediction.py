@@ -203,5 +203,5 @@ def _cross(v: Array) -> Array:
 
 def _apart(T_from: Array, T_to: Array) -> Array:
     """Turn in the axes of the world and shift ``(6,)`` from one pose to another."""
-    turned = Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T).as_rotvec()
+    turned = Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T, assume_valid=True).as_rotvec()
     return np.append(turned, T_to[:3, 3] - T_from[:3, 3])
