@@ -1,4 +1,6 @@
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.scene import GROUND_M, cast_rays, make_scene, rays
+from steelnb.simulation.scene import GROUND_M, _distance, _measure, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M
+from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
@@ -20,6 +23,55 @@ EXACT = TofSettings.preset("report").replace(sigma_floor_m=0.0)
 @pytest.fixture(scope="module")
 def flight():
     return fly(TOWER, FlightSettings.preset("vertical", 10.0), 1)[0]
+
+
+class Perturbed:
+    """A mesh whose distances are off by some units in the last place, as on a processor of another vendor."""
+
+    def __init__(self, scene, ulps):
+        self._mesh, self._ulps = scene.mesh, ulps
+
+    def cast_rays(self, bundle, nthreads):
+        hit = {name: found.numpy().copy() for name, found in self._mesh.cast_rays(bundle, nthreads=nthreads).items()}
+        distance = hit["t_hit"].view(np.int32)
+        distance[np.isfinite(hit["t_hit"])] += self._ulps
+        return {name: SimpleNamespace(numpy=lambda found=found: found) for name, found in hit.items()}
+
+
+@pytest.mark.parametrize("ulps", [-2, -1, 1, 2])
+def test_scans_do_not_hang_on_the_last_digits_of_embree_s_distances(ulps):
+    ray, T = rays(EXACT), pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.3)[None]
+    exact, _ = cast_rays(SCENE, T, ray)
+    perturbed, _ = cast_rays(SCENE._replace(mesh=Perturbed(SCENE, ulps)), T, ray)
+    np.testing.assert_array_equal(exact, perturbed)
+    assert np.isfinite(exact).sum() > 1000
+
+
+def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names():
+    """A roof whose ridge the rays hit, and a plate that lies in one of its sides."""
+    roof = np.array([(0, -1, 1), (0, 1, 1), (1, 1, 2), (1, -1, 2), (2, 1, 1), (2, -1, 1)], dtype=float)
+    plate = np.array([(0.3, -0.5, 1.3), (0.3, 0.5, 1.3), (0.7, 0.5, 1.7), (0.7, -0.5, 1.7)])
+    triangles = np.array([(0, 1, 2), (0, 2, 3), (3, 2, 4), (3, 4, 5), (6, 7, 8), (6, 8, 9)])
+    tower = replace(TOWER, vertices=np.vstack([roof, plate]), triangles=triangles, triangle_member=[0, 0, 1, 1, 2, 2])
+    scene = make_scene(tower)
+    down = np.zeros((2, 6), np.float32)
+    down[:, 5] = -1
+    down[0, :3], down[1, :3] = (1, 0.3, 5), (0.5, 0.1, 5)  # on the ridge; on the plate and the roof below it
+    found = []
+    for named in [(1, 1), (2, 4)]:
+        hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32)
+        _measure(down, np.array(named, np.uint32), *scene[1:], *hits)
+        found.append(hits)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(found[0][0], [3.0, 3.5])
+
+
+def test_a_ray_that_grazes_a_plane_ends_on_the_triangle():
+    corner = np.array([(1, -1, 0), (2, -1, 0), (1, 1, 0)], dtype=float)
+    for fall in (0.0, 1e-30, -1e-9):
+        ray = np.array([0, 0, 1e-7, 1, 0, fall])
+        assert 1 <= _distance(ray, corner, np.array([0, 0, 1.0, 0])) <= 2
 
 
 def distance_to_axes(points):
