@@ -4,20 +4,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 LIBRARIES := libegl1 libgl1 libx11-6 libusb-1.0-0
-# One registration, one scan, one kernel: one thread. Runs are what is parallel.
-export OMP_NUM_THREADS = 1
-export OPENBLAS_NUM_THREADS = 1
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
-# The same bits on every x86-64 processor with AVX2: finding bars is discrete, so the last digit of a pose can decide
-# about a bar, and OpenBLAS and NumPy round otherwise where there is AVX-512.
-export OPENBLAS_CORETYPE = Haswell
-export NPY_DISABLE_CPU_FEATURES = X86_V4 AVX512_ICL AVX512_SPR
+# The same bits on every x86-64 processor with AVX2; steelnb/pins.py says why, and sets the same in a user's own script.
+include steelnb/pins.env
+export $(shell sed 's/=.*//' steelnb/pins.env)
+# NumPy refuses to start with both of its variables, and where the processor lacks what the first names.
+ifneq ($(NPY_DISABLE_CPU_FEATURES)$(shell grep -q avx2 /proc/cpuinfo || echo old),)
+unexport NPY_ENABLE_CPU_FEATURES
+endif
 # The libraries' bytecode is kept, even where a container says otherwise: every kernel imports them, in 2 s instead of 5.
 export PYTHONDONTWRITEBYTECODE =
 # `workflow` lies beside the package, not in it.
 export PYTHONPATH = .
 
-.PHONY: help setup reproduce study smoke test lint check docs train lab lock clean
+.PHONY: help setup reproduce study smoke test bits lint check docs train lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -49,6 +49,10 @@ study: $(READY)  ## run what is missing of notebooks/study.toml into results/stu
 test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget, on two workers
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration -m kernels -W ignore::RuntimeWarning
+
+# 25 minutes on two cores; needs Debian's package qemu-user.
+bits: $(READY)  ## compute digests of short flights as other processors would, and say whether they are the same bits
+	@$(BIN)/python -m workflow bits
 
 lint: $(READY)
 	@$(BIN)/ruff check .

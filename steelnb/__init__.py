@@ -1,10 +1,13 @@
 """steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
-``import steelnb`` imports nothing but `os`: each public name is loaded when it is first used. A library of an extra
+``import steelnb`` loads no library: each public name is loaded when it is first used. It sets the environment variables
+of `steelnb.pins`, so that results have the same bits on every processor: import it before NumPy. A library of an extra
 that is missing is named with the command that installs it.
 """
 
 import os
+
+from steelnb.pins import pin
 
 TYPE_CHECKING = False  # type checkers take it for true; `typing` takes ten milliseconds, in which Ctrl-C is a traceback
 if TYPE_CHECKING:
@@ -106,6 +109,7 @@ def _keep_compiled_code() -> None:
     os.environ.setdefault("MPLCONFIGDIR", folder)
 
 
+pin(os.environ)
 _keep_compiled_code()
 
 

@@ -48,10 +48,11 @@ class Features(NamedTuple):
 
 @functools.cache
 def import_opencv() -> ModuleType:
-    """OpenCV, on one thread. Raises `MissingExtraError`."""
+    """OpenCV, on one thread and without code chosen by the processor. Raises `MissingExtraError`."""
     with needs("camera"):
         import cv2
     cv2.setNumThreads(1)
+    cv2.setUseOptimized(False)
     return cv2
 
 

@@ -86,7 +86,7 @@ def _plain(value: Any) -> Any:
 
 
 def environment() -> dict[str, Any]:
-    """Versions of Python and the main packages, the SHA-256 of the project's environment.lock, and the processor."""
+    """Versions of Python, the main packages and the C library, and the SHA-256 of the project's environment.lock."""
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -95,7 +95,8 @@ def environment() -> dict[str, Any]:
         digest = lock_digest(find_root())
     except FileMissingError:
         digest = None
-    return {"versions": versions, "environment_lock_sha256": digest, "processor": processor()}
+    versions["c-library"] = "-".join(platform.libc_ver())  # its sine and exponential round, too
+    return {"versions": versions, "environment_lock_sha256": digest}
 
 
 def machine() -> str:
@@ -104,7 +105,7 @@ def machine() -> str:
 
 
 def processor() -> str:
-    """Name, family, model and stepping of the processor, on which the last digits of a result depend."""
+    """Name, family, model and stepping of the processor."""
     found: dict[str, str] = {}
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\n\n")[0].splitlines()

@@ -1,0 +1,60 @@
+"""`steelnb.pins`: what libraries choose by the processor is the same everywhere."""
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from steelnb import pins
+
+PINS = dict(line.split("=", 1) for line in Path(pins.FILE).read_text(encoding="utf-8").split())
+
+
+def features(**found: bool) -> SimpleNamespace:
+    return SimpleNamespace(_core=SimpleNamespace(_multiarray_umath=SimpleNamespace(__cpu_features__=found)))
+
+
+@pytest.fixture
+def modern(monkeypatch):
+    """A processor with AVX2, before anything is imported."""
+    monkeypatch.setattr(pins, "missing_features", lambda: "")
+    monkeypatch.delitem(sys.modules, "numpy", raising=False)
+
+
+def test_variables_are_set_and_those_of_the_user_stay(modern):
+    environment = {"OMP_NUM_THREADS": "4"}
+    pins.pin(environment)
+    assert environment == {**PINS, "OMP_NUM_THREADS": "4"}
+
+
+def test_numpy_gets_one_variable_alone(modern):
+    environment = {pins.NUMPY_DISABLES: "X86_V4"}
+    pins.pin(environment)
+    assert pins.NUMPY_ENABLES not in environment
+
+
+def test_numpy_starts_with_what_is_set():
+    code = "import steelnb, numpy; from numpy._core._multiarray_umath import __cpu_features__ as f; print(f['X86_V4'])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(("avx512", "warned"), [(True, 1), (False, 0)])
+def test_numpy_imported_before_matters_only_with_avx512(modern, monkeypatch, recwarn, avx512, warned):
+    monkeypatch.setitem(sys.modules, "numpy", features(X86_V4=avx512))
+    pins.pin({})
+    assert len(recwarn) == warned
+
+
+def test_a_processor_without_avx2_is_named_and_numpy_still_starts(monkeypatch, tmp_path, recwarn):
+    (tmp_path / "old").write_text("model name : Xeon\nflags : sse4_2 avx fma\n")
+    (tmp_path / "new").write_text("model name : Xeon\nflags : sse4_2 avx avx2 fma\n")
+    assert pins.missing_features(str(tmp_path / "old")) == "AVX2"
+    assert pins.missing_features(str(tmp_path / "new")) == pins.missing_features(str(tmp_path / "none")) == ""
+    monkeypatch.setattr(pins, "missing_features", lambda: "AVX2")
+    environment: dict[str, str] = {}
+    pins.pin(environment)
+    assert pins.NUMPY_ENABLES not in environment
+    assert len(recwarn) == 1
