@@ -3,6 +3,7 @@
 Exit code 0: done; 1: a notebook failed, or a result differs; 2: bad input; 130: interrupted.
 """
 
+import json
 import os
 import shlex
 import shutil
@@ -14,9 +15,8 @@ import typer
 
 from steelnb.errors import NotebookError, SteelnbError
 from steelnb.keys import find_root
-from steelnb.report.results import processor
 from steelnb.settings import parse_parameter
-from workflow.check import differences, made_elsewhere, read_check_settings, read_committed, read_results, say
+from workflow.check import differences, read_check_settings, read_committed, read_results, say
 from workflow.experiments import FOLDERS, make_parts, output_folder, read_experiments, select
 from workflow.task_notebooks import Plan, Report, run
 
@@ -87,12 +87,44 @@ def check(
 
         sample = check_sample(read_plan(root / "notebooks" / "study.toml"), root / STUDY, workers=jobs)
         found += [(f"study: {line}", "") for line in sample]
-    if say(found, committed, settings):
+    return 0 if say(found, committed, settings) else 1
+
+
+@app.command()
+def digests(
+    write: Annotated[bool, typer.Option("--write", help="Write tests/digests.json anew.")] = False,
+    short: Annotated[bool, typer.Option("--short", help="The set that `bits` emulates.")] = False,
+    result: Annotated[Path | None, typer.Option("--json", help="Write all digests into this file.")] = None,
+) -> int:
+    """Compute the digests of short flights and say which differ from those of the last commit."""
+    from workflow import digests as of
+
+    settings, root = of.SHORT if short else of.SETTINGS, find_root()
+    found: dict[str, str] = {}
+    for pair in of.pairs(settings):
+        found.update(of.digests(settings, *pair))
+    if result:
+        result.write_text(json.dumps(found), encoding="utf-8")
+    if short or result:
         return 0
-    other = made_elsewhere(root, FOLDERS[budget], named)
-    if other:
-        print(f"the committed results were made on {other}, this is {processor()}: differences are shown, not judged")
-    return 0 if other else 1
+    old = of.kept(root) if write else of.read(root)
+    differ = of.changed(old, found)
+    for name in differ:
+        print(f"changed: {name}: {old.get(name, 'missing')}, now {found.get(name, 'missing')}")
+    print(f"{len(differ)} of {len(found)} digests changed")
+    if write:
+        of.write(root, found)
+    return 0 if write else int(bool(differ))
+
+
+@app.command()
+def bits() -> int:
+    """Compute the digests as other processors would, natively and emulated, and print a table."""
+    from workflow.bits import compare
+    from workflow.digests import read
+
+    root = find_root()
+    return 0 if compare(root, read(root)) else 1
 
 
 @app.command()

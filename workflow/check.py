@@ -5,7 +5,6 @@ import fnmatch
 import io
 import json
 import math
-import re
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -14,7 +13,6 @@ from pydantic import Field
 
 from steelnb.errors import FileMissingError
 from steelnb.keys import EXPERIMENTS_FILE
-from steelnb.report.results import processor
 from steelnb.settings import Positive, Settings, read_toml
 
 ABSOLUTE_FLOOR = 1e-12
@@ -84,20 +82,6 @@ def agree(old: str, new: str, tolerance: float) -> bool:
         return old == new or math.isclose(float(old), float(new), rel_tol=tolerance, abs_tol=ABSOLUTE_FLOOR)
     except ValueError:
         return False
-
-
-def made_elsewhere(root: Path, folder: str, ids: Iterable[str]) -> str:
-    """The processor that made the committed results, empty if it is of this kind or not known.
-
-    Compiled code rounds otherwise on another kind, and an odometry feeds its rounding back: after 200 s the errors
-    agree to 1e-2 only. Differences are worth a look there, but no fault.
-    """
-    for id in ids:
-        text = _committed(root, f"{folder}/{id}/provenance.json")
-        for name in re.findall(r'"processor": "(.*?)"', text):
-            if name != processor():
-                return str(name)
-    return ""
 
 
 def say(found: Iterable[tuple[str, str]], committed: Mapping[str, str], settings: CheckSettings) -> bool:

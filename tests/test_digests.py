@@ -1,0 +1,59 @@
+"""Results are the same bits on whatever machine this runs: `workflow.digests`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from steelnb.errors import SettingsError
+from steelnb.keys import find_root
+from workflow import digests
+from workflow.digests import SETTINGS, changed, digest, pairs, read
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sensor", "trajectory"), pairs(SETTINGS))
+def test_flights_estimates_and_structures_have_the_committed_bits(sensor: str, trajectory: str) -> None:
+    committed = {name: found for name, found in read(find_root()).items() if name.startswith(f"{sensor}/{trajectory}/")}
+    found = dict(digests.digests(SETTINGS, sensor, trajectory))
+    differ = [f"{name}: {committed.get(name)}, now {found.get(name)}" for name in changed(committed, found)]
+    assert not differ, f"{differ}; if they are meant to change, `{digests.WRITE}` writes them anew"
+
+
+def test_a_digest_changes_with_the_last_digit_with_the_shape_and_with_the_type() -> None:
+    cloud = np.arange(12.0).reshape(4, 3)
+    others = [np.nextafter(cloud, 20), cloud.reshape(3, 4), cloud.astype(np.float32), cloud[::-1]]
+    assert digest(cloud) == digest(cloud.copy())
+    assert len({digest(cloud), digest(cloud, cloud), *map(digest, others)}) == 6
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "said"), [("settings", "seed", "seed = 0, here 7"), ("versions", "numpy", "numpy = 0, here 2")]
+)
+def test_digests_of_other_settings_or_versions_are_refused(tmp_path, part, name, said):
+    kept = {**digests.made_with(SETTINGS), "digests": {}}
+    (tmp_path / "tests").mkdir()
+    (tmp_path / digests.PATH).write_text(json.dumps({**kept, part: {**kept[part], name: 0}}))
+    with pytest.raises(SettingsError, match=said) as refused:
+        read(tmp_path)
+    assert digests.WRITE in str(refused.value)
+
+
+def test_a_missing_file_of_digests_names_the_command_that_writes_it(tmp_path):
+    with pytest.raises(SettingsError, match="--write"):
+        read(tmp_path)
+
+
+def test_what_was_written_is_read_again(tmp_path):
+    (tmp_path / "tests").mkdir()
+    digests.write(tmp_path, {"a": "1"})
+    assert read(tmp_path) == {"a": "1"}
+    assert changed({"a": "1", "b": "2"}, {"a": "3", "c": "4"}) == ["a", "c", "b"]
+
+
+def test_a_missing_emulator_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys):
+    from workflow.__main__ import main
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main(["bits"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,156 @@
+"""Digests of short flights: the same on every x86-64 processor with AVX2, or a difference in rounding has crept in.
+
+`tests/digests.json` holds those of the last commit, `tests/test_digests.py` compares. `python -m workflow digests
+--write` writes them anew and says which changed; `make bits` computes them as other processors would (`workflow.bits`).
+A digest is the first 16 hexadecimal digits of a SHA-256.
+"""
+
+import hashlib
+import importlib.metadata
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steelnb import experiment
+from steelnb.errors import SettingsError
+from steelnb.fusion.reconstruct import reconstruct
+from steelnb.hough import detect_segments_with
+from steelnb.hough.lines import detect_lines
+from steelnb.odometry import make_odometry
+from steelnb.odometry.run import run
+from steelnb.odometry.segments import shared_segments
+from steelnb.points import preprocess_scan
+from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings, StructureSettings
+from steelnb.types import Array, Flight
+
+PATH = Path("tests", "digests.json")
+WRITE = "python -m workflow digests --write"
+PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "open3d-cpu", "opencv-python-headless", "pybullet", "imufusion")
+
+SETTINGS: dict[str, Any] = {
+    "flights": ["vertical", "orbit"],
+    "sensors": ["report", "starling2", "starling2-honest"],
+    "noise": "random-walk+yaw-random-walk",
+    "seed": 7,
+    "scans": 12,
+    "scans_of_faces": 75,  # past its first adjustment, at 10 s
+    "overrides": {},
+}
+SHORT = SETTINGS | {
+    "flights": ["orbit"],
+    "sensors": ["starling2"],
+    "scans": 8,
+    "scans_of_faces": 12,
+    "overrides": {"tof.columns": 90, "tof.rows": 120},
+    "refit_s": 0.8,
+}
+"""What is short enough to be emulated, and still covers each method."""
+
+
+def digest(*arrays: Any) -> str:
+    """Of the bytes of arrays, their shapes and types included."""
+    found = hashlib.sha256()
+    for array in map(np.asarray, arrays):
+        found.update(f"{array.shape}{array.dtype.str}".encode())
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()[:16]
+
+
+def pairs(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Sensor and flight of each simulated flight."""
+    return list(itertools.product(settings["sensors"], settings["flights"]))
+
+
+def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterator[tuple[str, str]]:
+    """Name and digest of everything computed from one flight, in the order in which it is computed."""
+
+    def configured(method: str) -> ExperimentSettings:
+        return ExperimentSettings.preset(
+            trajectory, settings["noise"], method, sensor, settings["seed"], 15.0, settings["overrides"]
+        )  # fmt: skip
+
+    whole, truth = experiment.simulate(configured("orb"))
+    flight, name = whole.first(settings["scans"]), f"{sensor}/{trajectory}"
+    yield f"{name}/flight", digest(truth.trajectory.T_world_drone)
+    yield f"{name}/scans", digest(*(scan.points for scan in whole.scans))
+    yield f"{name}/prior", digest(whole.prior.T_world_drone)
+    if whole.images is not None:
+        count = int(np.searchsorted(whole.images.stamp_s, flight.prior.stamp_s[-1], side="right"))
+        images = [whole.images.images[k] for k in range(count)]
+        flight = replace(flight, images=replace(whole.images, stamp_s=whole.images.stamp_s[:count], images=images))
+        yield f"{name}/images", digest(*images)
+    yield from _bars(name, flight, configured("least_squares").odometry)
+    smoothed = None
+    with shared_segments():
+        for method in METHODS:
+            chosen, odometry = flight, configured(method).odometry
+            if odometry.refit_s is not None:
+                chosen = whole.first(settings["scans_of_faces"])
+                odometry = odometry.override({"refit_s": settings.get("refit_s", odometry.refit_s)})
+            found = run(chosen, make_odometry(odometry, chosen.T_drone_sensor, chosen.imu, chosen.images))
+            smoothed = found.corrected if method == "smoothed" else smoothed
+            yield f"{name}/{method}", digest(found.corrected.T_world_drone)
+    assert smoothed is not None
+    structure = reconstruct(flight.scans, smoothed.T_world_drone, flight.T_drone_sensor, StructureSettings())
+    yield f"{name}/structure bars", digest(structure.segments.start, structure.segments.end, structure.width_m)
+    yield f"{name}/structure joints", digest(structure.joint, structure.tie)
+
+
+def _bars(name: str, flight: Flight, settings: OdometrySettings) -> Iterator[tuple[str, str]]:
+    assert settings.hough is not None
+    k = len(flight) - 1
+    points: Array = preprocess_scan(
+        flight.scans[k], flight.prior.T_world_drone[k], flight.T_drone_sensor, settings.preprocess
+    )
+    enough = len(points) >= settings.hough.min_votes
+    lines = detect_lines(points, settings.hough.dx_m, min_votes=settings.hough.min_votes) if enough else None
+    yield f"{name}/lines", digest(*([lines.anchor, lines.direction] if lines else []))
+    segments = detect_segments_with(points, settings.hough) if enough else None
+    yield f"{name}/segments", digest(*([segments.start, segments.end] if segments else []))
+
+
+def made_with(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings and the versions that digests belong to."""
+    return {"settings": dict(settings), "versions": {name: importlib.metadata.version(name) for name in PACKAGES}}
+
+
+def kept(root: Path) -> dict[str, str]:
+    """The digests of the file, whatever they belong to; none where there is no file."""
+    try:
+        return dict(json.loads((root / PATH).read_text(encoding="utf-8"))["digests"])
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def read(root: Path) -> dict[str, str]:
+    """The committed digests. Raises `SettingsError` where there are none, or of other settings or versions."""
+    try:
+        found = json.loads((root / PATH).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as fault:
+        raise SettingsError(f"{PATH}: {fault}; expected digests, which `{WRITE}` writes") from None
+    for part, here in made_with(SETTINGS).items():
+        there = found.get(part, {})
+        differ = [
+            f"{name} = {there.get(name)}, here {here.get(name)}"
+            for name in {**there, **here}
+            if there.get(name) != here.get(name)
+        ]
+        if differ:
+            raise SettingsError(f"{PATH}: made with other {part}: {'; '.join(differ)}; `{WRITE}` writes it anew")
+    return dict(found["digests"])
+
+
+def write(root: Path, found: Mapping[str, str]) -> None:
+    """Write the committed digests anew."""
+    text = json.dumps({**made_with(SETTINGS), "digests": dict(found)}, indent=1)
+    (root / PATH).write_text(text + "\n", encoding="utf-8")
+
+
+def changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    """Names whose digests differ, or that only one side has, in the order of the new ones."""
+    return [name for name in {**new, **old} if old.get(name) != new.get(name)]
