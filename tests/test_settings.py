@@ -26,7 +26,7 @@ PEERS = ("kiss-icp", "small-gicp")
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'vertical', 'orbit'"),
+        ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'zigzag', 'loops'"),
         ({"sensor": "lidar"}, "sensor = 'lidar'"),
         ({"method": "mean"}, "method = 'mean'"),
         ({"noise": "white"}, "unknown noise 'white'"),
@@ -74,14 +74,14 @@ def test_settings_are_frozen_and_know_no_other_key():
 
 
 def test_overrides_change_one_setting_and_keep_the_rest():
-    plain = ExperimentSettings.preset("orbit", sensor="report")
-    changed = ExperimentSettings.preset("orbit", sensor="report", overrides={"tof.rate_hz": 10})
+    plain = ExperimentSettings.preset("loops", sensor="report-4cm")
+    changed = ExperimentSettings.preset("loops", sensor="report-4cm", overrides={"tof.rate_hz": 10})
     assert changed.tof.rate_hz == 10
     assert changed.override({"tof.rate_hz": 5.0}) == plain
 
 
 def test_the_report_preset_holds_the_published_settings():
-    report = ExperimentSettings.preset(sensor="report", noise="random-walk", method="average")
+    report = ExperimentSettings.preset(sensor="report-4cm", noise="random-walk", method="average")
     assert (report.tof.columns, report.tof.rows, report.tof.fov_horizontal_rad) == (64, 64, 2.04)
     assert (report.tof.range_max_m, report.tof.sigma_floor_m) == (4.0, 0.04)
     method = report.odometry
@@ -111,8 +111,8 @@ def test_a_tower_that_cannot_stand_is_refused():
 
 
 def test_presets_of_flights_differ():
-    assert FlightSettings.preset("orbit").height_max_m == 7.0
-    assert FlightSettings.preset("vertical").height_max_m == 15.0
+    assert FlightSettings.preset("loops").height_max_m == 7.0
+    assert FlightSettings.preset("zigzag").height_max_m == 15.0
 
 
 def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
@@ -126,7 +126,7 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     honest = ExperimentSettings.preset(sensor="starling2-honest", overrides={"tof.faults.exposure_s": 0.01})
     assert ExperimentSettings.preset(sensor=str(own)).replace(sensor=honest.sensor) == honest
     own.write_text('based_on = "lidar"\n')
-    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report', 'starling2'"):
+    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report-4cm', 'starling2'"):
         ExperimentSettings.preset(sensor=str(own))
     own.write_text("[hough]\ndxm = 1.0\n")
     with pytest.raises(SettingsError, match="dxm"):

@@ -117,7 +117,7 @@ def parse_parameter(text: str) -> tuple[str, Any]:
     """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `SettingsError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))
     if not name or not equals:
-        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=orbit or tof.rate_hz=10")
+        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=loops or tof.rate_hz=10")
     for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
         try:
             parsed = read(value)

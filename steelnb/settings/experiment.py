@@ -39,7 +39,7 @@ class ExperimentSettings(Settings):
     @classmethod
     def preset(
         cls,
-        trajectory: TrajectoryName = "vertical",
+        trajectory: TrajectoryName = "zigzag",
         noise: str = "random-walk",
         method: str = "least_squares",
         sensor: str = "starling2",
@@ -52,7 +52,7 @@ class ExperimentSettings(Settings):
         ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
         `SettingsError`. A method by image features has the forward camera.
 
-        >>> settings = ExperimentSettings.preset("orbit", method="best", overrides={"tof.rate_hz": 10.0})
+        >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.clouds.dof
         (10.0, 'xyz_yaw')
         """

@@ -15,7 +15,7 @@ from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
-TrajectoryName = Literal["vertical", "orbit", "planned"]
+TrajectoryName = Literal["zigzag", "loops", "planned"]
 
 
 class TowerSettings(Settings):
@@ -88,7 +88,7 @@ class FlightSettings(Settings):
     (`steelnb.simulation.gusts`).
     """
 
-    trajectory: TrajectoryName = "vertical"
+    trajectory: TrajectoryName = "zigzag"
     duration_s: Duration = 200.0
     standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
     height_min_m: Positive = 0.7
@@ -111,7 +111,7 @@ class FlightSettings(Settings):
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
         """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long, and ``planned``, around the
-        tower as ``orbit``: ``presets/flights.toml``."""
+        tower as ``loops``: ``presets/flights.toml``."""
         return cls(trajectory=trajectory, duration_s=duration_s, **preset_table("flights", "trajectory", trajectory))
 
 
@@ -144,7 +144,7 @@ class TofSettings(Settings):
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":
-        """``report``: the simulated sensor of the report; ``starling2``: an upright Starling 2; or a TOML file."""
+        """``report-4cm``, ``starling2`` (upright), ``starling2-honest``, or a TOML file."""
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 

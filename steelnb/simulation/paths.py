@@ -11,7 +11,7 @@ from steelnb.types import Array
 def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
     """Corner points of the flight's path, ``(N, 3)`` metres in the world frame.
 
-    ``vertical`` zigzags up in front of the face y < 0; ``orbit`` flies rectangular loops around the body. Both keep
+    ``zigzag`` zigzags up in front of the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
     ``standoff_m`` from the body at every height. Of a ``planned`` flight it is the place of the start.
     """
     heights = np.linspace(flight.height_min_m, flight.height_max_m, flight.levels)
@@ -21,7 +21,7 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
         away = half + flight.standoff_m
         if flight.trajectory == "planned":
             return np.array([(0.0, -away, z)])
-        if flight.trajectory == "vertical":
+        if flight.trajectory == "zigzag":
             side = 0.8 * half * (-1) ** level
             points += [(-side, -away, z), (side, -away, z)]
         else:
@@ -32,7 +32,7 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
 
 def heading(flight: FlightSettings, x: float, y: float) -> float:
     """Heading (radians, 0 along x) that the drone holds at a position: along y, or to the tower's axis."""
-    return np.pi / 2 if flight.trajectory == "vertical" else float(np.arctan2(-y, -x))
+    return np.pi / 2 if flight.trajectory == "zigzag" else float(np.arctan2(-y, -x))
 
 
 def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:

@@ -14,12 +14,12 @@ from steelnb.types import Trajectory
 
 TOWER = build_tower()
 SCENE = make_scene(TOWER)
-EXACT = TofSettings.preset("report").replace(sigma_floor_m=0.0)
+EXACT = TofSettings.preset("report-4cm").replace(sigma_floor_m=0.0)
 
 
 @pytest.fixture(scope="module")
 def flight():
-    return fly(TOWER, FlightSettings.preset("vertical", 10.0), 1)[0]
+    return fly(TOWER, FlightSettings.preset("zigzag", 10.0), 1)[0]
 
 
 def distance_to_axes(points):
@@ -104,7 +104,7 @@ def test_a_ray_hits_the_member_that_it_says(seed):
 
 def test_noise_has_the_sigma_of_its_settings(flight):
     flight = Trajectory(flight.stamp_s[:501], flight.T_world_drone[:501])
-    for sensor in (TofSettings.preset("report"), TofSettings.preset("starling2")):
+    for sensor in (TofSettings.preset("report-4cm"), TofSettings.preset("starling2")):
         exact, _ = scan_flight(TOWER, flight, np.eye(4), sensor.replace(sigma_floor_m=0.0, sigma_relative=0.0), 1)
         noisy, _ = scan_flight(TOWER, flight, np.eye(4), sensor, 1)
         np.testing.assert_array_equal(np.isnan(exact.range_m), np.isnan(noisy.range_m))
@@ -119,9 +119,9 @@ def test_noise_has_the_sigma_of_its_settings(flight):
 
 def test_a_longer_flight_begins_with_the_scans_of_a_shorter_one(flight):
     shorter = Trajectory(flight.stamp_s[:626], flight.T_world_drone[:626])
-    a, _ = scan_flight(TOWER, flight, np.eye(4), TofSettings.preset("report"), 4)
-    b, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report"), 4)
+    a, _ = scan_flight(TOWER, flight, np.eye(4), TofSettings.preset("report-4cm"), 4)
+    b, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 4)
     assert (len(a), len(b)) == (50, 25)
     np.testing.assert_array_equal(a.range_m[:25], b.range_m)
-    c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report"), 5)
+    c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 5)
     assert np.nanmax(np.abs(b.range_m - c.range_m)) > 0.01
