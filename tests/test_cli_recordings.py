@@ -156,7 +156,7 @@ BAD = [
         ["run", "{bag}", "--sensor", "lidar"],
         [
             "--sensor: unknown 'lidar'; expected one of",
-            "'report-4cm', 'starling2', 'starling2-honest', or a file FILE.toml",
+            "'report', 'report-4cm', 'starling2', 'starling2-honest', or a file FILE.toml",
         ],
     ),
     (["run", "{bag}", "--sensor", "mine.toml"], ["mine.toml", "a sensor's preset"]),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb import experiment
+from steelnb import experiment, rng
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
 from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
@@ -68,7 +68,7 @@ def make_cases(
     sensor: str,
     noise: Sequence[str],
     method: Iterable[str | tuple[str, dict[str, Any]]],
-    seed: int,
+    seed: rng.Seed,
     duration_s: float,
     overrides: dict[str, Any] | None = None,
 ) -> list[ExperimentSettings]:

@@ -63,6 +63,7 @@ PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only"
 """Flights that a planner steers and those beside them, which no figure shows beside odometries."""
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
+    "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
     "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip

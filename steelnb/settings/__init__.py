@@ -41,6 +41,6 @@ __all__ = [
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
-    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_tables", "read_toml",
-    "sensor_names",
+    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter",
+    "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

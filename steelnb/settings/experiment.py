@@ -4,7 +4,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import model_validator
 
-from steelnb.settings.base import Seed, Settings, overridden, table
+from steelnb import rng
+from steelnb.settings.base import SeedOrReport, Settings, overridden, table
 from steelnb.settings.camera import CameraSettings
 from steelnb.settings.odometry import OdometrySettings
 from steelnb.settings.sensors import ImuSettings
@@ -20,7 +21,7 @@ class ExperimentSettings(Settings):
 
     sensor: str
     noise_name: str
-    seed: Seed
+    seed: SeedOrReport
     tower: TowerSettings = TowerSettings()
     flight: FlightSettings
     tof: TofSettings
@@ -36,6 +37,16 @@ class ExperimentSettings(Settings):
                              "an odometry by clouds or segments")  # fmt: skip
         return self
 
+    @model_validator(mode="after")
+    def _as_the_report(self) -> Self:
+        if self.seed == "report":
+            self.noise.check_report()
+        if not self.tof.start_s < self.flight.duration_s:
+            raise ValueError(
+                f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
+            )
+        return self
+
     @classmethod
     def preset(
         cls,
@@ -43,14 +54,15 @@ class ExperimentSettings(Settings):
         noise: str = "random-walk",
         method: str = "least_squares",
         sensor: str = "starling2",
-        seed: int = 1,
-        duration_s: float = 200.0,
+        seed: rng.Seed = 1,
+        duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
     ) -> "ExperimentSettings":
         """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
 
-        ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
-        `SettingsError`. A method by image features has the forward camera.
+        The flight names its tower, and its duration where none is given. ``overrides`` changes single settings, named
+        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `SettingsError`. A method by image features has
+        the forward camera.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.clouds.dof
@@ -61,6 +73,7 @@ class ExperimentSettings(Settings):
             sensor=sensor,
             noise_name=noise,
             seed=seed,
+            tower=TowerSettings.of_flight(trajectory),
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             imu=ImuSettings.preset(sensor),
