@@ -17,8 +17,10 @@ from steelnb.settings import (
     Settings,
     TofSettings,
     TowerSettings,
+    read_report_plots,
 )
 from steelnb.settings.presets import PRESETS
+from steelnb.simulation.tof import scan_steps
 
 BOTH = ("combined", "combined-camera", "faces", "smoothed", "calibrated")
 """Methods by clouds and segments."""
@@ -171,6 +173,19 @@ def test_a_flight_names_its_tower_and_its_duration():
         assert settings.tower == TowerSettings.preset("report" if own else "tapered")
         assert settings.flight.duration_s == {"vertical": 408, "orbit": 500, "orbit-3.3": 204}.get(name, 200)
         assert ExperimentSettings.preset(name, duration_s=30.0).flight.duration_s == 30
+
+
+def test_the_experiment_behind_each_plot_of_the_report_has_its_scans():
+    for plot in read_report_plots():
+        settings = ExperimentSettings.report(plot.figure, plot.trajectory, plot.method)
+        steps = scan_steps(settings.tof, settings.flight.duration_s, 0.008)
+        flown = steps[steps < round(settings.flight.duration_s / 0.008)]
+        assert len(flown) == plot.samples
+        np.testing.assert_allclose(flown, plot.step_at(np.arange(plot.samples) + plot.earlier_samples), atol=0.5001)
+    other = ExperimentSettings.report("3.5", "vertical", "gicp", "best", {"tof.range_max_m": 3.0})
+    assert (other.odometry.method, other.tof.range_max_m, other.tof.sigma_floor_m) == ("best", 3.0, 0.01)
+    with pytest.raises(SettingsError, match=r"plot 3\.4 vertical icp: expected one of 3\.2 vertical average;"):
+        ExperimentSettings.report("3.4", "vertical", "icp")
 
 
 def test_presets_of_flights_differ():

@@ -8,6 +8,7 @@ from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
 from steelnb.settings.camera import CameraSettings
 from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.report_plots import ReportPlot
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
 
@@ -81,6 +82,31 @@ class ExperimentSettings(Settings):
             noise=NoiseSettings.parse(noise),
             odometry=odometry,
         )
+        return settings.override(overrides or {})
+
+    @classmethod
+    def report(
+        cls,
+        figure: str,
+        trajectory: str,
+        method: str,
+        odometry: str | None = None,
+        overrides: dict[str, Any] | None = None,
+    ) -> "ExperimentSettings":
+        """The experiment behind one of the report's plots: its flight, tower, sensor and noise, draw for draw.
+
+        Scans are those that the report's program used. ``odometry``: another method on the same scans. Raises
+        `SettingsError`.
+
+        >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
+        >>> settings.seed, settings.noise_name, round(settings.tof.rate_hz, 2)
+        ('report', 'random-walk', 0.69)
+        """
+        plot = ReportPlot.find(figure, trajectory, method)
+        settings = cls.preset(
+            plot.flight or plot.trajectory, plot.noise, odometry or method, "report", "report", plot.duration_s,
+            {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s},
+        )  # fmt: skip
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
