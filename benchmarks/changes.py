@@ -1,7 +1,7 @@
 """Localisation in the structure of an earlier flight, and the changes found in a tower since.
 
     PYTHONPATH=. .venv/bin/python benchmarks/changes.py [--seeds 102 103 …] [--map-seed 101] [--maps FOLDER]
-        [--flights vertical orbit] [--picture changes.png]
+        [--flights zigzag loops] [--picture changes.png]
 
 The map of each flight path is the structure of a smoothed flight around the unchanged tower with the map's seed, with
 its own errors. In each later flight some members are removed, moved by 1, 2 and 5 cm or bent by 3 cm, in directions
@@ -29,7 +29,7 @@ from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryNa
 from steelnb.simulation import build_tower, changed_tower, fly, scan_flight
 from steelnb.types import Flight, Trajectory
 
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 NOISE = "random-walk+yaw-random-walk"
 CHANGES = {"removed": 0.0, "moved 5 cm": 0.05, "moved 2 cm": 0.02, "moved 1 cm": 0.01, "bent 3 cm": 0.03}
 EACH = 6

@@ -30,7 +30,7 @@ SCRIPT = ROOT / "scripts/train-deepvo"
 TRAININGS = {0.0625: (1,), 0.25: (1,), 1.0: (1, 2, 3)}
 """Share of the flights → seeds of the training."""
 SEEDS = (21, 22, 23, 101, 102, 103)
-TRAJECTORIES: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+TRAJECTORIES: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 FLIGHTS = 6
 FIRST_S = 5.0
 """Time from the start whose mean velocity is kept by who keeps a constant one."""

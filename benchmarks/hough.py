@@ -71,7 +71,7 @@ the reference rounds, and it stops otherwise, so its lines differ.
 
 
 def frames(at_s: tuple[float, ...]) -> list[tuple[Array, Array]]:
-    """(points in the sensor frame, pose) of scans of the tower from a vertical flight; the ground is left out."""
+    """(points in the sensor frame, pose) of scans of the tower from a zigzag; the ground is left out."""
     s = ExperimentSettings.preset(duration_s=max(at_s) + 1.0)
     tof = s.tof.model_copy(update={"columns": DENSER * s.tof.columns, "rows": DENSER * s.tof.rows, "rate_hz": 1.0})
     tower = build_tower(s.tower)

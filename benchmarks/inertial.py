@@ -1,6 +1,6 @@
 """What the readings of an IMU do between scans and for smoothing, on flights with the honest sensor, which has one.
 
-    PYTHONPATH=. .venv/bin/python benchmarks/inertial.py [--seeds 101 102 …] [--duration 200] [--flight vertical orbit]
+    PYTHONPATH=. .venv/bin/python benchmarks/inertial.py [--seeds 101 102 …] [--duration 200] [--flight zigzag loops]
 
 Roll and pitch of the prior are those of a filter. Prints a row a flight: errors of `combined` and `faces` without and
 with the IMU, and of smoothing with the prior's roll and pitch as they are, with their standard deviation stated, and
@@ -36,7 +36,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102])
     parser.add_argument("--duration", type=float, default=200.0)
-    parser.add_argument("--flight", choices=("vertical", "orbit"), nargs="+", default=("vertical", "orbit"))
+    parser.add_argument("--flight", choices=("zigzag", "loops"), nargs="+", default=("zigzag", "loops"))
     arguments = parser.parse_args()
     print(f"| flight | seed | {' | '.join(KINDS)} (mm) | roll and pitch: prior | with the IMU (°, rms) |")
     print("|---|---|" + "---|" * (len(KINDS) + 2))

@@ -18,7 +18,7 @@ from steelnb.odometry import make_odometry, run
 from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings, TrajectoryName
 
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 PEERS = {"kiss-icp": "kiss-icp", "small-gicp": "small_gicp"}
 """Method → the name of its wheel."""
 
@@ -50,7 +50,7 @@ def main() -> None:
     print(
         f"{versions}, one thread, each scan's motion predicted by the prior. Flights of {asked.duration:g} s under "
         f"the random walk with a\nStarling 2's sensor, seeds {seeds}: mean absolute trajectory error, unaligned, mm, "
-        "vertical / orbit.\n"
+        "zigzag / loops.\n"
     )
     print("| voxel (m) |", " | ".join(f"{voxel_m:g}" for voxel_m in asked.voxels), "|")
     print("|---|" + "---|" * len(asked.voxels))

@@ -2,7 +2,7 @@
 flight over the whole tower lets one rebuild.
 
     PYTHONPATH=. .venv/bin/python benchmarks/planned-flights.py [--seeds 101 102 …] [--duration 60] [--flight planned …]
-        [--sensor report …] [--tower report heavy light] [--gust 0.5] [--rebuild] [--workers 2]
+        [--sensor report-4cm …] [--tower tapered heavy light] [--gust 0.5] [--rebuild] [--workers 2]
 
 Every flight drifts by the random walk and is corrected by `combined`, which steers the planned ones. With
 ``--rebuild``, each is then smoothed, and its bars are found and scored. Prints a row for each flight, and the tables
@@ -52,8 +52,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 131)))
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--flight", choices=FLIGHTS, nargs="+", default=["planned"])
-    parser.add_argument("--sensor", nargs="+", default=["report"])
-    parser.add_argument("--tower", nargs="+", default=["report", "heavy", "light"])
+    parser.add_argument("--sensor", nargs="+", default=["report-4cm"])
+    parser.add_argument("--tower", nargs="+", default=["tapered", "heavy", "light"])
     parser.add_argument("--gust", type=float, default=0.5)
     parser.add_argument("--rebuild", action="store_true")
     parser.add_argument("--workers", type=int, default=2)

@@ -290,9 +290,7 @@ def main() -> None:
     problems, voxels = flight(given.duration, max(1, int(given.duration / 5)))
     sizes = [int(np.median([len(getattr(p, name)) for p in problems])) for name in ("source", "target")]
     print(f"## {len(problems)} frames over a flight of {given.duration:.0f} s, each to the map so far\n")
-    print(
-        f"Vertical flight, starling2; {sizes[0]} to {sizes[1]} points (medians), {problems[0].distance_m} m; ", end=""
-    )
+    print(f"Zigzag, starling2; {sizes[0]} to {sizes[1]} points (medians), {problems[0].distance_m} m; ", end="")
     print("starts off by about 5 cm and 1°. Numbers are medians over the frames.\n")
     measure(problems, 5)
     print("## One frame against the size of the map\n")

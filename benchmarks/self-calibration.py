@@ -1,7 +1,7 @@
 """Errors of a sensor that smoothing finds, beside those that it has: their errors, σ and NEES, and what poses gain.
 
     PYTHONPATH=. .venv/bin/python benchmarks/self-calibration.py [--seeds 101 102 …] [--duration 200]
-        [--case none scale mount drawn] [--flight vertical orbit] [--next]
+        [--case none scale mount drawn] [--flight zigzag loops] [--next]
 
 Flights with the ideal sensor under the random walk. Estimators are told a mount, ranges and stamps that are wrong:
 *scale*, ranges 2 % too long; *mount*, 1 cm along each axis, 1° of pitch and of yaw; *drawn*, all nine errors at once,
@@ -26,7 +26,7 @@ from steelnb.simulation import Truth
 from steelnb.types import Estimate, Flight
 
 CASES = {"none": "none", "scale": "range × 1.02", "mount": "mount off by 1 cm and 1°", "drawn": DRAWN}
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 
 
 def main() -> None:

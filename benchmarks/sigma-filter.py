@@ -16,7 +16,7 @@ from steelnb.points import smooth_ranges
 from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.types import Flight
 
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 SENSORS = {
     "σ 1 % of the range, as in the preset": ("starling2", {}),
     "σ 2 %": ("starling2", {"tof.sigma_relative": 0.02}),

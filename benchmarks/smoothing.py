@@ -18,9 +18,9 @@ from steelnb.fusion import smooth
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, TrajectoryName
 
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 NOISES = ("random-walk", "constant-drift", "random-walk+yaw-random-walk")
-START = {"starling2": "combined", "report": "best"}
+START = {"starling2": "combined", "report-4cm": "best"}
 
 
 def main() -> None:

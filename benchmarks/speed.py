@@ -19,8 +19,8 @@ from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.types import Flight
 
-FLOWN: tuple[TrajectoryName, ...] = ("vertical", "orbit")
-SENSORS = ("report", "starling2")
+FLOWN: tuple[TrajectoryName, ...] = ("zigzag", "loops")
+SENSORS = ("report-4cm", "starling2")
 METHODS: tuple[str, ...] = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best", "combined")
 FLIGHTS = "| flight, sensor | flight, × real time | scans, million rays/s | points a frame |"
 FRAMES = "| flight, sensor | odometry | median (ms) | p95 (ms) | stages, median (ms) | last tenth / first | map (MB) |"

@@ -221,7 +221,7 @@ def print_tables(folder: Path | None, source: str) -> None:
     print(
         f"{FLIGHTS}\n\n| flight | poses | scans | bars | joints | seconds | peak (GB) |\n|---|---|---|---|---|---|---|"
     )
-    for trajectory in ("vertical", "orbit"):
+    for trajectory in ("zigzag", "loops"):
         for poses in ("true", "combined"):
             row = in_own_process(__file__, "--case", "flight", trajectory, poses)
             print(

@@ -34,7 +34,7 @@ CLUSTER_CORES = 256
 
 def main() -> None:
     quick = "--quick" in sys.argv
-    few = make(["report"], METHODS, "1-2" if quick else "1-4", 10.0 if quick else 40.0)
+    few = make(["report-4cm"], METHODS, "1-2" if quick else "1-4", 10.0 if quick else 40.0)
     print(f"# A study of many runs\n\n{machine()}. `{command(__doc__)}`"
           f"{' --quick: a trial, no measurement' if quick else ''}\n")  # fmt: skip
     with memory() as peaks_one, cluster(1) as run_one:
@@ -53,19 +53,19 @@ def main() -> None:
     each = {}
     with memory() as peaks_many, cluster(2) as run_many:
         for size in sizes:
-            many = make(["report"], ["icp", "icp-3dof", "best", "average"], f"1-{size // 4}", 5.0, ["vertical"])
+            many = make(["report-4cm"], ["icp", "icp-3dof", "best", "average"], f"1-{size // 4}", 5.0, ["zigzag"])
             begin = time.process_time()
             each[size] = timed(partial(run_many, many)) / len(many)
             own_s = (time.process_time() - begin) / len(many)  # of client and scheduler, which are this process
     print(f"| seconds a run, {sizes[0]} runs of 5 s | {each[sizes[0]]:.3f} | |")
     print(f"| seconds a run, {sizes[1]} runs of 5 s | {each[sizes[1]]:.3f}, "
           f"{each[sizes[1]] / each[sizes[0]]:.2f} × | ≤ 1.1 × |")  # fmt: skip
-    large = make(["starling2"], ["best"], "1-2" if quick else "1-6", 20.0 if quick else 200.0, ["vertical"])
+    large = make(["starling2"], ["best"], "1-2" if quick else "1-6", 20.0 if quick else 200.0, ["zigzag"])
     with memory() as peaks_large, cluster(2) as run_large:
         seconds = timed(lambda: run_large(large))
     for label, peaks in (
-        (f"{len(few)} runs of {few[0].settings.flight.duration_s:g} s, sensor report", peaks_one),
-        (f"{sum(sizes)} runs of 5 s, sensor report", peaks_many),
+        (f"{len(few)} runs of {few[0].settings.flight.duration_s:g} s, sensor report-4cm", peaks_one),
+        (f"{sum(sizes)} runs of 5 s, sensor report-4cm", peaks_many),
         (f"{len(large)} runs of {large[0].settings.flight.duration_s:g} s, sensor starling2", peaks_large),
     ):
         middle = len(peaks) // 2
@@ -77,17 +77,17 @@ def main() -> None:
     flights = len(by_flight(few))
     per_flight = one / flights * 200.0 / few[0].settings.flight.duration_s
     per_large = 2 * seconds / len(large) * 200.0 / large[0].settings.flight.duration_s
-    hours = {name: FLIGHTS * cost / 3600 for name, cost in (("report", per_flight), ("starling2", per_large))}
+    hours = {name: FLIGHTS * cost / 3600 for name, cost in (("report-4cm", per_flight), ("starling2", per_large))}
     print(f"""
 Times are those of the calls, after every worker has imported and compiled what it needs. The runs by plain calls are
 `fly` and `run_on` of `steelnb.study.row` in this process.
 
 ## {FLIGHTS:,} flights
 
-A flight of 200 s with the sensor report and {len(few) // flights} runs on it ({", ".join(METHODS)} under two noises)
-costs {per_flight:.0f} core seconds here, one with the sensor starling2 and `best` alone {per_large:.0f}: {FLIGHTS:,} of
-them are {hours["report"]:,.0f} and {hours["starling2"]:,.0f} core hours, that is
-{hours["report"] / CLUSTER_CORES:.0f} and {hours["starling2"] / CLUSTER_CORES:.0f} hours on a cluster of
+A flight of 200 s with the sensor report-4cm and {len(few) // flights} runs on it ({", ".join(METHODS)} under two
+noises) costs {per_flight:.0f} core seconds here, one with the sensor starling2 and `best` alone {per_large:.0f}:
+{FLIGHTS:,} of them are {hours["report-4cm"]:,.0f} and {hours["starling2"]:,.0f} core hours, that is
+{hours["report-4cm"] / CLUSTER_CORES:.0f} and {hours["starling2"] / CLUSTER_CORES:.0f} hours on a cluster of
 {CLUSTER_CORES} such cores. Flights share nothing, and the process that started the study writes
 about {row_bytes():.0f} kB a run, so more cores help until that process is busy all the time: it handles a run in
 about {1e3 * own_s:.0f} ms, enough for {per_flight / (len(few) / flights) / own_s:,.0f} workers with
@@ -99,7 +99,7 @@ def make(
     methods: list[Any],
     seeds: str,
     duration_s: float,
-    trajectories: Sequence[Any] = ("vertical", "orbit"),
+    trajectories: Sequence[Any] = ("zigzag", "loops"),
 ) -> list[Run]:
     """The runs of a block, with two noises where there are two trajectories."""
     noises = ["random-walk", "constant-drift"][: len(trajectories)]
@@ -127,7 +127,7 @@ def cluster(workers: int) -> Iterator[Callable[[Sequence[Run]], None]]:
                 write_tables(folder, runs, rows)
 
         for _ in range(2):  # a short flight for every worker, twice as they may share them unevenly
-            run(make(["report"], METHODS, f"9001-{9000 + 2 * workers}", 3.0))
+            run(make(["report-4cm"], METHODS, f"9001-{9000 + 2 * workers}", 3.0))
         yield run
 
 
@@ -173,7 +173,7 @@ def memory() -> Iterator[list[float]]:
 
 def row_bytes() -> float:
     """Kilobytes that are written of one run of 200 s."""
-    run = make(["report"], ["icp"], "1-1", 200.0, ["vertical"])[0]
+    run = make(["report-4cm"], ["icp"], "1-1", 200.0, ["zigzag"])[0]
     with tempfile.TemporaryDirectory() as folder, locked(Path(folder)):
         append_row(Path(folder), {**run.case, "key": run.key, **run_on(fly(run.settings), run.settings)})
         return Path(folder, ROWS).stat().st_size / 1e3

@@ -28,7 +28,7 @@ AXES = np.array([
     [[-1, -1, 0.8], [-1, 1, 2.8]],
 ])  # fmt: skip
 """Four posts, two beams and a brace, metres."""
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 RADII_M, SIDES = (0.025, 0.05, 0.1), {"all round": np.pi, "one side": 0.6}
 SCANS, STANDOFF_M = 240, 3.5
 TUBE_MIN_M, TUBE_SHARE = 0.06, 1.2
@@ -54,7 +54,7 @@ def main() -> None:
     if arguments.steel:
         print("\n| flight | sensor | seed | bars | round |\n|---|---|---|---|---|")
     for seed in arguments.steel:
-        for sensor in ("starling2", "report"):
+        for sensor in ("starling2", "report-4cm"):
             for name in FLIGHTS:
                 flight, truth = experiment.simulate(
                     ExperimentSettings.preset(name, "random-walk", sensor=sensor, seed=seed)
@@ -94,7 +94,7 @@ def seen(tower: Tower, turn_rad: float, seed: int) -> tuple[RangeScans, Array]:
     T[:-1, :3, 3] = np.stack([-STANDOFF_M * np.cos(angle), -STANDOFF_M * np.sin(angle), height], axis=1)
     T[-1] = T[-2]
     path = Trajectory(0.2 * np.arange(SCANS + 1, dtype=np.float64), T)
-    tof = ExperimentSettings.preset("orbit", "random-walk", sensor="starling2").tof
+    tof = ExperimentSettings.preset("loops", "random-walk", sensor="starling2").tof
     scans = CastScans(tower, path, np.eye(4), tof, seed)
     image = np.array([measured for measured, *_ in scans.cast()])
     return RangeScans(scans.stamp_s, image, scans.ray), path.at(scans.stamp_s).T_world_drone

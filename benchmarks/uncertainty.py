@@ -21,9 +21,9 @@ from steelnb.metrics.reconstruction import reference
 from steelnb.metrics.uncertainty import HELD
 from steelnb.settings import ExperimentSettings, TrajectoryName
 
-FLIGHTS: tuple[TrajectoryName, ...] = ("vertical", "orbit")
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 NOISE = "random-walk"
-START = {"starling2": "combined", "report": "best"}
+START = {"starling2": "combined", "report-4cm": "best"}
 CASES = {"before": (0.0, 0.0), "after": (uncertainty.SHARED_SIGMA_M, uncertainty.END_SIGMA_M)}
 
 
@@ -87,7 +87,7 @@ def draw(found: dict[str, list[tuple[np.ndarray, np.ndarray]]], arguments: argpa
         panel.set(xscale="log", xlabel="NEES per degree of freedom", ylabel="share", title=title)
     panels[0].legend()
     seeds = f"seeds {min(arguments.seeds)}–{max(arguments.seeds)}"
-    figure.suptitle(f"{arguments.sensor}, vertical and orbit, {seeds}, {NOISE}", fontsize=9)
+    figure.suptitle(f"{arguments.sensor}, zigzag and loops, {seeds}, {NOISE}", fontsize=9)
     figure.savefig(arguments.figure, dpi=110)
 
 

@@ -41,13 +41,13 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite FILE and its tru
 @app.command(
     epilog=examples(
         "steelnb record flight.mcap --duration 30",
-        "steelnb record flight.bag --trajectory orbit --noise random-walk+yaw-random-walk --force",
+        "steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk --force",
         "steelnb record seen.mcap --camera forward --set camera.rate_hz=5",
     )
 )
 def record(
     file: Target,
-    trajectory: Annotated[str, one_of(TRAJECTORIES, "{names}.")] = "vertical",
+    trajectory: Annotated[str, one_of(TRAJECTORIES, "{names}.")] = "zigzag",
     duration: Duration = 60.0,
     noise: Noise = "random-walk:0.002",
     sensor: Sensor = "starling2",

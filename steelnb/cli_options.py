@@ -94,4 +94,17 @@ Sensor = Annotated[
         ", or a file FILE.toml",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")]
+
+
+def _seed(text: Any) -> Any:
+    """A whole number, or ``report``: settings check the rest."""
+    try:
+        return text if text == "report" else int(text)
+    except ValueError:
+        raise SettingsError(f"--seed: {text!r}: expected a whole number, or 'report'") from None
+
+
+Seed = Annotated[
+    Any,
+    typer.Option(parser=_seed, metavar="N", help="Of drift, sensor noise and gusts; report: drift as in the report."),
+]

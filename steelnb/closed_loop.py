@@ -17,7 +17,7 @@ from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
-from steelnb.simulation.tof import TofCamera
+from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
 
@@ -56,7 +56,7 @@ class OnboardPilot:
         self.settings, steps = settings, round(settings.flight.duration_s / STEP_S)
         stamp_s = np.arange(steps + 1, dtype=np.float64) * STEP_S
         self._drift = drift_errors(stamp_s, settings.noise, settings.seed)
-        self._scan_step = np.round(np.arange(0, stamp_s[-1] + 1e-9, 1 / settings.tof.rate_hz) / STEP_S).astype(int)
+        self._scan_step = scan_steps(settings.tof, float(stamp_s[-1]), STEP_S)
         self._camera = TofCamera(tower, settings.tof, settings.seed)
         # The odometry holds these arrays and reads them up to its last scan; they fill as the flight goes on.
         self._imu = Imu(stamp_s, np.zeros((steps + 1, 3)), np.zeros((steps + 1, 3)))

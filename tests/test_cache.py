@@ -10,7 +10,7 @@ from steelnb.odometry import cache as estimates
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import cache as flights
 
-SETTINGS = ExperimentSettings.preset("orbit", sensor="report", duration_s=4.0)
+SETTINGS = ExperimentSettings.preset("loops", sensor="report-4cm", duration_s=4.0)
 
 
 def arrays(settings: ExperimentSettings) -> list[np.ndarray]:
@@ -102,7 +102,7 @@ def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path: Path, monkey
 
 @pytest.mark.parametrize("method", ["least_squares_yaw", "icp", "combined"])
 def test_a_kept_estimate_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
-    settings = ExperimentSettings.preset("orbit", "random-walk", sensor="report", duration_s=4.0, method=method)
+    settings = ExperimentSettings.preset("loops", "random-walk", sensor="report-4cm", duration_s=4.0, method=method)
     seen: list[float] = []
     first = experiment.run(settings, seen.append)
     monkeypatch.setattr(estimates, "run_online", None)
@@ -123,7 +123,7 @@ def test_a_kept_estimate_is_the_same_to_the_bit(folder: Path, monkeypatch: pytes
 
 
 def test_an_estimate_belongs_to_the_prior_the_scans_and_the_settings(folder: Path) -> None:
-    base = ExperimentSettings.preset("orbit", "random-walk", sensor="report", duration_s=3.0, method="icp")
+    base = ExperimentSettings.preset("loops", "random-walk", sensor="report-4cm", duration_s=3.0, method="icp")
     for changed in (
         {},
         {"noise.random_walk_m": 0.5},
@@ -136,10 +136,10 @@ def test_an_estimate_belongs_to_the_prior_the_scans_and_the_settings(folder: Pat
 
 
 def test_a_smoothed_flight_starts_from_the_kept_estimate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = ExperimentSettings.preset("orbit", "random-walk", duration_s=6.0, method="combined")
+    settings = ExperimentSettings.preset("loops", "random-walk", duration_s=6.0, method="combined")
     combined = experiment.run(settings)
     monkeypatch.setattr(estimates, "run_online", None)
-    found = experiment.run(ExperimentSettings.preset("orbit", "random-walk", duration_s=6.0, method="smoothed"))
+    found = experiment.run(ExperimentSettings.preset("loops", "random-walk", duration_s=6.0, method="smoothed"))
     assert found.unsmoothed == ""
     assert not np.array_equal(found.corrected.T_world_drone, combined.corrected.T_world_drone)
     assert found.pose_covariance is not None
@@ -149,5 +149,5 @@ def test_a_smoothed_flight_starts_from_the_kept_estimate(folder: Path, monkeypat
 
 def test_rules_of_segments_with_the_same_settings_are_kept_apart(folder: Path) -> None:
     for method in ("average", "least_squares"):
-        experiment.run(ExperimentSettings.preset("orbit", sensor="report", duration_s=2.0, method=method))
+        experiment.run(ExperimentSettings.preset("loops", sensor="report-4cm", duration_s=2.0, method=method))
     assert len(list((folder.parent / "estimates").iterdir())) == 2

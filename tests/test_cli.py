@@ -72,7 +72,7 @@ def test_the_names_of_options_are_those_of_the_settings() -> None:
         ("steelnb run a.bag --odometry best --odometry gicp-", ["gicp-4dof"]),
         ("steelnb run a.bag --noise random-walk:0.002+y", ["random-walk:0.002+yaw-random-walk"]),
         ("steelnb run a.bag --sensor s", ["starling2", "starling2-honest"]),
-        ("steelnb record a.bag --trajectory o", ["orbit"]),
+        ("steelnb record a.bag --trajectory o", ["orbit", "orbit-3.3"]),
         ("steelnb run --fo", ["--force"]),
     ],
 )

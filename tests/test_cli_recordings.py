@@ -89,7 +89,7 @@ def test_a_camera_is_recorded_and_the_flight_corrected_by_its_images(place, capf
 
 
 def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "orbit", "--duration", "8", "--seed", "4"])
+    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
     (place / "wrong.toml").write_text("[extrinsics]\ntranslation_m = [0.06, 0.0, 0.0]\nrotation_rpy_deg = [0, 1.5, 0]\n"
                                       "[errors]\nrange_scale = 0.01\nrange_offset_m = 0.02\n")  # fmt: skip
     shown = said(capfd, ["calibrate", "a.mcap", "--settings", "wrong.toml", "--set", "calibration.range_scale_sigma=0"])
@@ -106,7 +106,7 @@ def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
 
 
 def test_the_readings_of_an_imu_tell_metres_where_the_sensor_s_preset_has_one(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "orbit", "--duration", "8", "--seed", "4"])
+    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
     sheet = "gyro_noise = 1.4e-4\naccelerometer_noise = 3.9e-3\ngyro_bias = 8.7e-4\naccelerometer_bias = 0.015\n"
     (place / "mine.toml").write_text(f'based_on = "starling2"\n[imu]\n{sheet}')
     sigma = []
@@ -154,7 +154,10 @@ BAD = [
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (
         ["run", "{bag}", "--sensor", "lidar"],
-        ["--sensor: unknown 'lidar'; expected one of 'report', 'starling2', 'starling2-honest', or a file FILE.toml"],
+        [
+            "--sensor: unknown 'lidar'; expected one of",
+            "'report', 'report-4cm', 'starling2', 'starling2-honest', or a file FILE.toml",
+        ],
     ),
     (["run", "{bag}", "--sensor", "mine.toml"], ["mine.toml", "a sensor's preset"]),
     (["run", "{bag}", "--noise", "random-walk:0.1+yaw-walk"], ["did you mean 'yaw-random-walk'?"]),
@@ -176,7 +179,7 @@ BAD = [
     (["record", "file", *SMALL], ["file", "exists already", "--force"]),
     (["record", "file", *SMALL, "--force"], ["file", "no such recording"]),
     (["record", "file/b.bag", *SMALL], ["file/b.bag", "cannot be written"]),
-    (["record", "b.bag", "--trajectory", "obit"], ["--trajectory: unknown 'obit', did you mean 'orbit'?"]),
+    (["record", "b.bag", "--trajectory", "lops"], ["--trajectory: unknown 'lops', did you mean 'loops'?"]),
 ]
 
 
@@ -229,7 +232,7 @@ def test_a_run_overwrites_only_where_it_is_told_to_and_leaves_no_file_of_an_earl
 
 
 def test_a_flight_that_is_steered_is_recorded_for_run(place, capfd):
-    shown = said(capfd, ["fly", "a.mcap", *SMALL, "--sensor", "report", "--planner", "whole"]).splitlines()
+    shown = said(capfd, ["fly", "a.mcap", *SMALL, "--sensor", "report-4cm", "--planner", "whole"]).splitlines()
     assert shown[0].startswith("flown     ")
     assert shown[-1].startswith("a.mcap written: ")
     assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
@@ -243,9 +246,9 @@ def test_record_overwrites_only_where_it_is_told_to(place, capfd, name):
     said(capfd, ["record", name, *SMALL])
     truth = place / f"{Path(name).stem}.truth.tum"
     before, files = truth.read_bytes(), sorted(place.rglob("*"))
-    assert "exists already" in said(capfd, ["record", name, *SMALL, "--trajectory", "orbit"], 2)
+    assert "exists already" in said(capfd, ["record", name, *SMALL, "--trajectory", "loops"], 2)
     assert truth.read_bytes() == before
-    shown = said(capfd, ["record", name, *SMALL[:-1], "2", "--force", "--trajectory", "orbit"])
+    shown = said(capfd, ["record", name, *SMALL[:-1], "2", "--force", "--trajectory", "loops"])
     assert shown.startswith(f"{name} written: 10 scans")
     assert sorted(place.rglob("*")) == files
     assert truth.read_bytes() != before

@@ -109,13 +109,13 @@ def test_a_pilot_that_flies_into_the_ground_is_told_where():
 
 
 def test_a_planner_belongs_to_planned_flights_alone():
-    with pytest.raises(SettingsError, match="trajectory 'orbit' with a table planner"):
-        ExperimentSettings.preset("orbit", overrides={"flight.planner": {"goal": "face"}})
+    with pytest.raises(SettingsError, match="trajectory 'loops' with a table planner"):
+        ExperimentSettings.preset("loops", overrides={"flight.planner": {"goal": "face"}})
     with pytest.raises(SettingsError, match="trajectory 'planned' with no table planner"):
         ExperimentSettings.preset("planned", overrides={"flight.planner": False})
     with pytest.raises(SettingsError, match="goal = 'home'"):
         ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
-    with pytest.raises(SettingsError, match="trajectory 'orbit': expected 'planned'"):
-        Planner(FlightSettings.preset("orbit"), camera_of(ExperimentSettings.preset()))
+    with pytest.raises(SettingsError, match="trajectory 'loops': expected 'planned'"):
+        Planner(FlightSettings.preset("loops"), camera_of(ExperimentSettings.preset()))
     chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
     assert chosen.flight.planner.goal == "face"

@@ -14,7 +14,7 @@ from steelnb.types import Flight
 @pytest.fixture(scope="module")
 def runs():
     noises, methods = ["random-walk", "constant-drift:0.0004"], ["none", "average", "least_squares"]
-    return batch.run_all(batch.make_cases(["vertical"], "starling2", noises, methods, 3, 16.0))
+    return batch.run_all(batch.make_cases(["zigzag"], "starling2", noises, methods, 3, 16.0))
 
 
 def test_correction_beats_no_correction_and_least_squares_beats_the_average(runs):
@@ -33,7 +33,7 @@ def test_the_map_is_better_with_correction(runs):
 
 
 def test_a_comparison_is_its_single_runs(runs):
-    settings = ExperimentSettings.preset("vertical", "random-walk", "least_squares", "starling2", 3, 16.0)
+    settings = ExperimentSettings.preset("zigzag", "random-walk", "least_squares", "starling2", 3, 16.0)
     seen = []
     alone = experiment.run(settings, seen.append)
     assert alone.metrics == runs[2].metrics
@@ -101,7 +101,7 @@ def test_figures_show_every_curve_with_units(runs):
     (panel,) = odometry_figures.figure_errors(runs[1:3], [methods], smoothed_s=2.0).axes
     shown = [LABELS[run.settings.odometry.method] for run in runs[:3]]
     assert [line.get_label() for line in panel.lines[:3]] == shown
-    flown = {"vertical": runs[0].truth.trajectory}
+    flown = {"zigzag": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
 
 

@@ -21,7 +21,7 @@ from workflow.task_notebooks import run
 
 ROOT = Path(__file__).parents[1]
 COLOURED_MIN = 0.001  # axes and text alone have none
-SENSORS = {"report": "", "starling2": "-starling2"}
+SENSORS = {"report-4cm": "", "starling2": "-starling2"}
 """Sensor → what the experiments with it alone have behind their name."""
 AXES = ("middle of points", "section fitted")
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -98,7 +98,7 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
     assert set(table["noise"]) == {"random-walk", "constant-drift", "yaw-random-walk"}
     assert (table["rms"] / table["expected_rms"]).between(0.85, 1.15).all()
     metrics = json.loads((smoke / "world-and-noise" / "metrics.json").read_text())
-    assert metrics["vertical.members_seen"] >= 10
+    assert metrics["zigzag.members_seen"] >= 10
     for name in ("fig_3_1.png", "fig_drift.png"):
         assert coloured(smoke / "world-and-noise" / name) > COLOURED_MIN
 
@@ -108,13 +108,13 @@ def test_the_segmentation_notebook_corrects_the_drift(smoke):
     table = pd.read_csv(folder / "table.csv")
     assert len(table) == 2 * 2 * 2 * 3
     assert set(table["method"]) == {"none", "average", "least_squares"}
-    assert set(table["sensor"]) == {"report", "starling2"}
+    assert set(table["sensor"]) == {"report-4cm", "starling2"}
     good = table[(table["sensor"] == "starling2") & (table["method"] == "least_squares")]
     assert (good["error_mean_m"] < 0.03).all()
     assert (good["ate_rmse_m"] < 0.3 * good["raw_ate_rmse_m"]).all()
     names = {path.name for path in folder.glob("fig_*.png")}
-    for part, figure in {"vertical": "3_2", "orbit": "3_3"}.items():
-        for sensor in ("report", "starling2"):
+    for part, figure in {"zigzag": "3_2", "loops": "3_3"}.items():
+        for sensor in ("report-4cm", "starling2"):
             assert {f"fig_{figure}_{part}-{sensor}.png", f"fig_3_4_{part}-{sensor}.png"} <= names
     timing = pd.read_csv(folder / "timing.csv")
     assert set(timing["stage"]) == {"preprocess", "hough", "match", "map", "frame"}
@@ -125,7 +125,7 @@ def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
     assert not table.duplicated(["trajectory", "noise", "method", "map", "sensor", "seed"]).any()
     assert table.notna().all(axis=None)
     assert (table["scans"] == 35).all()
-    # One scan of the orbit has fewer points than `best` registers.
+    # One scan of the loops has fewer points than `best` registers.
     assert (table["unused_share"] * (table["scans"] - 1) < 1.5).all()
     report = {"icp", "icp-3dof", "gicp"}
     for (flight, noise, sensor), rows in table.groupby(["trajectory", "noise", "sensor"]):
@@ -134,14 +134,14 @@ def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
         first = rows.drop_duplicates("method").set_index("method")
         assert first["ate_rmse_m"]["best"] < 0.75 * first["raw_ate_rmse_m"]["best"], where
         assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp"], where
-        if sensor == "report":
+        if sensor == "report-4cm":
             assert {"icp-4dof", "gicp-4dof", "icp-3dof-dropped"} <= set(rows["method"]), where
             # A rotation dropped after the solve is no restricted solve: that is the fault this run shows.
             assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp-3dof-dropped"], where
             assert set(rows.loc[rows["method"] == "icp", "map"]) == {"re-voxelised", "weighted"}, where
-    flown = {("random-walk", "report"), ("random-walk", "starling2"), ("constant-drift", "report")}
+    flown = {("random-walk", "report-4cm"), ("random-walk", "starling2"), ("constant-drift", "report-4cm")}
     assert set(table.groupby(["noise", "sensor"]).groups) == flown
-    assert set(table["trajectory"]) == {"orbit", "vertical"}
+    assert set(table["trajectory"]) == {"loops", "zigzag"}
     figures = {"random-walk": "3_5", "constant-drift": "3_6"}
     for noise, sensor in flown:
         folder = smoke / f"cloud-odometry{SENSORS[sensor]}"
@@ -208,7 +208,7 @@ def test_the_yaw_notebook_flies_every_method_and_best_takes_the_turn_out(smoke):
 
 def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
     table = pd.read_csv(smoke / "accuracy" / "table.csv")
-    assert set(table["trajectory"]) == {"vertical", "orbit"}
+    assert set(table["trajectory"]) == {"zigzag", "loops"}
     usual = table[table["world"] == "as preset"]
     assert usual["case"].nunique() == 4
     assert (usual["ate_rmse_m"] < 0.04).all()
@@ -221,9 +221,7 @@ def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
     ours = others[others["method"] == "combined"]
     assert (ours["ate_rmse_m"] < ours["raw_ate_rmse_m"]).all()
     assert {path.name for path in (smoke / "accuracy").glob("*.png")} == {
-        f"fig_{name}_{trajectory}.png"
-        for name in ("accuracy", "bands", "worlds")
-        for trajectory in ("vertical", "orbit")
+        f"fig_{name}_{trajectory}.png" for name in ("accuracy", "bands", "worlds") for trajectory in ("zigzag", "loops")
     }
 
 
@@ -291,11 +289,11 @@ def test_the_claims_notebook_judges_every_claim_by_the_committed_study(smoke):
 def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
     folder = smoke / "structure"
     table = pd.read_csv(folder / "table.csv")
-    assert set(table["trajectory"]) == {"vertical", "orbit"}
+    assert set(table["trajectory"]) == {"zigzag", "loops"}
     assert not table.duplicated(["trajectory", "poses", "method"]).any()
     assert len(table) == 2 * 3 * 2
     rows = table.set_index(["trajectory", "poses", "method"])
-    for trajectory in ("vertical", "orbit"):
+    for trajectory in ("zigzag", "loops"):
         exact, fixed = (rows.loc[(trajectory, poses, "final")] for poses in ("true", "corrected"))
         assert exact["recall"] > 0.5, trajectory
         assert exact["precision"] > 0.85, trajectory
@@ -307,7 +305,7 @@ def test_the_structure_notebook_rebuilds_the_tower_and_hands_it_over(smoke):
             assert coloured(folder / f"fig_{figure}_{trajectory}.png") > COLOURED_MIN
     committed = ROOT / "results" / "structure"
     # A short flight sees most bars from one side alone, which tells less of their sections than a whole one.
-    for where, share, trajectories in ((folder, 0.75, ["vertical"]), (committed, 0.3, ["vertical", "orbit"])):
+    for where, share, trajectories in ((folder, 0.75, ["zigzag"]), (committed, 0.3, ["zigzag", "loops"])):
         numbers = json.loads((where / "metrics.json").read_text())
         for trajectory in trajectories:
             near = {axis: numbers[f"{trajectory}.near_side.{axis}.all.median_m"] for axis in AXES}
@@ -324,7 +322,7 @@ def test_the_notebook_of_the_structure_over_seeds_flies_towers_of_other_sections
     assert (final["precision"] > 0.8).all()
     assert (final["recall"] > 0.4).all()
     metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["vertical.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
+    assert metrics["zigzag.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
 
 
 def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
@@ -345,8 +343,8 @@ def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
         assert ate_mm["causal"] < ate_mm[["icp", "gicp", "best", "combined"]].min(), where
         noise_free_mm = rows.set_index("name")["noise_free_mm"].dropna()
         assert noise_free_mm.index.tolist() == ["best"], where
-    assert set(table["trajectory"]) == {"vertical", "orbit"}
-    for flight in ("vertical", "orbit"):
+    assert set(table["trajectory"]) == {"zigzag", "loops"}
+    for flight in ("zigzag", "loops"):
         assert coloured(folder / f"fig_limit_{flight}-starling2.png") > COLOURED_MIN
 
 
@@ -383,16 +381,16 @@ def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN
 
 
-def test_the_notebook_of_the_planner_keeps_sight_where_the_orbit_loses_it(smoke):
+def test_the_notebook_of_the_planner_keeps_sight_where_the_loops_lose_it(smoke):
     folder = smoke / "planner"
     table = pd.read_csv(folder / "table.csv").set_index(["sensor", "flight"])
-    assert {flight for _, flight in table.index} == {"orbit", "planned", "whole"}
-    few = table["few_share"]["report"]
-    assert few["planned"] < few["orbit"]
-    assert few["whole"] < few["orbit"]
+    assert {flight for _, flight in table.index} == {"loops", "planned", "whole"}
+    few = table["few_share"]["report-4cm"]
+    assert few["planned"] < few["loops"]
+    assert few["whole"] < few["loops"]
     assert (table["clearance_m"] > 0.5).all()
     assert (table["ate_rmse_m"]["starling2"] < 0.5 * table["raw_ate_rmse_m"]["starling2"]).all()
-    for sensor in ("report", "starling2"):
+    for sensor in ("report-4cm", "starling2"):
         for name in ("paths", "time", "strip"):
             assert coloured(folder / f"fig_{name}_{sensor}.png") > COLOURED_MIN
 
@@ -402,7 +400,7 @@ def test_the_notebook_of_the_literature_has_loam_far_off_and_midlines_beside_the
     table = pd.read_csv(folder / "table.csv")
     ideal = table[(table["sensor"] == "starling2") & (table["noise"] == "random-walk")]
     error = ideal.set_index(["trajectory", "method"])["ate_mean_m"]
-    for flight, far in (("vertical", 4), ("orbit", 1.2)):
+    for flight, far in (("zigzag", 4), ("loops", 1.2)):
         assert error[flight, "loam"] > far * error[flight, "best"]
         assert error[flight, "loam-midlines"] < error[flight, "best"]
         assert error[flight, "orb"] < 0.1

@@ -26,5 +26,5 @@ def test_a_3d_view_is_as_wide_as_its_page_and_asks_no_network():
 
 def test_links_lead_to_pages_or_nowhere():
     text = "[02](02_x.ipynb), [code](../steelnb/experiment.py), [site](https://a.example)"
-    shown = _cell(new_markdown_cell(text), {"02_x.ipynb": "x-vertical.ipynb"})
-    assert shown.source == "[02](x-vertical.ipynb), code, [site](https://a.example)"
+    shown = _cell(new_markdown_cell(text), {"02_x.ipynb": "x-zigzag.ipynb"})
+    assert shown.source == "[02](x-zigzag.ipynb), code, [site](https://a.example)"

@@ -17,7 +17,7 @@ from workflow.parameters import read_parameters
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
-    "trajectory": "vertical", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
+    "trajectory": "zigzag", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
     "any": None, "results_dir": "",
 }  # fmt: skip
 
@@ -25,7 +25,7 @@ DEFAULTS = {
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"trajectry": "orbit"}, ["e: unknown parameter 'trajectry'", "did you mean 'trajectory'", "count"]),
+        ({"trajectry": "loops"}, ["e: unknown parameter 'trajectry'", "did you mean 'trajectory'", "count"]),
         ({"value": "fast"}, ["value = 'fast'", "a finite number", "1.0"]),
         ({"value": float("nan")}, ["value = nan"]),
         ({"value": 10**400}, ["value = 1", "a finite number"]),
@@ -58,7 +58,7 @@ def test_values_take_the_type_of_their_defaults() -> None:
     [
         ({"noise": ["random-walk", "random-walk:-1"]}, "random_walk_m = -1.0"),
         ({"trajectory": "spiral"}, "trajectory = 'spiral'"),
-        ({"trajectory": ["orbit", "spiral"], "seed": [1, 2]}, "trajectory = 'spiral'"),
+        ({"trajectory": ["loops", "spiral"], "seed": [1, 2]}, "trajectory = 'spiral'"),
         ({"overrides": {"tof.rate_hz": 0}}, "rate_hz = 0"),
         ({"overrides": {"tof.rate": 1}}, "unknown setting 'tof.rate'"),
     ],
@@ -66,7 +66,7 @@ def test_values_take_the_type_of_their_defaults() -> None:
 def test_settings_out_of_range_are_refused(values: dict, words: str) -> None:
     with pytest.raises(SettingsError, match=f"e: .*{words}"):
         check_settings("e", values)
-    check_settings("e", {"trajectory": "orbit", "unrelated": -1})
+    check_settings("e", {"trajectory": "loops", "unrelated": -1})
 
 
 @pytest.fixture
@@ -137,7 +137,7 @@ def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path, name: str, valu
         ("a = 1.5", 1.5),
         ("a=True", True),
         ("a=true", True),
-        ("a=orbit", "orbit"),
+        ("a=loops", "loops"),
         ("a='2'", "2"),
         ("a=x=y", "x=y"),
         ("a=random-walk+yaw-random-walk:0.001", "random-walk+yaw-random-walk:0.001"),

@@ -15,6 +15,12 @@ def test_streams_of_other_names_and_seeds_are_independent():
     assert np.abs(np.corrcoef(draws) - np.eye(len(keys))).max() < 0.06
 
 
+def test_the_seed_report_counts_as_42_in_streams():
+    for names in (("tof", 3), ("gust",)):
+        report, number = rng.stream("report", *names), rng.stream(42, *names)
+        np.testing.assert_array_equal(report.standard_normal(5), number.standard_normal(5))
+
+
 def test_the_streams_are_the_same_on_every_machine():
     # Committed results depend on these numbers.
     np.testing.assert_allclose(rng.stream(1, "random-walk").standard_normal(2), EXPECTED, rtol=1e-12)

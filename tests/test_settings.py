@@ -4,9 +4,11 @@ from pydantic import ValidationError
 
 from steelnb import settings as all_settings
 from steelnb.errors import SettingsError
+from steelnb.noise import drift_errors
 from steelnb.settings import (
     METHODS,
     SEGMENT_METHODS,
+    TRAJECTORIES,
     CalibrationSettings,
     ExperimentSettings,
     FlightSettings,
@@ -15,8 +17,10 @@ from steelnb.settings import (
     Settings,
     TofSettings,
     TowerSettings,
+    read_report_plots,
 )
 from steelnb.settings.presets import PRESETS
+from steelnb.simulation.tof import scan_steps
 
 BOTH = ("combined", "combined-camera", "faces", "smoothed", "calibrated")
 """Methods by clouds and segments."""
@@ -26,7 +30,7 @@ PEERS = ("kiss-icp", "small-gicp")
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'vertical', 'orbit'"),
+        ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'vertical', 'orbit', 'orbit-3.3', 'zigzag', 'loops'"),
         ({"sensor": "lidar"}, "sensor = 'lidar'"),
         ({"method": "mean"}, "method = 'mean'"),
         ({"noise": "white"}, "unknown noise 'white'"),
@@ -37,7 +41,12 @@ PEERS = ("kiss-icp", "small-gicp")
         ({"noise": 0.002}, "noise = 0.002"),
         ({"seed": -1}, "seed = -1"),
         ({"seed": 1.5}, "seed = 1.5"),
-        ({"seed": "1"}, "seed = '1'"),
+        ({"seed": "1"}, "seed = '1'.*or 'report'"),
+        ({"seed": True}, "seed = True"),
+        ({"seed": 2**63}, "seed = 9223372036854775808"),
+        ({"duration_s": 9.0, "overrides": {"tof.start_s": 9.0}}, "start_s = 9: expected less than the flight's 9 s"),
+        ({"overrides": {"tof.noise_on": "ray"}}, "noise_on = 'ray'"),
+        ({"trajectory": "orbit-3.3", "duration_s": 204.5}, "flight of 204.5 s: its waypoints end after 204 s"),
         ({"duration_s": 0.0}, "duration_s = 0.0"),
         ({"duration_s": "200"}, "duration_s = '200'"),
         ({"overrides": {"tof.rate_hz": 0}}, "rate_hz = 0"),
@@ -74,8 +83,8 @@ def test_settings_are_frozen_and_know_no_other_key():
 
 
 def test_overrides_change_one_setting_and_keep_the_rest():
-    plain = ExperimentSettings.preset("orbit", sensor="report")
-    changed = ExperimentSettings.preset("orbit", sensor="report", overrides={"tof.rate_hz": 10})
+    plain = ExperimentSettings.preset("loops", sensor="report-4cm")
+    changed = ExperimentSettings.preset("loops", sensor="report-4cm", overrides={"tof.rate_hz": 10})
     assert changed.tof.rate_hz == 10
     assert changed.override({"tof.rate_hz": 5.0}) == plain
 
@@ -83,7 +92,10 @@ def test_overrides_change_one_setting_and_keep_the_rest():
 def test_the_report_preset_holds_the_published_settings():
     report = ExperimentSettings.preset(sensor="report", noise="random-walk", method="average")
     assert (report.tof.columns, report.tof.rows, report.tof.fov_horizontal_rad) == (64, 64, 2.04)
-    assert (report.tof.range_max_m, report.tof.sigma_floor_m) == (4.0, 0.04)
+    assert (report.tof.range_max_m, report.tof.sigma_floor_m, report.tof.noise_on) == (4.0, 0.01, "depth")
+    before = ExperimentSettings.preset(sensor="report-4cm", noise="random-walk", method="average")
+    assert (before.tof.sigma_floor_m, before.tof.noise_on, before.tof.rate_hz) == (0.04, "range", 5.0)
+    assert before.odometry == report.odometry
     method = report.odometry
     crop = method.preprocess
     assert (crop.crop_m, crop.floor_m, crop.voxel_leaf_m) == (1.5, 0.3, 0.033)
@@ -110,9 +122,75 @@ def test_a_tower_that_cannot_stand_is_refused():
         TowerSettings(arm_height_m=(15.8,), arm_reach_m=(3.0,))
 
 
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"duration_s": 20.1}, r"flight of 20.1 s: its waypoints end after 20 s"),
+        ({"waypoints": ()}, "'vertical' with 0 waypoints"),
+        ({"trajectory": "zigzag"}, "'zigzag' with 2 waypoints"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0),)}, "at least two"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 5.0), (0.0, 2.5, 2.0, 0.0, 20.0))}, "0 seconds to the first"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 0.0, 0.0))}, "more to each other one"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, -2.0, 0.0, 20.0))}, r"waypoints.1.2 = -2.0"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 20.0))}, "waypoints.1"),
+    ],
+)
+def test_a_flight_that_its_waypoints_do_not_give_is_refused(changes, says):
+    path = ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 90.0, 20.0))
+    good = {"trajectory": "vertical", "duration_s": 20.0, "waypoints": path}
+    assert FlightSettings(**good).waypoints == path
+    with pytest.raises(SettingsError, match=says) as caught:
+        FlightSettings(**{**good, **changes})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("noise", "says"),
+    [
+        ("random-walk:0.001", r"random_walk_m = 0.001: the report has 0.002 or none"),
+        ("constant-drift:0.0002", "constant_drift_m = 0.0002: the report has 0.0001 or none"),
+        ("constant-drift-per-axis", "constant_drift_m = 0.000173205: the report has 0.0001"),
+        ("random-walk+yaw-random-walk:0.001", "yaw_random_walk_rad = 0.001: the report has 0.0005"),
+        ("random-walk+tilt", "tilt_rad = 0.0174533: the report has none"),
+        ("random-walk+constant-drift", "the report has one or the other"),
+    ],
+)
+def test_the_seed_report_has_the_report_s_levels_alone(noise, says):
+    refused = (
+        lambda: ExperimentSettings.preset(noise=noise, seed="report"),
+        lambda: drift_errors(np.arange(3) / 125, NoiseSettings.parse(noise), "report"),
+    )
+    for call in refused:
+        with pytest.raises(SettingsError, match=says) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_flight_names_its_tower_and_its_duration():
+    for name in TRAJECTORIES:
+        own = name in ("vertical", "orbit", "orbit-3.3")
+        settings = ExperimentSettings.preset(name)
+        assert settings.tower == TowerSettings.preset("report" if own else "tapered")
+        assert settings.flight.duration_s == {"vertical": 408, "orbit": 500, "orbit-3.3": 204}.get(name, 200)
+        assert ExperimentSettings.preset(name, duration_s=30.0).flight.duration_s == 30
+
+
+def test_the_experiment_behind_each_plot_of_the_report_has_its_scans():
+    for plot in read_report_plots():
+        settings = ExperimentSettings.report(plot.figure, plot.trajectory, plot.method)
+        steps = scan_steps(settings.tof, settings.flight.duration_s, 0.008)
+        flown = steps[steps < round(settings.flight.duration_s / 0.008)]
+        assert len(flown) == plot.samples
+        np.testing.assert_allclose(flown, plot.step_at(np.arange(plot.samples) + plot.earlier_samples), atol=0.5001)
+    other = ExperimentSettings.report("3.5", "vertical", "gicp", "best", {"tof.range_max_m": 3.0})
+    assert (other.odometry.method, other.tof.range_max_m, other.tof.sigma_floor_m) == ("best", 3.0, 0.01)
+    with pytest.raises(SettingsError, match=r"plot 3\.4 vertical icp: expected one of 3\.2 vertical average;"):
+        ExperimentSettings.report("3.4", "vertical", "icp")
+
+
 def test_presets_of_flights_differ():
-    assert FlightSettings.preset("orbit").height_max_m == 7.0
-    assert FlightSettings.preset("vertical").height_max_m == 15.0
+    assert FlightSettings.preset("loops").height_max_m == 7.0
+    assert FlightSettings.preset("zigzag").height_max_m == 15.0
 
 
 def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
@@ -126,7 +204,7 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     honest = ExperimentSettings.preset(sensor="starling2-honest", overrides={"tof.faults.exposure_s": 0.01})
     assert ExperimentSettings.preset(sensor=str(own)).replace(sensor=honest.sensor) == honest
     own.write_text('based_on = "lidar"\n')
-    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report', 'starling2'"):
+    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report', 'report-4cm', 'starling2'"):
         ExperimentSettings.preset(sensor=str(own))
     own.write_text("[hough]\ndxm = 1.0\n")
     with pytest.raises(SettingsError, match="dxm"):
@@ -161,10 +239,10 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_115_settings():
+def test_there_are_at_most_118_settings():
     """81, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
     sigma filter, how well five errors of a sensor are known, eight of a camera, where image features have
-    depth from, a file of weights, and a library."""
+    depth from, a file of weights, a library, waypoints, what a sensor's noise is on, and when its scans begin."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -172,7 +250,7 @@ def test_there_are_at_most_115_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 115
+    assert len(leaves) <= 118
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:

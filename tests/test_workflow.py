@@ -32,7 +32,7 @@ EXPERIMENTS = """
 notebook = "tiny.ipynb"
 title = "Two parts"
 figures = "1.1"
-matrix = { trajectory = ["vertical", "orbit"] }
+matrix = { trajectory = ["zigzag", "loops"] }
 full = { value = 2 }
 smoke = { value = 0.5 }
 
@@ -46,7 +46,7 @@ smoke = {}
 exceptions = { "single.loose*" = "depends on the weather" }
 """
 PARAMETERS = """
-trajectory = "vertical"
+trajectory = "zigzag"
 noise = ["random-walk", "constant-drift:0.0002"]
 value = 1.0
 count = 1
@@ -129,7 +129,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = call(root, "reproduce", **seen)
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stderr.splitlines() if "] running " not in line]  # every half minute
-    assert started(done.stderr) == {"pair/orbit", "pair/vertical", "single"}
+    assert started(done.stderr) == {"pair/loops", "pair/zigzag", "single"}
     assert len([line for line in lines if re.fullmatch(r"\[[123]/3\] \S+: done in \d+ s", line)]) == 3
     assert len(lines) == 6, "nothing but events"
     assert sorted(done.stdout.splitlines()) == ["results/pair/ written", "results/single/ written"]
@@ -153,23 +153,23 @@ def project(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_fresh_run_merges_parts(finished: Path) -> None:
     pair, single = finished / "results" / "pair", finished / "results" / "single"
     numbers = {"count": 1, "rate_hz": 5.0, "third_m": 2 / 3}
-    wanted = {f"{part}.{name}": value for part in ("orbit", "vertical") for name, value in numbers.items()}
+    wanted = {f"{part}.{name}": value for part in ("loops", "zigzag") for name, value in numbers.items()}
     assert json.loads((pair / "metrics.json").read_text()) == wanted
     assert (pair / "table.csv").read_text().splitlines() == [
         "trajectory,noise,third_m",
-        "vertical,random-walk,0.666666667",
-        "vertical,constant-drift:0.0002,3.33333333e-13",
-        "orbit,random-walk,0.666666667",
-        "orbit,constant-drift:0.0002,3.33333333e-13",
+        "zigzag,random-walk,0.666666667",
+        "zigzag,constant-drift:0.0002,3.33333333e-13",
+        "loops,random-walk,0.666666667",
+        "loops,constant-drift:0.0002,3.33333333e-13",
     ]
-    assert sorted(path.name for path in pair.glob("*.png")) == ["fig_1_1_orbit.png", "fig_1_1_vertical.png"]
+    assert sorted(path.name for path in pair.glob("*.png")) == ["fig_1_1_loops.png", "fig_1_1_zigzag.png"]
     assert sorted(path.name for path in single.iterdir()) == FILES
     assert json.loads((single / "metrics.json").read_text())["third_m"] == 1.0
     provenance = json.loads((pair / "provenance.json").read_text())
     assert {"experiment": "pair", "notebook": "tiny.ipynb", "budget": "full"}.items() <= provenance.items()
-    assert provenance["parts"]["orbit"]["settings"]["value"] == 2.0
-    assert provenance["parts"]["orbit"]["versions"]["numpy"] == np.__version__
-    assert len(provenance["parts"]["vertical"]["environment_lock_sha256"]) == 64
+    assert provenance["parts"]["loops"]["settings"]["value"] == 2.0
+    assert provenance["parts"]["loops"]["versions"]["numpy"] == np.__version__
+    assert len(provenance["parts"]["zigzag"]["environment_lock_sha256"]) == 64
     for text in (str(finished), platform.node(), sys.prefix):
         assert text not in (pair / "provenance.json").read_text()
     assert "cores" in (single / "timing.csv").read_text()
@@ -242,7 +242,7 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-p", "trajectry=orbit"], ["pair", "'trajectry'", "did you mean 'trajectory'", "count"]),
+        (["-p", "trajectry=loops"], ["pair", "'trajectry'", "did you mean 'trajectory'", "count"]),
         (["-p", "tof.rate_hz=0"], ["rate_hz = 0", "greater than 0"]),
         (["-p", "value"], ["NAME=VALUE"]),
         (["singel"], ["'singel', did you mean 'single'?", "known: pair, single"]),
@@ -272,12 +272,12 @@ def test_parameters_of_ones_own_want_a_folder_and_leave_the_results_alone(
     before = contents(project / "results")
     assert main(["reproduce", "-p", "value=1"]) == 2
     assert "OUT=folder" in capsys.readouterr().err
-    given = ["reproduce", "pair", "-p", "trajectory=orbit tof.rate_hz=10 value=9", "--output", "mine"]
+    given = ["reproduce", "pair", "-p", "trajectory=loops tof.rate_hz=10 value=9", "--output", "mine"]
     assert main(given) == 0
     assert started(capsys.readouterr().err) == {"pair"}, "the matrix axis that the user fixed should be gone"
     metrics = json.loads((project / "mine" / "pair" / "metrics.json").read_text())
     assert metrics == {"count": 1, "rate_hz": 10, "third_m": 3.0}
-    assert "orbit,random-walk,3" in (project / "mine" / "pair" / "table.csv").read_text().splitlines()
+    assert "loops,random-walk,3" in (project / "mine" / "pair" / "table.csv").read_text().splitlines()
     assert main(given) == main(["reproduce"]) == 0
     assert capsys.readouterr().out == "everything is up to date\n" * 2
     assert contents(project / "results") == before
@@ -364,12 +364,12 @@ def test_a_stopped_run_leaves_no_process_and_the_next_one_resumes(
 ) -> None:
     root, mark = make_project(tmp_path / "project"), f"{os.getpid()}-{number}"
     monkeypatch.chdir(root)
-    gate, asleep = root / "notebooks" / "gate-orbit", root / "notebooks" / "asleep-orbit"
+    gate, asleep = root / "notebooks" / "gate-loops", root / "notebooks" / "asleep-loops"
     journal = root / ".cache" / "workflow" / "full" / "pytask.lock.journal"
     gate.touch()
 
     def ready() -> bool:
-        kept = journal.exists() and "pair/vertical" in journal.read_text()
+        kept = journal.exists() and "pair/zigzag" in journal.read_text()
         return kept and asleep.exists() and len(marked(mark)) >= 3
 
     code, errors = interrupt(root, number, ready, mark)
@@ -380,7 +380,7 @@ def test_a_stopped_run_leaves_no_process_and_the_next_one_resumes(
     assert not (root / "results" / "pair").exists()
     gate.unlink()
     assert main(["reproduce", "pair"]) == 0
-    assert started(capsys.readouterr().err) == {"pair/orbit"}
+    assert started(capsys.readouterr().err) == {"pair/loops"}
     assert len(json.loads((root / "results" / "pair" / "metrics.json").read_text())) == 6
 
 
@@ -487,8 +487,8 @@ def test_merge_joins_different_columns_and_keeps_the_text_of_cells(tmp_path: Pat
         ("[pair]", "[pair", "not a TOML file"),
         ('title = "Two parts"\n', "", "title"),
         ("smoke = {}", "smoke = {}\nspeed = 1", "speed = 1"),
-        ('["vertical", "orbit"]', '["orbit", "orbit"]', "distinct"),
-        ('["vertical", "orbit"]', '["vertical", "spiral"]', "'spiral'"),
+        ('["zigzag", "loops"]', '["loops", "loops"]', "distinct"),
+        ('["zigzag", "loops"]', '["zigzag", "spiral"]', "'spiral'"),
         ("value = 3.0", "valeu = 3.0", "did you mean 'value'"),
         ("tiny.ipynb", "none.ipynb", "none.ipynb"),
     ],

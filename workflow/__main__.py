@@ -67,7 +67,7 @@ def check(
 ) -> int:
     """Run the notebooks again, into .cache/workflow/check/results/, and compare with the committed results.
 
-    Without names, some runs of the study are run again, too, and compared with results/study/.
+    The study's sample of runs is left out until the study is flown again.
     """
     root = find_root()
     cache = root / ".cache" / "workflow" / "check"
@@ -82,11 +82,8 @@ def check(
     now = read_results(cache / "results" if rerun else root / FOLDERS[budget], named)
     found = [*differences(committed, now, settings)]
     if rerun and not ids and (root / STUDY / "runs.parquet").is_file():
-        from steelnb.study.plan import read_plan
-        from workflow.check_study import check_sample
-
-        sample = check_sample(read_plan(root / "notebooks" / "study.toml"), root / STUDY, workers=jobs)
-        found += [(f"study: {line}", "") for line in sample]
+        # `workflow.check_study.check_sample` compares it again once it is flown with the report's own sensor.
+        print(f"{STUDY}: not compared, since it was flown with the sensor report-4cm and is to be flown again")
     return 0 if say(found, committed, settings) else 1
 
 

@@ -33,7 +33,7 @@ WRITE = "python -m workflow digests --write"
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "open3d-cpu", "opencv-python-headless", "pybullet", "imufusion")
 
 SETTINGS: dict[str, Any] = {
-    "flights": ["vertical", "orbit"],
+    "flights": ["zigzag", "loops"],
     "sensors": ["report", "starling2", "starling2-honest"],
     "noise": "random-walk+yaw-random-walk",
     "seed": 7,
@@ -42,7 +42,7 @@ SETTINGS: dict[str, Any] = {
     "overrides": {},
 }
 SHORT = SETTINGS | {
-    "flights": ["orbit"],
+    "flights": ["loops"],
     "sensors": ["starling2"],
     "scans": 8,
     "scans_of_faces": 12,

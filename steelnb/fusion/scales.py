@@ -9,8 +9,8 @@ TUBE_M = 0.06
 class Scales:
     """Lengths in metres at a tube radius of `TUBE_M`; `at` scales them in proportion.
 
-    Chosen on simulated flights of the preset ``starling2`` with the development seeds 11 and 12, ``vertical`` and
-    ``orbit``, over the report's tower and one with wider legs (flanges of 160 mm).
+    Chosen on simulated flights of the preset ``starling2`` with the development seeds 11 and 12, ``zigzag`` and
+    ``loops``, over the report's tower and one with wider legs (flanges of 160 mm).
 
     ``voxel_m``: edge of the voxels that accumulate the scans. Ridges: a voxel stays if its weight is large within
     ``ridge_radius_m``, and contracts to the mean within ``contract_m``. ``length_min_m``: shortest bar. Struts, short

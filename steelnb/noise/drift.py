@@ -11,7 +11,7 @@ TILT_S = 30.0
 """Correlation time of the error of roll and pitch."""
 
 
-def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajectory:
+def drifting(truth: Trajectory, settings: NoiseSettings, seed: rng.Seed) -> Trajectory:
     """A trajectory ``T_world_drone (N, 4, 4)`` with the drift of a pose estimate; zero drift at the first stamp.
 
     Position errors, metres in the world frame, are sums over the steps of the trajectory (125 Hz in simulation): the
@@ -20,6 +20,10 @@ def drifting(truth: Trajectory, settings: NoiseSettings, seed: int) -> Trajector
     Gauss-Markov process that begins at zero and has a correlation time of 30 s: what an attitude filter leaves when an
     accelerometer's bias wanders. Each noise has a stream of its own (``random-walk``, ``constant-drift``,
     ``yaw-random-walk``, ``tilt``) of the seed, so that a sum contains its parts unchanged.
+
+    The seed ``report`` draws from the original's generator in its order: three normal numbers a step for the random
+    walk, then one for the heading if that walks, too; the constant step is its first three numbers. Other levels than
+    the report's raise `SettingsError`.
     """
     return drifted(truth, drift_errors(truth.stamp_s, settings, seed))
 
@@ -32,14 +36,17 @@ def drifted(truth: Trajectory, error: Array) -> Trajectory:
     return Trajectory(truth.stamp_s, T_world_drone)
 
 
-def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: int) -> Array:
+def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: rng.Seed) -> Array:
     """Turn about the drone and shift ``(N, 4, 4)``, world axes, of `drifting` at each stamp; they do not depend on the
     flight."""
     steps = len(stamp_s) - 1
-    walk = settings.random_walk_m * rng.stream(seed, "random-walk").standard_normal((steps, 3))
-    direction = rng.stream(seed, "constant-drift").standard_normal(3)  # normalised: uniform on the sphere
-    step = settings.constant_drift_m * (direction / np.linalg.norm(direction))
-    yaw = settings.yaw_random_walk_rad * rng.stream(seed, "yaw-random-walk").standard_normal(steps)
+    if seed == "report":
+        walk, step, yaw = _steps_of_the_report(settings, steps)
+    else:
+        walk = settings.random_walk_m * rng.stream(seed, "random-walk").standard_normal((steps, 3))
+        direction = rng.stream(seed, "constant-drift").standard_normal(3)  # normalised: uniform on the sphere
+        step = settings.constant_drift_m * (direction / np.linalg.norm(direction))
+        yaw = settings.yaw_random_walk_rad * rng.stream(seed, "yaw-random-walk").standard_normal(steps)
 
     heading = np.append(0.0, np.cumsum(yaw))
     turn = np.tile(np.eye(3), (len(stamp_s), 1, 1))
@@ -54,7 +61,16 @@ def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: int) -> Array:
     return error
 
 
-def _tilt(stamp_s: Array, sigma_rad: float, seed: int) -> Array:
+def _steps_of_the_report(settings: NoiseSettings, steps: int) -> tuple[Array, Array, Array]:
+    """Random steps of the position ``(steps, 3)``, its constant step ``(3,)`` and steps of the heading ``(steps,)``."""
+    settings.check_report()
+    constant = settings.constant_drift_m * rng.report_generator().standard_normal(3)  # not of the level's length
+    drawn = rng.report_generator().standard_normal((steps, 4 if settings.yaw_random_walk_rad else 3))
+    yaw = settings.yaw_random_walk_rad * drawn[:, -1]
+    return settings.random_walk_m * drawn[:, :3], constant, yaw
+
+
+def _tilt(stamp_s: Array, sigma_rad: float, seed: rng.Seed) -> Array:
     """Rotation vectors ``(N, 3)`` of the error of roll and pitch; the third component is 0."""
     if len(stamp_s) < 2:
         return np.zeros((len(stamp_s), 3))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb import experiment
+from steelnb import experiment, rng
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
 from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
@@ -17,25 +17,36 @@ Progress = Callable[[float], None]
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that name a run of an odometry by clouds."""
 
-REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
+REPORT_FLIGHTS = {"vertical": ("vertical", "zigzag"), "orbit": ("orbit", "orbit-3.3", "loops")}
+"""The report's two flights, and the presets that are compared with each."""
+
+
+def _by_preset(of_flight: dict[str, Any]) -> dict[str, Any]:
+    """What the report says of its flights, by the names of the presets that are compared with them."""
+    return {name: value for flight, value in of_flight.items() for name in REPORT_FLIGHTS[flight]}
+
+
+REPORT_FIGURE = _by_preset({"vertical": "3_2", "orbit": "3_3"}) | {"random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure of segment odometry on a flight, and of odometry by clouds under a noise, as files are named."""
-REPORT_SEGMENT_ODOMETRY: dict[str, dict[str, float]] = {
-    "vertical": {"raw_final_m": 4.2, "mean_m": 0.2, "max_m": 0.28, "steps": 1050},
-    "orbit": {"raw_final_m": 2.1, "mean_m": 0.3, "max_m": 0.42, "steps": 800},
-}
+REPORT_SEGMENT_ODOMETRY: dict[str, dict[str, float]] = _by_preset(
+    {
+        "vertical": {"raw_final_m": 4.2, "mean_m": 0.2, "max_m": 0.28, "steps": 1050},
+        "orbit": {"raw_final_m": 2.1, "mean_m": 0.3, "max_m": 0.42, "steps": 800},
+    }
+)
 """Figures 3.2b and 3.3b: the drift at the end, and the corrected error's usual and largest value."""
 REPORT_CLOUD_ODOMETRY: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
     "random-walk": {
-        "none": {"orbit": (0.7, 0.8), "vertical": (0.7, 0.8)},
-        "icp": {"orbit": (0.1, 0.3), "vertical": (0.0, 1.0)},
-        "icp-3dof": {"orbit": (0.0, 0.85), "vertical": (0.02, 0.35)},
-        "gicp": {"orbit": (0.25, 0.54), "vertical": (0.10, 0.25)},
+        "none": _by_preset({"orbit": (0.7, 0.8), "vertical": (0.7, 0.8)}),
+        "icp": _by_preset({"orbit": (0.1, 0.3), "vertical": (0.0, 1.0)}),
+        "icp-3dof": _by_preset({"orbit": (0.0, 0.85), "vertical": (0.02, 0.35)}),
+        "gicp": _by_preset({"orbit": (0.25, 0.54), "vertical": (0.10, 0.25)}),
     },
     "constant-drift": {
-        "none": {"orbit": (2.5, 4.6), "vertical": (2.5, 4.6)},
-        "icp": {"orbit": (0.1, 0.85), "vertical": (0.0, 1.5)},
-        "icp-3dof": {"orbit": (0.3, 0.4), "vertical": (0.1, 0.5)},
-        "gicp": {"orbit": (0.25, 0.4), "vertical": (0.0, 0.1)},
+        "none": _by_preset({"orbit": (2.5, 4.6), "vertical": (2.5, 4.6)}),
+        "icp": _by_preset({"orbit": (0.1, 0.85), "vertical": (0.0, 1.5)}),
+        "icp-3dof": _by_preset({"orbit": (0.3, 0.4), "vertical": (0.1, 0.5)}),
+        "gicp": _by_preset({"orbit": (0.25, 0.4), "vertical": (0.0, 0.1)}),
     },
 }
 """Figures 3.5 and 3.6: noise → method → flight → range (m) of the corrected error; for ``none``, the drift's end."""
@@ -57,7 +68,7 @@ def make_cases(
     sensor: str,
     noise: Sequence[str],
     method: Iterable[str | tuple[str, dict[str, Any]]],
-    seed: int,
+    seed: rng.Seed,
     duration_s: float,
     overrides: dict[str, Any] | None = None,
 ) -> list[ExperimentSettings]:
@@ -112,7 +123,7 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
 
 def caption(cases: pd.DataFrame | Sequence[experiment.Result]) -> str:
     """The flights, noises, sensors and towers of some runs, or of rows of a table with these columns, and its seeds:
-    ``orbit, vertical flight, random-walk, sensor report, seed 1``; more seeds than one are counted."""
+    ``loops, zigzag flight, random-walk, sensor report-4cm, seed 1``; more seeds than one are counted."""
     rows = cases if isinstance(cases, pd.DataFrame) else pd.DataFrame([case_of(result.settings) for result in cases])
     named = {"trajectory": "{} flight", "noise": "{}", "tower": "tower {}", "sensor": "sensor {}"}
     parts = [text.format(", ".join(rows[name].unique())) for name, text in named.items() if name in rows]

@@ -25,7 +25,7 @@ LEVEL = 0.05
 UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
 TOWERS = ("", "tower.waist_width_m=2.4", "tower.waist_width_m=3.0")
 """The report's tower as preset, 1.7 m wide at the waist, and wider: the report does not give that width."""
-USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 200.0, "variant": list(TOWERS), "blind": ""}
+USUAL: dict[str, Any] = {"sensor": "report-4cm", "duration_s": 200.0, "variant": list(TOWERS), "blind": ""}
 """Values of the runs that a claim is about, unless its ``where`` says otherwise."""
 DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     "raw_at_180_s_m": lambda runs: [
@@ -260,7 +260,7 @@ def describe_cells(cells: pd.DataFrame, by: Sequence[str]) -> str:
 
 
 def cell_name(values: Iterable[str]) -> str:
-    """A cell by its values; settings without their table: ``vertical, random-walk, waist_width_m=2.4``."""
+    """A cell by its values; settings without their table: ``zigzag, random-walk, waist_width_m=2.4``."""
     return ", ".join(re.sub(r"\w+\.(?=\w+=)", "", value) for value in values if value) or "as preset"
 
 

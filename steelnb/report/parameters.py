@@ -73,9 +73,14 @@ def fit_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[
 
 
 def _fit(name: str, value: Any, default: Any) -> Any:
-    """``value`` in the type of ``default``: an int becomes a float, the elements of a list follow the default's."""
+    """``value`` in the type of ``default``: an int becomes a float, the elements of a list follow the default's. A seed
+    is a number or ``report``, whichever the default is."""
     kind = type(default)
-    if default is None or (kind in (bool, int, str) and type(value) is kind):
+    if (
+        default is None
+        or (name == "seed" and "report" in (value, default))
+        or (kind in (bool, int, str) and type(value) is kind)
+    ):
         return value
     if kind is float and isinstance(value, int | float) and type(value) is not bool and abs(value) < FLOAT_MAX:
         return float(value)

@@ -34,17 +34,17 @@ from steelnb.simulation.truth import SLICE_M
 from steelnb.types import Array, Flight, Trajectory
 
 FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
-    "vertical": ("vertical", {}),
-    "wide orbit": ("orbit", {"flight.standoff_m": 2.4}),
-    "orbit": ("orbit", {}),
+    "zigzag": ("zigzag", {}),
+    "wide loops": ("loops", {"flight.standoff_m": 2.4}),
+    "loops": ("loops", {}),
     "planned": ("planned", {}),
     "view only": ("planned", {"flight.planner.keep_information": False}),
     "information only": ("planned", {"flight.planner.keep_view": False}),
     "whole": ("planned", {"flight.planner.goal": "whole", "flight.height_max_m": 15.0}),
 }
-"""Name → trajectory and overrides. `wide orbit` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
-the tower's axis; `planned` goes around as far, as high and as fast as `orbit`; the next two are without one kind of
-barrier; `whole` flies from one viewpoint to the next, as high as `vertical`."""
+"""Name → trajectory and overrides. `wide loops` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
+the tower's axis; `planned` goes around as far, as high and as fast as `loops`; the next two are without one kind of
+barrier; `whole` flies from one viewpoint to the next, as high as `zigzag`."""
 FEW = 300
 """Returns from steel below which a scan has lost sight."""
 STEEL_M = 0.15

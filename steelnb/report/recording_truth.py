@@ -11,6 +11,7 @@ from steelnb.io.scans import subset
 from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
 from steelnb.report.words import counted
+from steelnb.rng import Seed
 from steelnb.settings import NoiseSettings
 from steelnb.types import Flight, Trajectory
 
@@ -55,7 +56,7 @@ def part_of(
 
 
 def with_drift(
-    flight: Flight, truth: Trajectory | None, noise: NoiseSettings, seed: int, gap_max_s: float | None
+    flight: Flight, truth: Trajectory | None, noise: NoiseSettings, seed: Seed, gap_max_s: float | None
 ) -> tuple[Flight, Trajectory]:
     """The flight with a prior that drifts from the truth, or without one from its poses, taken as true; and that truth.
 
@@ -75,7 +76,7 @@ def with_drift(
     return replace(flight, prior=Trajectory(flight.prior.stamp_s[known], prior[known])), true
 
 
-def drifted(true: Trajectory, noise: NoiseSettings, seed: int) -> Trajectory:
+def drifted(true: Trajectory, noise: NoiseSettings, seed: Seed) -> Trajectory:
     """A trajectory that drifts at 125 Hz, as the simulator's does. Raises `RecordingError` beyond four hours."""
     stamp_s = true.stamp_s
     if len(stamp_s) > 1 and np.abs(np.diff(stamp_s) - STEP_S).max() < 1e-4:  # the simulator's own: stays to the bit

@@ -83,7 +83,7 @@ class Scenes:
         scenes = []
         for k in range(count):
             place = rng.stream(seed, "place", k)
-            flight = FlightSettings.preset(("vertical", "orbit")[k % 2])  # type: ignore[arg-type]
+            flight = FlightSettings.preset(("zigzag", "loops")[k % 2])  # type: ignore[arg-type]
             view = self._view(seed, k, flight, place.random(), noise_m)
             scenes.append(self._scene(seed, k, view, noise_m, clutter, kept))
         return scenes

@@ -16,7 +16,7 @@ from steelnb.odometry.run import smoothed
 from steelnb.report.calibration import SHOWN
 from steelnb.report.honest import HONEST
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, VERMILION, Figure, gather_legend, style
-from steelnb.rng import stream
+from steelnb.rng import Seed, stream
 from steelnb.settings import CalibrationSettings, ExperimentSettings, ImuSettings, OdometrySettings, TrajectoryName
 from steelnb.simulation import Truth, measured_imu
 from steelnb.types import Array, Estimate, Flight, RangeScans, SensorErrors
@@ -38,7 +38,7 @@ FAULTS: dict[str, dict[str, float]] = {
 along each axis and by 1° of pitch and of yaw."""
 
 
-def errors_of(fault: str, seed: int) -> Array:
+def errors_of(fault: str, seed: Seed) -> Array:
     """The errors ``(9,)`` of a fault; those of `DRAWN` have the standard deviations that a calibration starts from."""
     if fault == DRAWN:
         sigma = unknown_errors(CalibrationSettings()).prior_sigma

@@ -42,7 +42,7 @@ NUMBERS = (
     "toward_sensor_median_m", "ate_rmse_m",
 )  # fmt: skip
 STRUCTURE_GOALS: dict[str, tuple[float | dict[str, float], str]] = {
-    "recall": ({"orbit": 0.92, "vertical": 0.88}, "at least"),
+    "recall": ({"loops": 0.92, "zigzag": 0.88}, "at least"),
     "precision": (0.98, "at least"),
     "duplicates": (2.0, "at most"),
     "offset_median_m": (0.012, "at most"),
@@ -89,7 +89,7 @@ def fly_tower(
     method: str,
     seed: int,
     duration_s: float,
-    tower: str = "report",
+    tower: str = "tapered",
     overrides: dict[str, Any] | None = None,
     on_progress: Progress | None = None,
 ) -> StructureFlight:

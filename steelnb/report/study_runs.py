@@ -22,7 +22,7 @@ WORLDS = {
     "flight.gust_sigma_m_s=1.0": "gusts of 1 m/s, 1.5 × the speed",
 }
 """Variant of a study's run, or its beginning, and what to call it; stand-offs are named by what they add."""
-SENSORS = {"report": "the report's sensor", "starling2-honest": HONEST}
+SENSORS = {"report-4cm": "the report's sensor", "starling2-honest": HONEST}
 OURS = ("least_squares_yaw", "best", "combined", "faces", "smoothed", "calibrated")
 """Methods whose settings were chosen here, by segments and by all points: notebook 17 compares the others."""
 MARKERS = "o^sDv"
@@ -65,7 +65,7 @@ def world_runs(study: pd.DataFrame, trajectory: str) -> pd.DataFrame:
     """The runs of a study on one flight under the random walk, with the ``world`` of each, in the order of a figure; of
     `OURS`, those of the report's sensor only with methods that also fly with another one. Other sensors than the usual
     one count with the settings of their presets."""
-    others = set(study.loc[study["sensor"] != "report", "method"]) & set(OURS)
+    others = set(study.loc[study["sensor"] != "report-4cm", "method"]) & set(OURS)
     found = whole_flights(study, trajectory=[trajectory], noise=["random-walk", "random-walk+tilt"])
     found = found[found["method"].isin(others) & (~found["sensor"].isin(SENSORS) | (found["variant"] == ""))]
     columns = ["variant", "noise", "sensor", "trajectory"]

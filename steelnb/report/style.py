@@ -57,12 +57,13 @@ DETECTORS = {
     "hough": INDIGO, "ransac-lines": GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
 }  # fmt: skip
 """Methods of segmentation, which no figure shows beside odometries."""
-KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "vertical": WINE, "orbit": ORANGE}
+KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "zigzag": WINE, "loops": ORANGE}
 """Members of the tower, and the flights around it."""
-PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK, "wide orbit": OLIVE}
+PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK, "wide loops": OLIVE}
 """Flights that a planner steers and those beside them, which no figure shows beside odometries."""
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
+    "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
     "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
+from steelnb import rng
 from steelnb.errors import SettingsError
 from steelnb.types import Array
 
@@ -24,6 +25,14 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
+def _checked_seed(given: Any) -> rng.Seed:
+    """A seed as it is; ValueError for all else, since pydantic's own message on a union is not one line."""
+    if given == "report" or (type(given) is int and 0 <= given < 2**63):
+        return given  # type: ignore[no-any-return]
+    raise ValueError("expected a whole number from 0 to 2**63 - 1, or 'report'")
+
+
+SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
 _SHOWN = 400
 """Characters of the longest message: a value may be a whole file."""
 S = TypeVar("S", bound="Settings")
@@ -117,7 +126,7 @@ def parse_parameter(text: str) -> tuple[str, Any]:
     """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `SettingsError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))
     if not name or not equals:
-        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=orbit or tof.rate_hz=10")
+        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=loops or tof.rate_hz=10")
     for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
         try:
             parsed = read(value)

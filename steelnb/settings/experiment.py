@@ -4,9 +4,11 @@ from typing import Annotated, Any, Self
 
 from pydantic import model_validator
 
-from steelnb.settings.base import Seed, Settings, overridden, table
+from steelnb import rng
+from steelnb.settings.base import SeedOrReport, Settings, overridden, table
 from steelnb.settings.camera import CameraSettings
 from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.report_plots import ReportPlot
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
 
@@ -20,7 +22,7 @@ class ExperimentSettings(Settings):
 
     sensor: str
     noise_name: str
-    seed: Seed
+    seed: SeedOrReport
     tower: TowerSettings = TowerSettings()
     flight: FlightSettings
     tof: TofSettings
@@ -36,23 +38,34 @@ class ExperimentSettings(Settings):
                              "an odometry by clouds or segments")  # fmt: skip
         return self
 
+    @model_validator(mode="after")
+    def _as_the_report(self) -> Self:
+        if self.seed == "report":
+            self.noise.check_report()
+        if not self.tof.start_s < self.flight.duration_s:
+            raise ValueError(
+                f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
+            )
+        return self
+
     @classmethod
     def preset(
         cls,
-        trajectory: TrajectoryName = "vertical",
+        trajectory: TrajectoryName = "zigzag",
         noise: str = "random-walk",
         method: str = "least_squares",
         sensor: str = "starling2",
-        seed: int = 1,
-        duration_s: float = 200.0,
+        seed: rng.Seed = 1,
+        duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
     ) -> "ExperimentSettings":
         """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
 
-        ``overrides`` changes single settings, named by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises
-        `SettingsError`. A method by image features has the forward camera.
+        The flight names its tower, and its duration where none is given. ``overrides`` changes single settings, named
+        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `SettingsError`. A method by image features has
+        the forward camera.
 
-        >>> settings = ExperimentSettings.preset("orbit", method="best", overrides={"tof.rate_hz": 10.0})
+        >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.clouds.dof
         (10.0, 'xyz_yaw')
         """
@@ -61,6 +74,7 @@ class ExperimentSettings(Settings):
             sensor=sensor,
             noise_name=noise,
             seed=seed,
+            tower=TowerSettings.of_flight(trajectory),
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             imu=ImuSettings.preset(sensor),
@@ -68,6 +82,31 @@ class ExperimentSettings(Settings):
             noise=NoiseSettings.parse(noise),
             odometry=odometry,
         )
+        return settings.override(overrides or {})
+
+    @classmethod
+    def report(
+        cls,
+        figure: str,
+        trajectory: str,
+        method: str,
+        odometry: str | None = None,
+        overrides: dict[str, Any] | None = None,
+    ) -> "ExperimentSettings":
+        """The experiment behind one of the report's plots: its flight, tower, sensor and noise, draw for draw.
+
+        Scans are those that the report's program used. ``odometry``: another method on the same scans. Raises
+        `SettingsError`.
+
+        >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
+        >>> settings.seed, settings.noise_name, round(settings.tof.rate_hz, 2)
+        ('report', 'random-walk', 0.69)
+        """
+        plot = ReportPlot.find(figure, trajectory, method)
+        settings = cls.preset(
+            plot.flight or plot.trajectory, plot.noise, odometry or method, "report", "report", plot.duration_s,
+            {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s},
+        )  # fmt: skip
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":

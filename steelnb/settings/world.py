@@ -10,12 +10,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from steelnb.errors import SettingsError
-from steelnb.settings.base import Duration, NotNegative, Positive, Settings, mount, quoted, table
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted, table
 from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
-TrajectoryName = Literal["vertical", "orbit", "planned"]
+TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
+BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")
+Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
+"""x, y, z in metres, the heading in degrees (0 along x, anticlockwise), and the seconds to it from the one before."""
 
 
 class TowerSettings(Settings):
@@ -59,6 +62,11 @@ class TowerSettings(Settings):
         """A tower of ``presets/towers.toml`` by name. Raises `SettingsError`."""
         return cls(**preset_table("towers", "tower", tower))
 
+    @classmethod
+    def of_flight(cls, trajectory: TrajectoryName) -> "TowerSettings":
+        """The tower that a flight of ``presets/flights.toml`` passes. Raises `SettingsError`."""
+        return cls.preset(preset_table("flights", "trajectory", trajectory)["tower"])
+
 
 PlannerGoal = Literal["face", "around", "whole"]
 
@@ -78,17 +86,20 @@ class PlannerSettings(Settings):
 
 
 class FlightSettings(Settings):
-    """A simulated flight. ``standoff_m`` is the distance of the path to the face of the tower, at every height.
+    """A simulated flight.
 
-    A ``planned`` flight has a ``planner``, for which distance, heights, levels and speed are wishes, and its path
-    depends on the odometry; the others have none.
+    ``vertical``, ``orbit`` and ``orbit-3.3``, the report's, go from one of the ``waypoints`` to the next, at rest at
+    each; give them others for a flight of your own. The path of ``zigzag`` and ``loops`` follows from the tower:
+    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight has a ``planner``,
+    for which distance, heights, levels and speed are wishes, and its path depends on the odometry; the others have
+    none.
 
     ``gust_sigma_m_s`` is the standard deviation of the gusts along the vertical; ``gust_spectrum`` says whether they
     are alike along all axes, with a correlation time of 2 s, or have the Dryden spectra near the ground
     (`steelnb.simulation.gusts`).
     """
 
-    trajectory: TrajectoryName = "vertical"
+    trajectory: TrajectoryName = "zigzag"
     duration_s: Duration = 200.0
     standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
     height_min_m: Positive = 0.7
@@ -98,6 +109,21 @@ class FlightSettings(Settings):
     gust_sigma_m_s: NotNegative = 0.3
     gust_spectrum: Literal["first-order", "dryden"] = "first-order"
     planner: Annotated[PlannerSettings | None, table(PlannerSettings)] = None
+    waypoints: tuple[Waypoint, ...] = ()
+
+    @model_validator(mode="after")
+    def _within_its_waypoints(self) -> Self:
+        if (self.trajectory in BY_WAYPOINTS) != bool(self.waypoints):
+            raise ValueError(
+                f"trajectory {self.trajectory!r} with {len(self.waypoints)} waypoints: expected them for"
+                f" {quoted(BY_WAYPOINTS)}, and for no other"
+            )
+        seconds = [seconds for *_, seconds in self.waypoints]
+        if self.waypoints and (len(seconds) < 2 or seconds[0] != 0 or min(seconds[1:]) == 0):
+            raise ValueError("waypoints: expected at least two, 0 seconds to the first and more to each other one")
+        if self.waypoints and self.duration_s > sum(seconds) + 1e-9:
+            raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {sum(seconds):g} s")
+        return self
 
     @model_validator(mode="after")
     def _planned_by_a_planner(self) -> Self:
@@ -109,19 +135,27 @@ class FlightSettings(Settings):
         return self
 
     @classmethod
-    def preset(cls, trajectory: TrajectoryName, duration_s: float = 200.0) -> "FlightSettings":
-        """The report's two flights (its Figures 3.2a and 3.3a), each about 200 s long, and ``planned``, around the
-        tower as ``orbit``: ``presets/flights.toml``."""
-        return cls(trajectory=trajectory, duration_s=duration_s, **preset_table("flights", "trajectory", trajectory))
+    def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
+        """A flight of ``presets/flights.toml`` by name. Default duration: the preset's own, else up to the last
+        waypoint, else 200 s. Raises `SettingsError`."""
+        values = dict(preset_table("flights", "trajectory", trajectory))
+        del values["tower"]
+        if duration_s is not None:
+            values["duration_s"] = duration_s
+        elif "waypoints" in values:
+            values.setdefault("duration_s", sum(seconds for *_, seconds in values["waypoints"]))
+        return cls(trajectory=trajectory, **values)
 
 
 class TofSettings(Settings):
     """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
 
-    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``; in the intervals ``blind_s``
-    (from, to) nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place
-    the sensor on the drone. With ``faults`` the sensor errs as a real one: the standard deviation of a range is then
-    that of the range at which the data sheet's target, seen squarely, returns as much light as the pixel got.
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"`` the
+    depth along the optical axis has that noise and the limit ``range_max_m``; ranges remain along the ray. Scans come
+    at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step; in the intervals ``blind_s`` (from, to)
+    nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor
+    on the drone. With ``faults`` the sensor errs as a real one: the standard deviation of a range is then that of the
+    range at which the data sheet's target, seen squarely, returns as much light as the pixel got.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -131,7 +165,9 @@ class TofSettings(Settings):
     range_max_m: Positive = 4.0
     sigma_floor_m: NotNegative = 0.04
     sigma_relative: NotNegative = 0.0
+    noise_on: Literal["range", "depth"] = "range"
     rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
+    start_s: NotNegative = 0.0
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -144,7 +180,7 @@ class TofSettings(Settings):
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":
-        """``report``: the simulated sensor of the report; ``starling2``: an upright Starling 2; or a TOML file."""
+        """The sensor of ``presets/sensors/NAME.toml``, or of a TOML file of one's own. Raises `SettingsError`."""
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 
@@ -152,8 +188,8 @@ class NoiseSettings(Settings):
     """Drift of the pose prior, added at every simulator step (125 Hz).
 
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
-    of the constant step vector; ``yaw_random_walk_rad``: standard deviation of the heading step; ``tilt_rad``: that of
-    the slowly varying error of roll and of pitch, which the report does not have.
+    of the constant step vector, 0.83 of it with the seed ``report``; ``yaw_random_walk_rad``: standard deviation of the
+    heading step; ``tilt_rad``: that of the slowly varying error of roll and of pitch, which the report does not have.
     """
 
     random_walk_m: NotNegative = 0.0
@@ -186,6 +222,19 @@ class NoiseSettings(Settings):
             except ValueError:
                 raise SettingsError(f"noise = {text!r}: the level {level!r} is not a number") from None
         return cls(**values)
+
+    def check_report(self) -> None:
+        """Raise `SettingsError` for noises that the report did not fly, of which the seed ``report`` has no draws."""
+        levels = {"random_walk_m": 0.002, "constant_drift_m": 0.0001, "yaw_random_walk_rad": 0.0005, "tilt_rad": 0.0}
+        for name, level in levels.items():
+            if getattr(self, name) not in (0.0, level):
+                has = f"{level:g} or none" if level else "none"
+                raise SettingsError(f"seed = 'report' with {name} = {getattr(self, name):g}: the report has {has}")
+        if self.constant_drift_m and (self.random_walk_m or self.yaw_random_walk_rad):
+            raise SettingsError(
+                f"seed = 'report' with constant_drift_m = {self.constant_drift_m:g} and a random walk: the report has"
+                " one or the other"
+            )
 
 
 REPORT_NOISE = {

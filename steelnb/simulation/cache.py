@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from steelnb import rng
 from steelnb.cache import kept
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation.flight import Pilot, fly
@@ -20,7 +21,7 @@ def fly_and_scan(
     tower: Tower,
     flight: FlightSettings,
     tof: TofSettings,
-    seed: int,
+    seed: rng.Seed,
     pilot: Callable[[], Pilot] | None = None,
     depends_on: tuple[object, str] | None = None,
 ) -> Flown:

@@ -36,7 +36,7 @@ class Rendered(NamedTuple):
     member: IntArray
 
 
-def photograph(tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: int) -> CameraImages:
+def photograph(tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: rng.Seed) -> CameraImages:
     """Images along a true trajectory, each rendered when it is asked for.
 
     ``trajectory``: true poses of the drone, world frame, the first at t = 0. The noise of image k comes from the stream
@@ -119,7 +119,7 @@ class _Images(Sequence[GreyImage]):
     """The images of `photograph`."""
 
     def __init__(
-        self, tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: int, stamp_s: Array
+        self, tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: rng.Seed, stamp_s: Array
     ) -> None:
         self._tower, self._trajectory, self._settings, self._seed = tower, trajectory, settings, seed
         self._stamp_s = stamp_s

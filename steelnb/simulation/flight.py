@@ -11,10 +11,11 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb import rng
 from steelnb.errors import CollisionError, needs
 from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import gusts
-from steelnb.simulation.paths import heading, setpoints
+from steelnb.simulation.paths import heading, minimum_jerk, setpoints
 from steelnb.simulation.tower import Tower
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
@@ -43,28 +44,32 @@ Pilot = Callable[[Trajectory, Imu], Command | None]
 which a drone would know what its sensors show; None ends the flight."""
 
 
-def fly(tower: Tower, settings: FlightSettings, seed: int, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
+def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `setpoints`, or the commands
-    of a ``pilot`` from where these begin. `gusts` act through the drag. World frame and REP 103 drone frame; specific
-    force (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `CollisionError` with
-    time and place when the body touches the structure or the ground.
+    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `minimum_jerk` between
+    waypoints, else `setpoints`, or the commands of a ``pilot`` from where these begin. `gusts` act through the drag.
+    World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over the step that
+    ends at their stamp. Raises `CollisionError` with time and place when the body touches the structure or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
-    target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
     wind = gusts(settings, seed, steps, STEP_S).tolist()
     state = np.empty((steps + 1, 7))
     imu = np.empty((steps + 1, 6))
     client = pybullet.connect(pybullet.DIRECT)
-    yaw = heading(settings, *target[0, :2])
-    if pilot is None:
-        reference = _along_path(target.tolist(), target_velocity.tolist(), settings)
+    if settings.waypoints:
+        target, *derivatives = minimum_jerk(settings, np.arange(steps, dtype=np.float64) * STEP_S)
+        yaw = float(target[0, 3])
+        reference = _by_waypoints(target.tolist(), *(each.tolist() for each in derivatives))
     else:
+        target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
+        yaw = heading(settings, *target[0, :2])
+        reference = _along_path(target.tolist(), target_velocity.tolist(), settings)
+    if pilot is not None:
         reference = _as_commanded(pilot, yaw, state, imu)
     try:
-        body = _make_world(pybullet, client, tower, target[0].tolist(), yaw)
+        body = _make_world(pybullet, client, tower, target[0, :3].tolist(), yaw)
         steps = _loop(pybullet, client, body, reference, settings, wind, state, imu)
     finally:
         pybullet.disconnect(client)
@@ -80,13 +85,20 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
 
 
-Reference = Callable[[int, Sequence[float], Sequence[float]], tuple[Sequence[float], Sequence[float], float] | None]
-"""Number of the step, position and quaternion → position and velocity to follow, and the heading; None: the end."""
+Vector = Sequence[float]
+Reference = Callable[[int, Vector, Vector], tuple[Vector, Vector, Vector, float] | None]
+"""Number of the step, position and quaternion → position, velocity and acceleration to follow, and the heading; None:
+the end."""
+NO_ACCELERATION = (0.0, 0.0, 0.0)
+
+
+def _by_waypoints(pose: list[list[float]], rate: list[list[float]], acceleration: list[list[float]]) -> Reference:
+    return lambda step, position, quaternion: (pose[step][:3], rate[step][:3], acceleration[step][:3], pose[step][3])
 
 
 def _along_path(target: list[list[float]], target_velocity: list[list[float]], settings: FlightSettings) -> Reference:
     return lambda step, position, quaternion: (
-        target[step], target_velocity[step], heading(settings, position[0], position[1]),
+        target[step], target_velocity[step], NO_ACCELERATION, heading(settings, position[0], position[1]),
     )  # fmt: skip
 
 
@@ -106,7 +118,7 @@ def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Referen
         ahead = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         c, s = math.cos(ahead), math.sin(ahead)
         forward, left, up = command.velocity
-        return position, (c * forward - s * left, s * forward + c * left, up), yaw
+        return position, (c * forward - s * left, s * forward + c * left, up), NO_ACCELERATION, yaw
 
     return reference
 
@@ -152,13 +164,14 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
         asked = reference(step, position, quaternion)
         if asked is None:
             return step
-        (rx, ry, rz), (tx, ty, tz), yaw = asked
+        (rx, ry, rz), (tx, ty, tz), (gx, gy, gz), yaw = asked
         ex = tx + POSITION_P * (rx - position[0]) - velocity[0]
         ey = ty + POSITION_P * (ry - position[1]) - velocity[1]
         ez = tz + POSITION_P * (rz - position[2]) - velocity[2]
         ix, iy, iz = ix + ex * STEP_S, iy + ey * STEP_S, iz + ez * STEP_S
         ax, ay, az = VELOCITY_P * ex + VELOCITY_I * ix, VELOCITY_P * ey + VELOCITY_I * iy, VELOCITY_P * ez
         az += VELOCITY_I * iz + GRAVITY
+        ax, ay, az = ax + gx, ay + gy, az + gz
         level = math.hypot(ax, ay)
         if level > TILT_ACCELERATION_MAX:
             ax, ay = ax * TILT_ACCELERATION_MAX / level, ay * TILT_ACCELERATION_MAX / level
@@ -175,8 +188,9 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
         pybullet.stepSimulation(physicsClientId=client)
         if pybullet.getContactPoints(body, physicsClientId=client):
             x, y, z = position
+            path = "" if settings.waypoints else f" with standoff_m = {settings.standoff_m}"
             raise CollisionError(
-                f"{settings.trajectory} flight with standoff_m = {settings.standoff_m}: the drone touches the structure"
+                f"{settings.trajectory} flight{path}: the drone touches the structure"
                 f" or the ground at t = {(step + 1) * STEP_S:.2f} s, at x = {x:.2f}, y = {y:.2f}, z = {z:.2f} m;"
                 " expected a path clear of both"
             )

@@ -14,7 +14,7 @@ GUST_TIME_S = 2.0
 FOOT_M = 0.3048
 
 
-def gusts(settings: FlightSettings, seed: int, steps: int, step_s: float) -> Array:
+def gusts(settings: FlightSettings, seed: rng.Seed, steps: int, step_s: float) -> Array:
     """Wind velocity at each step, ``(steps, 3)`` m/s in the world frame, from the stream ``gust`` of the seed.
 
     ``first-order``: an Ornstein-Uhlenbeck process on each axis, with the standard deviation ``gust_sigma_m_s`` and the

@@ -14,7 +14,7 @@ FILTER_GAIN = 0.5
 """Rate, 1/s, at which the filter turns towards the accelerometer's vertical: the library's default."""
 
 
-def measured_imu(exact: Imu, settings: ImuSettings, seed: int) -> Imu:
+def measured_imu(exact: Imu, settings: ImuSettings, seed: rng.Seed) -> Imu:
     """Readings with white noise and with biases that start as calibration left them and walk.
 
     ``exact`` has even steps of time, over which its values are means. The streams of the seed are
@@ -28,7 +28,7 @@ def measured_imu(exact: Imu, settings: ImuSettings, seed: int) -> Imu:
 class ImuErrors:
     """What `measured_imu` adds, drawn once for all of ``stamp_s (N,)``, for a flight that is under way."""
 
-    def __init__(self, stamp_s: Array, settings: ImuSettings, seed: int) -> None:
+    def __init__(self, stamp_s: Array, settings: ImuSettings, seed: rng.Seed) -> None:
         step_s, shape, s = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3), settings
 
         def draw(sensor: str, noise: float, walk: float, bias: float) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Flight paths: polylines along the tower, with the heading at each point."""
+"""Flight paths, with the heading at each point: between waypoints, or polylines along the tower."""
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -9,11 +9,14 @@ from steelnb.types import Array
 
 
 def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
-    """Corner points of the flight's path, ``(N, 3)`` metres in the world frame.
+    """Corner points of the flight's path, ``(N, 3)`` metres in the world frame: the waypoints of its settings, or else
+    what follows from the tower.
 
-    ``vertical`` zigzags up in front of the face y < 0; ``orbit`` flies rectangular loops around the body. Both keep
+    ``zigzag`` zigzags up in front of the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
     ``standoff_m`` from the body at every height. Of a ``planned`` flight it is the place of the start.
     """
+    if flight.waypoints:
+        return np.array(flight.waypoints)[:, :3]
     heights = np.linspace(flight.height_min_m, flight.height_max_m, flight.levels)
     points: list[tuple[float, float, float]] = []
     for level, z in enumerate(heights):
@@ -21,7 +24,7 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
         away = half + flight.standoff_m
         if flight.trajectory == "planned":
             return np.array([(0.0, -away, z)])
-        if flight.trajectory == "vertical":
+        if flight.trajectory == "zigzag":
             side = 0.8 * half * (-1) ** level
             points += [(-side, -away, z), (side, -away, z)]
         else:
@@ -31,12 +34,14 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
 
 
 def heading(flight: FlightSettings, x: float, y: float) -> float:
-    """Heading (radians, 0 along x) that the drone holds at a position: along y, or to the tower's axis."""
-    return np.pi / 2 if flight.trajectory == "vertical" else float(np.arctan2(-y, -x))
+    """Heading (radians, 0 along x) that the drone holds at a position of a path without waypoints: along y, or to the
+    tower's axis."""
+    return np.pi / 2 if flight.trajectory == "zigzag" else float(np.arctan2(-y, -x))
 
 
 def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:
-    """Position and velocity to follow at each step, each ``(steps, 3)``: the path at ``speed_m_s``, then a hover.
+    """Position and velocity to follow at each step, each ``(steps, 3)``, on a path without waypoints: along it at
+    ``speed_m_s``, then a hover.
 
     Two moving averages of a second round the corners, so that the drone leans into them instead of braking.
     """
@@ -47,3 +52,24 @@ def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: 
     for _ in range(2):
         position = uniform_filter1d(position, max(1, round(1.0 / step_s)), axis=0, mode="nearest")
     return position, np.gradient(position, step_s, axis=0)
+
+
+def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, Array]:
+    """Pose x, y, z, heading (metres, radians) and its first two derivatives, each ``(N, 4)``, at ``time_s (N,)``, of a
+    flight by waypoints.
+
+    From one waypoint to the next with the least jerk, from rest to rest: a share 10τ³ − 15τ⁴ + 6τ⁵ of the way after a
+    share τ of the time (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter way; half a turn is
+    anticlockwise.
+    """
+    point = np.array(flight.waypoints)
+    seconds, end_s = point[1:, 4], np.cumsum(point[:, 4])
+    corner = np.column_stack([point[:, :3], np.radians(point[:, 3])])
+    step = np.diff(corner, axis=0)
+    step[:, 3] = np.pi - (np.pi - step[:, 3]) % (2 * np.pi)
+    corner[1:, 3] = corner[0, 3] + np.cumsum(step[:, 3])
+    k = np.clip(np.searchsorted(end_s, time_s, side="right") - 1, 0, len(step) - 1)
+    share = np.clip((time_s - end_s[k]) / seconds[k], 0.0, 1.0)[:, None]
+    pose = corner[k] + step[k] * share**3 * (10 - 15 * share + 6 * share**2)
+    rate = step[k] / seconds[k, None] * 30 * share**2 * (1 - share) ** 2
+    return pose, rate, step[k] / seconds[k, None] ** 2 * 60 * share * (1 - share) * (1 - 2 * share)

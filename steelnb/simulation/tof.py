@@ -21,7 +21,7 @@ AMPLITUDE_SCATTER = 0.1
 
 
 def scan_flight(
-    tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: int
+    tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: rng.Seed
 ) -> tuple[RangeScans, Visibility]:
     """Range images along a true trajectory, and which part of each member gave returns.
 
@@ -53,10 +53,10 @@ class CastScans(Sequence[Scan]):
     """
 
     def __init__(
-        self, tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: int
+        self, tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: rng.Seed
     ) -> None:
         step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
-        index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
+        index = scan_steps(settings, float(trajectory.stamp_s[-1]), step_s)
         index = index[index < len(trajectory) - 1] if len(index) > 1 else index
         self.stamp_s, self.ray = trajectory.stamp_s[index], rays(settings)
         self._camera = partial(TofCamera, tower, settings, seed)
@@ -82,6 +82,12 @@ class CastScans(Sequence[Scan]):
             yield image, seen.exact_m, seen.member, T
 
 
+def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
+    """Steps of time at which scans are taken up to ``last_s``."""
+    since_s = np.arange(0, last_s - settings.start_s + 1e-9, 1 / settings.rate_hz)
+    return np.round((settings.start_s + since_s) / step_s).astype(int)
+
+
 def exposed_poses(trajectory: Trajectory, stamp_s: Array, T_drone_sensor: Array, settings: TofSettings) -> Array:
     """True poses ``(K, 9, 4, 4)`` of the sensor at the moments of the exposures at ``stamp_s (K,)``."""
     if settings.faults and settings.faults.exposure_s > 0:
@@ -93,7 +99,7 @@ def exposed_poses(trajectory: Trajectory, stamp_s: Array, T_drone_sensor: Array,
 class TofCamera:
     """A camera that can be held anywhere around a tower; its faults and its noise are those of a ``seed``."""
 
-    def __init__(self, tower: Tower, settings: TofSettings, seed: int) -> None:
+    def __init__(self, tower: Tower, settings: TofSettings, seed: rng.Seed) -> None:
         self.settings, self.ray, self._scene, self._seed = settings, rays(settings), make_scene(tower), seed
         self._own = draw_camera(settings.faults, rng.stream(seed, "tof-camera")) if settings.faults else None
 
@@ -133,8 +139,13 @@ def measured_ranges(
     """Measured range image ``(H, W)`` float32 from the exact one, metres, infinite where nothing is hit.
 
     Gaussian noise within the sensor's limits, NaN for no return; with faults, pixels whose noise is reckoned too high
-    are dropped. The noise is that of the ranges ``as_far_as_m`` (default: the exact ones).
+    are dropped. The noise is that of the ranges ``as_far_as_m`` (default: the exact ones). Limits and noise are those
+    of the range or of the depth, the range's part along the optical axis, as the settings say.
     """
+    if settings.noise_on == "depth":
+        ahead = rays(settings)[..., 0].astype(np.float32)
+        far = None if as_far_as_m is None else as_far_as_m * ahead
+        return measured_ranges(exact_m * ahead, settings.replace(noise_on="range"), noise, far) / ahead
     result = exact_m.astype(np.float32)
     seen = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
     value = result.ravel()[seen]

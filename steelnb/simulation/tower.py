@@ -92,7 +92,7 @@ class _Builder:
 
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
-    """The tower of the settings (default: the preset ``report``): X-bracing up to the waist, K-bracing between the
+    """The tower of the settings (default: the preset ``tapered``): X-bracing up to the waist, K-bracing between the
     arms, single bracing in their depth.
 
     World frame, metres: the base stands on z = 0, centred on the z axis; arms reach along ±x. The mesh holds a closed

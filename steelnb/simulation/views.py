@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation.exposure import MOMENTS
-from steelnb.simulation.paths import heading, waypoints
+from steelnb.simulation.paths import heading, minimum_jerk, waypoints
 from steelnb.simulation.tof import TofCamera, measured_ranges
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
@@ -47,14 +47,18 @@ class Viewer:
 
 
 def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:
-    """``T_world_sensor (4, 4)`` at a share, 0–1, of the path of a flight, with its heading there.
+    """``T_world_sensor (4, 4)`` at a share, 0–1, of the path of a flight (by waypoints: of its time), with its heading.
 
     ``lean (3,)`` adds yaw, pitch and roll in radians.
     """
-    corner = waypoints(flight, tower.settings)
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
-    position = np.array([np.interp(share * arc[-1], arc, corner[:, axis]) for axis in range(3)])
-    yaw, pitch, roll = np.array([heading(flight, *position[:2]), 0.0, 0.0]) + (0.0 if lean is None else lean)
+    if flight.waypoints:
+        *position, ahead = minimum_jerk(flight, np.array([share * flight.duration_s]))[0][0]
+    else:
+        corner = waypoints(flight, tower.settings)
+        arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
+        position = [np.interp(share * arc[-1], arc, corner[:, axis]) for axis in range(3)]
+        ahead = heading(flight, *position[:2])
+    yaw, pitch, roll = np.array([ahead, 0.0, 0.0]) + (0.0 if lean is None else lean)
     T_world_sensor = np.eye(4)
     T_world_sensor[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     T_world_sensor[:3, 3] = position

@@ -154,7 +154,7 @@ def flown():
     """A flight of 16 s about the tower whose ranges are 2 % too long, with a real IMU and roll and pitch of a filter on
     it."""
     settings = ExperimentSettings.preset(
-        "orbit", "random-walk", seed=12, duration_s=16.0, method="combined", overrides={"imu": SHEET.model_dump()}
+        "loops", "random-walk", seed=12, duration_s=16.0, method="combined", overrides={"imu": SHEET.model_dump()}
     )
     flight, truth = experiment.simulate(settings)
     scans = flight.scans

@@ -106,7 +106,7 @@ def test_lengths_are_in_proportion_to_the_tube():
 @pytest.fixture(scope="module")
 def flown():
     """Scans of 16 s around the tower, their true poses, the structure at these, and the truth."""
-    flight, truth = simulate(ExperimentSettings.preset("orbit", "none", seed=11, duration_s=16.0, method="best"))
+    flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=16.0, method="best"))
     poses = truth.trajectory.at(flight.scans.stamp_s).T_world_drone
     return flight, poses, rebuilt(flight, poses), reference(truth.tower, truth.visibility)
 

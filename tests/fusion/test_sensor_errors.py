@@ -92,7 +92,7 @@ def test_points_lose_the_errors_of_their_ranges():
 @pytest.fixture(scope="module")
 def flown():
     """A flight of 12 s about the tower, told as `TRUE` has it wrong, and what odometry makes of it."""
-    settings = ExperimentSettings.preset("orbit", "random-walk", seed=11, duration_s=12.0, method="combined")
+    settings = ExperimentSettings.preset("loops", "random-walk", seed=11, duration_s=12.0, method="combined")
     flight, truth = experiment.simulate(settings)
     sensor, scans = SensorErrors(TRUE, np.eye(9), TRUE), flight.scans
     ranges = (scans.range_m * (1 + TRUE[1]) + TRUE[0]).astype(np.float32)

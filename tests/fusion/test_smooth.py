@@ -21,7 +21,7 @@ NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
 
 @pytest.fixture(scope="module")
 def flown():
-    settings = ExperimentSettings.preset("orbit", NOISE, seed=11, duration_s=16.0, method="combined")
+    settings = ExperimentSettings.preset("loops", NOISE, seed=11, duration_s=16.0, method="combined")
     flight, truth = experiment.simulate(settings)
     return flight, truth, experiment.estimate(settings, flight, truth)
 
@@ -68,7 +68,7 @@ def test_without_covariances_the_reason_is_told_and_the_poses_stay(flown, smooth
 
 
 def test_the_odometry_s_settings_ask_for_it(flown, smoothed):
-    settings = ExperimentSettings.preset("orbit", NOISE, seed=11, duration_s=16.0, method="smoothed")
+    settings = ExperimentSettings.preset("loops", NOISE, seed=11, duration_s=16.0, method="smoothed")
     found = experiment.estimate(settings, *flown[:2])
     apart = found.corrected.position - smoothed.corrected.position
     assert np.linalg.norm(apart, axis=1).max() < 0.01  # the odometry's floor is another than the structure's

@@ -159,13 +159,13 @@ def test_the_most_probable_poses_of_a_simulated_flight_reach_the_bound():
 @pytest.fixture(scope="module")
 def flown():
     tower = build_tower()
-    trajectory = fly(tower, FlightSettings.preset("vertical", 3.0), 1)[0]
+    trajectory = fly(tower, FlightSettings.preset("zigzag", 3.0), 1)[0]
     return tower, trajectory.T_world_drone[:-1:25]
 
 
 def test_returns_of_the_tower_are_within_the_sensor_s_reach_and_on_flat_patches(flown):
     tower, T_world_drone = flown
-    settings = TofSettings.preset("report")
+    settings = TofSettings.preset("report-4cm")
     scans = list(see(tower, T_world_drone, settings))
     assert len(scans) == len(T_world_drone)
     points, normal, patch = (
@@ -194,12 +194,12 @@ def test_the_noise_of_a_return_is_the_sensor_s(flown):
 
 def test_a_sensor_without_noise_has_no_bound(flown):
     with pytest.raises(SettingsError, match=r"tof.sigma_floor_m = 0.0: expected noise"):
-        next(see(*flown, TofSettings.preset("report").replace(sigma_floor_m=0.0)))
+        next(see(*flown, TofSettings.preset("report-4cm").replace(sigma_floor_m=0.0)))
 
 
 def test_the_bound_halves_with_the_noise(flown):
     tower, T_world_drone = flown
-    settings = TofSettings.preset("report")
+    settings = TofSettings.preset("report-4cm")
     bounds = [one_scan(gather(see(tower, T_world_drone, settings.replace(sigma_floor_m=s)))) for s in (0.04, 0.02)]
     np.testing.assert_allclose(bounds[1], bounds[0] / 2)
     assert np.isfinite(bounds[0]).all()

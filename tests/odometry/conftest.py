@@ -26,10 +26,10 @@ class Watched(Sequence):
 
 
 @pytest.fixture(scope="session")
-def orbit_with_images():
-    """Six seconds of an orbit whose camera sees nothing for half of one; rendered images are kept."""
+def loops_with_images():
+    """Six seconds of loops whose camera sees nothing for half of one; rendered images are kept."""
     overrides = {"camera.blind_s": (BLIND_S,), "camera.samples": 2}
-    settings = ExperimentSettings.preset("orbit", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
+    settings = ExperimentSettings.preset("loops", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
         overrides
     )
     flight, truth = experiment.simulate(settings)

@@ -17,7 +17,7 @@ NOISE = "constant-drift:0.0004+random-walk"
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("vertical", NOISE, sensor="starling2", seed=3, duration_s=12.0, method="best")
+    settings = ExperimentSettings.preset("zigzag", NOISE, sensor="starling2", seed=3, duration_s=12.0, method="best")
     return settings, *experiment.simulate(settings)
 
 
@@ -127,7 +127,7 @@ def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
 
 def test_it_recovers_after_a_gap():
     settings = ExperimentSettings.preset(
-        "vertical", "random-walk", sensor="starling2", seed=4, duration_s=14.0, method="best",
+        "zigzag", "random-walk", sensor="starling2", seed=4, duration_s=14.0, method="best",
         overrides={"tof.blind_s": [[5.0, 9.0]]},
     )  # fmt: skip
     result = experiment.run(settings)
@@ -144,11 +144,11 @@ def test_it_recovers_after_a_gap():
 def test_the_sigma_filter_halves_the_error_with_twice_the_range_noise(seed):
     noisy = {"sensor": "starling2", "seed": seed, "duration_s": 12.0, "method": "best"}
     more = {"tof.sigma_relative": 0.02}
-    flight, truth = experiment.simulate(ExperimentSettings.preset("orbit", "random-walk", **noisy, overrides=more))
+    flight, truth = experiment.simulate(ExperimentSettings.preset("loops", "random-walk", **noisy, overrides=more))
     error = []
     for half in (0, 1):
         chosen = ExperimentSettings.preset(
-            "orbit", "random-walk", **noisy, overrides={**more, "clouds.sigma_filter_px": half}
+            "loops", "random-walk", **noisy, overrides={**more, "clouds.sigma_filter_px": half}
         )
         error.append(experiment.estimate(chosen, flight, truth).metrics["ate_rmse_m"])
     assert error[1] < 0.5 * error[0]

@@ -20,7 +20,7 @@ NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("vertical", NOISE, seed=3, duration_s=12.0, method="combined")
+    settings = ExperimentSettings.preset("zigzag", NOISE, seed=3, duration_s=12.0, method="combined")
     return settings, *experiment.simulate(settings)
 
 
@@ -82,7 +82,7 @@ def test_the_defaults_run():
 
 
 def test_bars_do_not_turn_the_map_of_a_coarse_sensor():
-    settings = ExperimentSettings.preset("orbit", "random-walk", "combined", "report", seed=11, duration_s=25.0)
+    settings = ExperimentSettings.preset("loops", "random-walk", "combined", "report-4cm", seed=11, duration_s=25.0)
     flight, truth = experiment.simulate(settings)
     as_points = {"clouds.bars_weight": 1.0, "clouds.sigma_filter_px": 0, "prior_sigma": (0.05, 0.02)}
     preset, heavy = (

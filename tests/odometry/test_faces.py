@@ -25,7 +25,7 @@ REFIT_S = 4.0
 def world():
     """A flight of 30 s, corrected with keyframes adjusted every few seconds."""
     settings = ExperimentSettings.preset(
-        "orbit", "random-walk+yaw-random-walk", seed=11, duration_s=30.0, method="faces",
+        "loops", "random-walk+yaw-random-walk", seed=11, duration_s=30.0, method="faces",
         overrides={"odometry.refit_s": REFIT_S},
     )  # fmt: skip
     flight, truth = experiment.simulate(settings)
@@ -166,7 +166,7 @@ def test_the_first_keyframe_stays_where_drift_begins(world):
 
 
 def test_methods_that_refit_are_by_clouds():
-    for method, sensor, kind in (("faces", "starling2", CombinedOdometry), ("faces", "report", CloudOdometry)):
+    for method, sensor, kind in (("faces", "starling2", CombinedOdometry), ("faces", "report-4cm", CloudOdometry)):
         made = make_odometry(OdometrySettings.preset(method, sensor), np.eye(4))
         assert type(made) is FaceOdometry
         assert type(made.clouds) is kind

@@ -11,7 +11,7 @@ from steelnb.types import Trajectory
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("orbit", sensor="starling2", seed=13, duration_s=12.0, method="loam-midlines")
+    settings = ExperimentSettings.preset("loops", sensor="starling2", seed=13, duration_s=12.0, method="loam-midlines")
     return experiment.simulate(settings)
 
 

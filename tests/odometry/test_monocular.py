@@ -81,8 +81,8 @@ def test_sightings_refine_a_landmark(tracker):
     assert np.linalg.eigvalsh(tracker.map.information - known).min() > 0
 
 
-def test_a_short_flight_is_followed_without_any_range(orbit_with_images):
-    _, flight, truth = orbit_with_images
+def test_a_short_flight_is_followed_without_any_range(loops_with_images):
+    _, flight, truth = loops_with_images
     flight = flight.first(20)
     found = run(flight, make_odometry(SETTINGS, flight.T_drone_sensor, images=flight.images))
     assert position_error_m(found.corrected, truth.trajectory.at(flight.prior.stamp_s)).max() < 0.2

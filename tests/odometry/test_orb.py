@@ -25,13 +25,13 @@ TOF = TofSettings.preset("starling2")
 
 
 @pytest.fixture(scope="module")
-def estimate(orbit_with_images):
-    settings, flight, _ = orbit_with_images
+def estimate(loops_with_images):
+    settings, flight, _ = loops_with_images
     return run(flight, make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
 
 
-def test_a_short_flight_stays_within_twelve_millimetres(orbit_with_images, estimate):
-    _, flight, truth = orbit_with_images
+def test_a_short_flight_stays_within_twelve_millimetres(loops_with_images, estimate):
+    _, flight, truth = loops_with_images
     lit, after = flight.prior.stamp_s < BLIND_S[0], flight.prior.stamp_s >= BLIND_S[1]
     error, raw = (
         np.linalg.norm(path.position - truth.trajectory.at(path.stamp_s).position, axis=1)
@@ -46,14 +46,14 @@ def test_a_short_flight_stays_within_twelve_millimetres(orbit_with_images, estim
     assert len(estimate.segments) == 0
 
 
-def test_roll_and_pitch_stay_the_prior_s(orbit_with_images, estimate):
-    up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, orbit_with_images[1].prior)]
+def test_roll_and_pitch_stay_the_prior_s(loops_with_images, estimate):
+    up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, loops_with_images[1].prior)]
     np.testing.assert_allclose(*up, atol=1e-9)
 
 
-def test_a_tilted_prior_is_set_upright(orbit_with_images):
+def test_a_tilted_prior_is_set_upright(loops_with_images):
     """Roll and pitch, off by 1° from the second scan on, are found where they are said to be uncertain."""
-    settings, flight, truth = orbit_with_images
+    settings, flight, truth = loops_with_images
     prior = flight.first(8).prior
     off = Rotation.from_rotvec(np.radians([1.0, -1.0, 0.0])).as_matrix()
     T = prior.T_world_drone.copy()
@@ -70,8 +70,8 @@ def test_a_tilted_prior_is_set_upright(orbit_with_images):
     assert np.abs(angle[0.0175]).max() < np.radians(0.4)
 
 
-def test_black_images_are_named_and_the_prior_is_followed(orbit_with_images, estimate):
-    _, flight, _ = orbit_with_images
+def test_black_images_are_named_and_the_prior_is_followed(loops_with_images, estimate):
+    _, flight, _ = loops_with_images
     stamp_s = flight.prior.stamp_s
     dark = (stamp_s >= BLIND_S[0]) & (stamp_s < BLIND_S[1])
     assert dark.sum() == 3
@@ -82,15 +82,15 @@ def test_black_images_are_named_and_the_prior_is_followed(orbit_with_images, est
     np.testing.assert_allclose(moved, prior, atol=1e-9)
 
 
-def test_without_images_the_prior_is_followed(orbit_with_images):
-    settings, flight, _ = orbit_with_images
+def test_without_images_the_prior_is_followed(loops_with_images):
+    settings, flight, _ = loops_with_images
     estimate = run(flight.first(5), make_odometry(settings.odometry, flight.T_drone_sensor))
     np.testing.assert_array_equal(estimate.corrected.T_world_drone, flight.prior.T_world_drone[:5])
     assert set(estimate.reason) == {"no image"}
 
 
-def test_no_image_after_the_scan_is_used(orbit_with_images):
-    settings, flight, _ = orbit_with_images
+def test_no_image_after_the_scan_is_used(loops_with_images):
+    settings, flight, _ = loops_with_images
 
     watched = Watched(flight.images.images)
     odometry = OrbOdometry(settings.odometry, flight.T_drone_sensor, images=replace(flight.images, images=watched))
@@ -103,8 +103,8 @@ def test_no_image_after_the_scan_is_used(orbit_with_images):
     assert watched.asked == [0, 1, 2]
 
 
-def test_the_same_images_give_the_same_estimate(orbit_with_images, estimate):
-    settings, flight, _ = orbit_with_images
+def test_the_same_images_give_the_same_estimate(loops_with_images, estimate):
+    settings, flight, _ = loops_with_images
     again = run(flight.first(12), make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
     np.testing.assert_array_equal(again.corrected.T_world_drone, estimate.corrected.T_world_drone[:12])
 

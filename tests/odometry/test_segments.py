@@ -32,7 +32,7 @@ NONE = np.zeros(4)
 @pytest.fixture
 def known():
     """Bars that were seen twice, as `bar_equations` asks for."""
-    bars = SegmentMap(FusionSettings.preset("report"))
+    bars = SegmentMap(FusionSettings.preset("report-4cm"))
     bars.insert(seen(0))
     bars.insert(seen(0))
     return bars
@@ -118,7 +118,7 @@ def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
     correction = least_squares_yaw(upright, known, FREE, DRONE, prior)
     assert abs(correction.offset[2]) < 1e-9
     np.testing.assert_allclose(correction.offset[:2], [-0.05, -0.04], atol=5e-3)
-    new = SegmentMap(FusionSettings.preset("report"))
+    new = SegmentMap(FusionSettings.preset("report-4cm"))
     new.insert(seen(0))
     assert least_squares_yaw(upright, new, FREE, DRONE, prior).matches == 0
 

@@ -25,7 +25,7 @@ def tilt_rms_deg(trajectory, truth) -> float:
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("vertical", TILTED, seed=3, duration_s=16.0, method="combined")
+    settings = ExperimentSettings.preset("zigzag", TILTED, seed=3, duration_s=16.0, method="combined")
     flight, truth = experiment.simulate(settings)
     assert tilt_rms_deg(flight.prior, truth) > 3.0
     return flight, truth

@@ -45,7 +45,7 @@ def fly(flight, method, sensor):
 
 @pytest.mark.parametrize(
     ("method", "sensor"),
-    [("best", "starling2"), ("combined", "starling2"), ("faces", "starling2"), ("best", "report")],
+    [("best", "starling2"), ("combined", "starling2"), ("faces", "starling2"), ("best", "report-4cm")],
 )
 def test_before_a_wall_the_distance_is_corrected_and_along_it_the_prior_is_followed(method, sensor):
     flight, true = before_a_wall(sensor, seed=1)

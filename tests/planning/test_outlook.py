@@ -72,7 +72,7 @@ def test_the_poses_around_one_are_a_step_apart_along_each_axis():
 
 @pytest.mark.slow
 def test_on_the_map_of_a_flight_it_foretells_returns_and_the_bound_of_a_scan():
-    tower, flight = build_tower(), FlightSettings.preset("orbit", 12.0)
+    tower, flight = build_tower(), FlightSettings.preset("loops", 12.0)
     trajectory, _ = fly(tower, flight, 1)
     scans, _ = scan_flight(tower, trajectory, TOF.T_drone_sensor, TOF, 1)
     true = trajectory.at(scans.stamp_s).T_world_drone

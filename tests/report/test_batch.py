@@ -15,7 +15,7 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 @pytest.fixture(scope="module")
 def runs():
     wanted = ["icp-3dof", ("icp-3dof", {"clouds.accumulate": True}), "gicp"]
-    cases = batch.make_cases(["vertical"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
+    cases = batch.make_cases(["zigzag"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
     seen: list[int] = []
     found = batch.run_all(cases, on_run=lambda runs: seen.append(len(runs)))
     assert seen == [1, 2, 3]
@@ -29,11 +29,11 @@ def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     assert list(table)[:4] == ["trajectory", "noise", "method", "map"]
     assert (table["scans"] == [len(run.corrected) for run in runs]).all()
     numbers = batch.metrics(runs, batch.CLOUD_CASE)
-    assert numbers["vertical.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
+    assert numbers["zigzag.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
     assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
     assert batch.timing(runs, with_map=True)["map"].tolist()[-1] == "re-voxelised"
     with pytest.raises(SettingsError):
-        batch.make_cases(["vertical"], "starling2", ["wind"], ["best"], 1, 5.0)
+        batch.make_cases(["zigzag"], "starling2", ["wind"], ["best"], 1, 5.0)
 
 
 def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
@@ -77,14 +77,14 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     grid = false_convergence.offset_grid(0.2, 0.1)
     assert np.ptp(grid, axis=0) == pytest.approx([0.4, 0.0, 0.4])
     assert len(grid) == 25
-    segments = batch.make_cases(["vertical"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
+    segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
     with pytest.raises(SettingsError, match="an odometry by clouds"):
         false_convergence.find_basin(segments, flight, truth, 0, starts)
 
 
 def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
     rows = pd.DataFrame(
-        {"trajectory": "orbit", "noise": "walk", "method": ["a", "b", "c"], "error_mean_m": [3.0, 1.0, 2.0]}
+        {"trajectory": "loops", "noise": "walk", "method": ["a", "b", "c"], "error_mean_m": [3.0, 1.0, 2.0]}
     )
     (found,) = batch.ranking(rows, ["a", "b", "c"]).to_dict("records")
     assert (found["order"], found["as_claimed"]) == ("b < c < a", False)
@@ -92,12 +92,13 @@ def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
 
 
 def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():
-    basins = false_convergence.basin_cases("orbit", "report", "random-walk", [0.1, 0.5], 1, 20.0, {"tof.rate_hz": 2.5})
+    slow = {"tof.rate_hz": 2.5}
+    basins = false_convergence.basin_cases("loops", "report-4cm", "random-walk", [0.1, 0.5], 1, 20.0, slow)
     assert list(basins) == ["3-DoF ICP, 0.1 m", "3-DoF ICP, 0.5 m", "GICP, 0.3 m", "best"]
     assert {case.tof.rate_hz for case in basins.values()} == {2.5}
     gaps = [[5.0, 8.0], [15.0, 25.0]]  # the second outlasts the flight
     search = false_convergence.search_cases(
-        ["orbit", "vertical"], "report", ["random-walk"], [0.1, 0.5], [1, 2], 20.0, gaps, {}
+        ["loops", "zigzag"], "report-4cm", ["random-walk"], [0.1, 0.5], [1, 2], 20.0, gaps, {}
     )
     assert [case.seed for case in search] == [1] * 8 + [2] * 8
     assert [len(case.tof.blind_s) for case in search[:8]] == [0, 0, 1, 1] * 2

@@ -36,7 +36,7 @@ def runs(error, seeds=30, methods=("one", "two"), **more) -> pd.DataFrame:
     rows = []
     for seed in range(seeds):
         common = random.normal()  # what a seed does to both methods: pairing takes it out
-        for trajectory in ("vertical", "orbit"):
+        for trajectory in ("zigzag", "loops"):
             for noise in NOISES:
                 for method in methods:
                     case = {"trajectory": trajectory, "noise": noise, "method": method, "seed": seed}
@@ -91,13 +91,13 @@ def test_the_opposite_does_not_hold_and_no_difference_is_inconclusive():
 
 
 def test_one_cell_against_a_claim_refutes_it_and_those_as_claimed_are_named():
-    table = runs(lambda t, n, method, z: (0.5 if t == "vertical" else -0.5) * (method == "one") + 0.1 * z)
+    table = runs(lambda t, n, method, z: (0.5 if t == "zigzag" else -0.5) * (method == "one") + 0.1 * z)
     found = judge("c", claim(), table)
-    assert (found.verdict, found.where) == (FAILS, "vertical")
+    assert (found.verdict, found.where) == (FAILS, "zigzag")
     assert found.cells["verdict"].tolist() == [HOLDS, HOLDS, FAILS, FAILS]
     # Where the other cells only cannot tell, the claim is neither shown nor refuted.
-    found = judge("c", claim(), better(lambda trajectory, noise: (trajectory, noise) == ("vertical", "random-walk")))
-    assert (found.verdict, found.where) == (OPEN, "vertical, random-walk")
+    found = judge("c", claim(), better(lambda trajectory, noise: (trajectory, noise) == ("zigzag", "random-walk")))
+    assert (found.verdict, found.where) == (OPEN, "zigzag, random-walk")
 
 
 def test_cells_are_described_by_the_fewest_columns():
@@ -106,8 +106,8 @@ def test_cells_are_described_by_the_fewest_columns():
     )
     assert describe_cells(cells, ["t", "n"]) == "a, x; b, x; b, y"
     assert describe_cells(cells[cells["n"] == "x"].assign(verdict=[HOLDS, OPEN]), ["t", "n"]) == "a"
-    named = cell_name(("orbit", "tower.waist_width_m=2.4, hough.dx_m=0.1"))
-    assert named == "orbit, waist_width_m=2.4, dx_m=0.1"
+    named = cell_name(("loops", "tower.waist_width_m=2.4, hough.dx_m=0.1"))
+    assert named == "loops, waist_width_m=2.4, dx_m=0.1"
     assert cell_name(("", "")) == "as preset"
 
 
@@ -141,10 +141,10 @@ def test_a_correlation_over_seeds():
 def test_failed_runs_and_missing_numbers_are_left_out():
     table = better()
     table.loc[table["seed"] == 3, "status"] = "failed"
-    lost = (table["seed"] == 4) & (table["trajectory"] == "orbit")
+    lost = (table["seed"] == 4) & (table["trajectory"] == "loops")
     table.loc[(table["seed"] == 3) | lost, "error_mean_m"] = np.nan
     found = judge("c", claim(), table)
-    assert found.n_seeds == 29  # seed 4 still has its vertical flight
+    assert found.n_seeds == 29  # seed 4 still has its zigzag
     assert found.verdict == HOLDS
     with pytest.raises(SettingsError, match="fewer than two seeds"):
         judge("c", claim(), table[table["seed"] == 0])
@@ -164,15 +164,15 @@ def test_a_walk_is_read_off_the_curve_at_three_minutes():
 
 def test_a_flight_that_converged_wrongly_counts_once_for_its_seed():
     table = runs(lambda t, n, method, z: 0.0, methods=("one",))
-    wrong = (table["seed"] % 5 == 0) & (table["trajectory"] == "orbit")
+    wrong = (table["seed"] % 5 == 0) & (table["trajectory"] == "loops")
     table["wrong_share"] = np.where(wrong, 0.4, 0.01)
     base = {"metric": "converged_wrongly", "form": "level", "a": {}, "b": {}, "comparison": "above"}
     by_seed = judge("c", claim(**base, threshold=[0.02], by=["variant"]), table)
     assert by_seed.cells["estimate"].tolist() == [pytest.approx(0.1)]
     assert by_seed.n_seeds == 30, "not the 120 flights"
     rare = judge("c", claim(**base, threshold=[0.05], by=["trajectory"]), table).cells.set_index("trajectory")
-    assert rare.loc["orbit", "estimate"] == pytest.approx(0.2)
-    assert rare["verdict"].to_dict() == {"vertical": OPEN, "orbit": HOLDS}
+    assert rare.loc["loops", "estimate"] == pytest.approx(0.2)
+    assert rare["verdict"].to_dict() == {"zigzag": OPEN, "loops": HOLDS}
     never = judge("c", claim(**base, threshold=[0.2], by=["trajectory"]), table.assign(wrong_share=0.0))
     assert never.verdict == FAILS, "a threshold above zero can be refuted"
 

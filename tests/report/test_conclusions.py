@@ -7,9 +7,9 @@ import pytest
 from steelnb.report import conclusions
 
 
-def odometry_rows(means: dict[str, float], flight: str = "vertical", **more) -> pd.DataFrame:
+def odometry_rows(means: dict[str, float], flight: str = "zigzag", **more) -> pd.DataFrame:
     """Rows of `batch.cloud_table` of one flight: method → mean error; the drift has a root mean square of 0.4 m."""
-    same = {"trajectory": flight, "noise": "random-walk", "map": "weighted", "sensor": "report", "seed": 1, **more}
+    same = {"trajectory": flight, "noise": "random-walk", "map": "weighted", "sensor": "report-4cm", "seed": 1, **more}
     rows = pd.DataFrame({**same, "method": method, "error_mean_m": mean} for method, mean in means.items())
     return rows.assign(ate_rmse_m=1.1 * rows["error_mean_m"], raw_ate_rmse_m=0.4, unused_share=0.25)
 
@@ -20,9 +20,9 @@ def test_values_are_named_from_the_smallest_up():
 
 
 def test_methods_worse_than_the_drift_are_told():
-    rows = pd.concat([odometry_rows({"icp": 0.5, "gicp": 0.1}), odometry_rows({"best": 0.02}, flight="orbit")])
+    rows = pd.concat([odometry_rows({"icp": 0.5, "gicp": 0.1}), odometry_rows({"best": 0.02}, flight="loops")])
     assert conclusions.ranked(rows, column="error_mean_m") == [
-        "**vertical**: GICP 10.0, ICP 50.0 cm; worse than no correction: ICP.", "**orbit**: best 2.0 cm."
+        "**zigzag**: GICP 10.0, ICP 50.0 cm; worse than no correction: ICP.", "**loops**: best 2.0 cm."
     ]  # fmt: skip
 
 
@@ -37,7 +37,7 @@ def test_methods_worse_than_the_drift_are_told():
     ],
 )
 def test_an_order_is_as_the_report_says_or_not(means, end):
-    assert conclusions.orders(odometry_rows(means), list(means)) == [f"**vertical**: by mean error {end}"]
+    assert conclusions.orders(odometry_rows(means), list(means)) == [f"**zigzag**: by mean error {end}"]
     assert conclusions.orders(odometry_rows(means), ["icp"]) == []
 
 
@@ -72,7 +72,7 @@ def test_odometries_beside_the_report():
 
 def test_false_convergence():
     basins = pd.DataFrame({"radius_m": {"narrow": 0.1, "wide": 0.4}})
-    case = {"trajectory": "orbit", "noise": "random-walk", "seed": 1, "max_correspondence_m": 0.5}
+    case = {"trajectory": "loops", "noise": "random-walk", "seed": 1, "max_correspondence_m": 0.5}
     flights = pd.DataFrame(
         [
             {**case, "blind_s": 0, "wrong_share": 0.0, "slip_m": 0.1, "error_final_m": 0.2, "wrong": False},
@@ -145,8 +145,8 @@ def test_bounds_faults_planned_flights_and_the_literature():
     said = conclusions.honest(faults, cost, wrong, found)
     for words in ("b 1.0, a 2.0 mm", "Mean ATE, honest: best 8.0 cm", "in 1 of 2 cases: mount. 1 of the 2 errors"):
         assert words in said
-    flown = pd.DataFrame({"flight": ["orbit", "whole"], "few_share": [0.06, 0.0], "ate_rmse_m": 0.1, "seen_share": 1})
-    assert "lost sight: whole 0.0, orbit 6.0 %." in conclusions.planned_flights(flown)
+    flown = pd.DataFrame({"flight": ["loops", "whole"], "few_share": [0.06, 0.0], "ate_rmse_m": 0.1, "seen_share": 1})
+    assert "lost sight: whole 0.0, loops 6.0 %." in conclusions.planned_flights(flown)
     runs = pd.concat(odometry_rows({"combined": 0.1, "loam": 0.2 + seed}, seed=seed) for seed in (1, 2))
     alone = odometry_rows({"combined": 9.0}, seed=3)  # a seed that no other flew
     said = conclusions.literature(pd.concat([runs, alone[alone["method"] == "loam"]]))

@@ -15,7 +15,7 @@ from steelnb.report.panel import Panel
 from steelnb.settings import NoiseSettings
 
 SHORT = {"tof.rate_hz": 2.5}
-FIRST = ("orbit", "random-walk", 1.0, "report", "icp-3dof", 1, 6.0, SHORT)
+FIRST = ("loops", "random-walk", 1.0, "report-4cm", "icp-3dof", 1, 6.0, SHORT)
 
 
 @pytest.fixture(scope="module")

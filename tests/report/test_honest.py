@@ -12,7 +12,7 @@ from steelnb.study.plan import read_plan
 
 @pytest.fixture(scope="module")
 def errors():
-    return honest.range_errors("vertical", 1, 0.4)
+    return honest.range_errors("zigzag", 1, 0.4)
 
 
 def test_each_fault_alone_does_what_it_is_named_after(errors):
@@ -54,7 +54,7 @@ def test_the_simulated_imu_is_that_of_its_settings():
 
 
 def row(sensor, variant="", method="best", seed=1, ate_m=0.02, **changed):
-    usual = {"trajectory": "vertical", "noise": "random-walk", "variant": variant, "blind": "", "status": "ok"}
+    usual = {"trajectory": "zigzag", "noise": "random-walk", "variant": variant, "blind": "", "status": "ok"}
     numbers = {"duration_s": 200.0, "ate_rmse_m": ate_m, "raw_ate_rmse_m": 0.4}
     return {**usual, "sensor": sensor, "method": method, "seed": seed, **numbers, **changed}
 
@@ -65,7 +65,7 @@ def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
             row(honest.IDEAL), row(honest.HONEST, ate_m=0.06), row(honest.HONEST, seed=2, ate_m=0.1),
             row(honest.IDEAL, method="faces"), row(honest.HONEST, noise="random-walk+tilt"),
             row(honest.IDEAL, variant="flight.standoff_m=2"), row(honest.HONEST, status="failed"),
-            row(honest.HONEST, duration_s=20.0), row("report"), row(honest.IDEAL, blind="60-65"),
+            row(honest.HONEST, duration_s=20.0), row("report-4cm"), row(honest.IDEAL, blind="60-65"),
             row(honest.HONEST, variant=honest.BEFORE, ate_m=0.3), row(honest.IDEAL, variant=honest.BEFORE),
         ]
     )  # fmt: skip

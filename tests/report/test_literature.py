@@ -55,7 +55,7 @@ def test_flights_without_images_are_refused(world):
 
 
 def test_both_kinds_of_loam_are_drawn_over_one_scan_and_with_their_maps():
-    flight, truth, estimates = fly("orbit", "random-walk", "starling2", 11, 1.0)
+    flight, truth, estimates = fly("loops", "random-walk", "starling2", 11, 1.0)
     figure = figure_features(flight, truth, estimates, 2)
     assert [panel.get_title() for panel in figure.axes[:2]] == ["LOAM", "LOAM by midlines"]
     maps = [f"map of {len(estimates[method].points)} points" for method in LOAM]

@@ -12,17 +12,17 @@ SMALL = {"tof.rows": 24, "tof.columns": 24}
 
 @pytest.fixture(scope="module")
 def flown():
-    cases = planned_flights.make_flights(["orbit", "whole"], "random-walk", "combined", "report", 3, 4.0, SMALL)
+    cases = planned_flights.make_flights(["loops", "whole"], "random-walk", "combined", "report-4cm", 3, 4.0, SMALL)
     return planned_flights.fly_all(cases)
 
 
 def test_each_flight_is_of_its_kind(flown):
-    orbit, whole = (flown[name].result.settings.flight for name in ("orbit", "whole"))
-    assert (orbit.trajectory, orbit.planner) == ("orbit", None)
+    loops, whole = (flown[name].result.settings.flight for name in ("loops", "whole"))
+    assert (loops.trajectory, loops.planner) == ("loops", None)
     assert whole.planner.goal == "whole"
     assert whole.height_max_m == 15.0
-    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'vertical', 'wide orbit'"):
-        planned_flights.make_flights(["hole"], "none", "combined", "report", 1, 4.0)
+    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'zigzag', 'wide loops'"):
+        planned_flights.make_flights(["hole"], "none", "combined", "report-4cm", 1, 4.0)
 
 
 def test_sight_is_that_of_the_true_poses(flown):
@@ -37,7 +37,7 @@ def test_sight_is_that_of_the_true_poses(flown):
 
 
 def test_what_was_seen_agrees_with_the_members_that_were(flown):
-    tower = build_tower(flown["orbit"].result.settings.tower)
+    tower = build_tower(flown["loops"].result.settings.tower)
     slices = planned_flights._slices(tower.axes)
     length_m = np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1).sum()
     assert len(slices) == pytest.approx(length_m / planned_flights.SLICE_M, rel=0.05)
@@ -48,12 +48,12 @@ def test_what_was_seen_agrees_with_the_members_that_were(flown):
 
 def test_the_table_has_a_row_a_flight(flown):
     table = planned_flights.flight_table(flown)
-    assert table["flight"].tolist() == ["orbit", "whole"]
+    assert table["flight"].tolist() == ["loops", "whole"]
     assert table.notna().all(axis=None)
     assert (table["clearance_m"] > 0.3).all()
     assert (table["bound_ratio"] >= 1).all()
     assert table["few_share"].tolist() == [
-        float((flown[name].returns < planned_flights.FEW).mean()) for name in ("orbit", "whole")
+        float((flown[name].returns < planned_flights.FEW).mean()) for name in ("loops", "whole")
     ]
 
 
@@ -65,11 +65,11 @@ def test_the_figures_show_every_flight(flown):
     ):
         assert len(figure.axes) == panels
     errors = planned_flights.figure_time(flown).axes[1]
-    assert {line.get_label() for line in errors.get_lines()} == {"orbit", "whole"}
+    assert {line.get_label() for line in errors.get_lines()} == {"loops", "whole"}
 
 
 def test_a_pilot_tells_how_it_flew():
-    cases = planned_flights.make_flights(["planned"], "random-walk", "combined", "report", 3, 2.0, SMALL)
+    cases = planned_flights.make_flights(["planned"], "random-walk", "combined", "report-4cm", 3, 2.0, SMALL)
     pilot = OnboardPilot(cases["planned"], build_tower(cases["planned"].tower))
     flight, truth = experiment.simulate_anew(cases["planned"], steering=pilot)
     flown, planner, odometry, seen = planned_flights.pilot_summary(pilot, flight, truth)

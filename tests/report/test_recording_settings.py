@@ -26,8 +26,8 @@ def shell(radius_m: float, count: int = 2000) -> np.ndarray:
     return direction / np.linalg.norm(direction, axis=1)[:, None] * np.linspace(0.01, radius_m, count)[:, None]
 
 
-@pytest.mark.parametrize("sensor", ["starling2", "report", "starling2-honest"])
-@pytest.mark.parametrize("trajectory", ["vertical", "orbit"])
+@pytest.mark.parametrize("sensor", ["starling2", "report-4cm", "starling2-honest"])
+@pytest.mark.parametrize("trajectory", ["zigzag", "loops"])
 def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
     settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
     flight, _ = experiment.simulate(settings)

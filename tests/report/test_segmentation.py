@@ -39,7 +39,7 @@ def test_noise_clutter_and_density_are_as_asked_and_change_nothing_else(scenes):
 
 def test_range_noise_has_its_standard_deviation(scenes):
     viewer = Viewer(scenes.tower, TofSettings.preset("starling2").replace(sigma_floor_m=0.02, sigma_relative=0.0))
-    T = pose_on_path(scenes.tower, FlightSettings.preset("vertical"), 0.3)
+    T = pose_on_path(scenes.tower, FlightSettings.preset("zigzag"), 0.3)
     view = viewer.view(T, np.random.default_rng(0))
     off = np.linalg.norm(view.points - T[:3, 3], axis=1) - np.linalg.norm(view.surface - T[:3, 3], axis=1)
     assert off.std() == pytest.approx(0.02, rel=0.05)
@@ -57,7 +57,7 @@ def test_range_noise_has_its_standard_deviation(scenes):
 
 
 def test_poses_follow_the_path():
-    tower, flight = build_tower(), FlightSettings.preset("orbit")
+    tower, flight = build_tower(), FlightSettings.preset("loops")
     corner = waypoints(flight, tower.settings)
     np.testing.assert_allclose(pose_on_path(tower, flight, 0.0)[:3, 3], corner[0])
     np.testing.assert_allclose(pose_on_path(tower, flight, 1.0)[:3, 3], corner[-1])

@@ -11,7 +11,7 @@ from steelnb.types import SensorErrors
 
 @pytest.fixture(scope="module")
 def ran():
-    return self_calibration.fault_runs("orbit", 3, 8.0)
+    return self_calibration.fault_runs("loops", 3, 8.0)
 
 
 def test_every_fault_has_a_row_and_a_wrong_mount_is_taken_back(ran):
@@ -55,7 +55,7 @@ def test_drawn_errors_are_those_of_the_calibration_s_prior():
 
 
 def test_a_wrongly_told_flight_differs_by_the_errors_alone():
-    settings = ExperimentSettings.preset("orbit", "random-walk", seed=3, duration_s=2.0, method="combined")
+    settings = ExperimentSettings.preset("loops", "random-walk", seed=3, duration_s=2.0, method="combined")
     flight, truth = experiment.simulate(settings)
     same = self_calibration.wrongly_told(settings, flight, truth, np.zeros(9))
     np.testing.assert_array_equal(same.scans.range_m, flight.scans.range_m)

@@ -24,7 +24,7 @@ COLUMNS = [
 @pytest.fixture(scope="module")
 def source():
     overrides = {"tof.columns": 90, "tof.rows": 120}
-    return fly_tower("vertical", "starling2", "random-walk", "least_squares", 11, 12.0, overrides=overrides)
+    return fly_tower("zigzag", "starling2", "random-walk", "least_squares", 11, 12.0, overrides=overrides)
 
 
 @pytest.fixture(scope="module")
@@ -98,11 +98,11 @@ def test_goals_are_judged_on_their_side():
     import pandas as pd
 
     table = pd.DataFrame([{name: 0.0 for name in tables.STRUCTURE_GOALS}])
-    goals = tables.structure_goals(table, "orbit").set_index("goal")
+    goals = tables.structure_goals(table, "loops").set_index("goal")
     assert goals["limit"]["recall"] == 0.92
     assert not goals["reached"][goals["side"] == "at least"].any()
     assert goals["reached"][goals["side"] == "at most"].all()
-    assert tables.structure_goals(table, "vertical").set_index("goal")["limit"]["recall"] == 0.88
+    assert tables.structure_goals(table, "zigzag").set_index("goal")["limit"]["recall"] == 0.88
 
 
 def test_the_figures_show_bars_joints_and_numbers_of_each_run(runs):
@@ -133,7 +133,7 @@ def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
     assert sorted(drawn) == pytest.approx(sorted(medians))
     table = tables.structure_table(runs)
     table = table[table["poses"] == "corrected"]
-    goals = tables.structure_goals(table, "vertical")
+    goals = tables.structure_goals(table, "zigzag")
     drawn = figures.figure_goals(table, goals).axes
     assert [panel.get_title().split(":")[0] for panel in drawn[:2]] == ["recall", "precision"]
     assert len(drawn) == len(goals) == 12
@@ -160,11 +160,11 @@ def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
 
 
 def test_other_towers_differ_from_the_one_of_the_report_and_unknown_names_are_refused(source):
-    towers = [TowerSettings.preset(name) for name in ("report", "heavy", "light")]
+    towers = [TowerSettings.preset(name) for name in ("tapered", "heavy", "light")]
     sections = [{tower.leg_section_m, tower.bracing_section_m} for tower in towers]
     assert len(set.union(*sections)) == 6
     with pytest.raises(SettingsError, match="expected one of"):
-        fly_tower("vertical", "starling2", "none", "best", 1, 5.0, "eiffel")
+        fly_tower("zigzag", "starling2", "none", "best", 1, 5.0, "eiffel")
     with pytest.raises(SettingsError, match="'final', 'incremental'"):
         rebuild(source, ["first"])
     with pytest.raises(SettingsError, match="'raw', 'corrected', 'true'"):

@@ -47,16 +47,16 @@ def place(panel, mark) -> float:
 
 
 def test_what_is_as_claimed_lies_right_of_the_line_whatever_the_claim():
-    cells = [("vertical", -0.3, -0.4, -0.2, True), ("orbit", 0.1, 0.05, 0.2, False)]
+    cells = [("zigzag", -0.3, -0.4, -0.2, True), ("loops", 0.1, 0.05, 0.2, False)]
     for sign, comparison in ((1, "below"), (-1, "above")):
         turned = [(name, sign * m, *sorted((sign * low, sign * high)), holds) for name, m, low, high, holds in cells]
         (panel,) = figure_claims([verdict(OPEN, turned, comparison=comparison)]).axes
         assert place(panel, "o") == pytest.approx(-0.3 * sign), "in metres"
         assert across(panel, 0.0) == pytest.approx(0.5)
         assert across(panel, place(panel, "X")) < 0.5 < across(panel, place(panel, "o")) < 1
-        assert [label.get_text() for label in panel.get_yticklabels()] == ["vertical", "orbit"]
+        assert [label.get_text() for label in panel.get_yticklabels()] == ["zigzag", "loops"]
         assert heading(panel).startswith("INCONCLUSIVE · one is better (3.3; error_mean_m")
-        assert heading(panel).endswith("30 seeds, sensor report)")
+        assert heading(panel).endswith("30 seeds, sensor report-4cm)")
 
 
 def test_the_scale_of_a_ratio_ends_at_0():
@@ -64,7 +64,7 @@ def test_the_scale_of_a_ratio_ends_at_0():
         section="4", claim="half", metric="error_mean_m", form="ratio", comparison="below", threshold=[0.5],
         a={"method": "one"}, b={"method": "two"}, by=["trajectory"],
     )  # fmt: skip
-    cells = [("orbit", 6.0, 5.0, 7.0, False)]
+    cells = [("loops", 6.0, 5.0, 7.0, False)]
     (panel,) = figure_claims([dataclasses.replace(verdict(FAILS, cells), claim=ratio)]).axes
     first, last = panel.get_xlim()
     assert last == 0
@@ -73,7 +73,7 @@ def test_the_scale_of_a_ratio_ends_at_0():
 
 
 def test_a_range_is_shaded_between_its_ends():
-    cells = [("vertical", 2.9, 2.8, 3.1, True), ("orbit", 5.0, 4.5, 5.5, False)]
+    cells = [("zigzag", 2.9, 2.8, 3.1, True), ("loops", 5.0, 4.5, 5.5, False)]
     (panel,) = figure_claims([verdict(OPEN, cells, comparison="between", threshold=(2.5, 3.5))]).axes
     (band,) = panel.patches
     left, right = band.get_x(), band.get_x() + band.get_width()
@@ -83,7 +83,7 @@ def test_a_range_is_shaded_between_its_ends():
 
 def test_numbers_have_units_and_the_claim_its_goal():
     metrics = {"bend_deg": "°", "frame_p95_ms": "ms", "growth_lost_m_s": "m/s", "lost_share": ""}
-    cells = [("vertical", -0.123, -0.15, -0.1, True)]
+    cells = [("zigzag", -0.123, -0.15, -0.1, True)]
     for metric, unit in metrics.items():
         panel = figure_claims([verdict(HOLDS, cells, metric=metric)]).axes[0]
         (numbers,) = [label.get_text() for label in panel.child_axes[0].get_yticklabels()]
@@ -110,7 +110,7 @@ def test_numbers_have_two_digits_of_the_interval(numbers, text):
 
 def test_a_claim_that_was_not_run_says_why_and_headings_do_not_overlap():
     long = "a claim of so many words that it takes more than one line of the figure to say what it claims, and another"
-    rows = [verdict(HOLDS, [("orbit", -0.1, -0.2, -0.05, True)] * count, text=long) for count in (1, 3)]
+    rows = [verdict(HOLDS, [("loops", -0.1, -0.2, -0.05, True)] * count, text=long) for count in (1, 3)]
     figure = figure_claims([*rows, verdict(NOT_RUN, [])])
     assert "not run" in heading(figure.axes[2]).lower()
     assert "no runs with method = 'one'" in heading(figure.axes[2])
@@ -135,7 +135,8 @@ def test_each_section_has_a_figure_of_its_own():
 def curves(seeds=11, **case) -> pd.DataFrame:
     """Runs whose error is time through a hundred, times one to eleven."""
     time = np.linspace(0, 200, 101)
-    given = {"trajectory": "orbit", "noise": "random-walk", "method": "icp", "sensor": "report", "status": "ok", **case}
+    usual = {"trajectory": "loops", "noise": "random-walk", "method": "icp", "sensor": "report-4cm", "status": "ok"}
+    given = {**usual, **case}
     return pd.DataFrame(
         {
             **given,
@@ -166,12 +167,12 @@ def test_a_flight_that_ended_early_is_left_out_after_its_end():
 
 
 def test_a_panel_for_each_method_and_case_and_a_word_where_there_are_no_runs():
-    runs = pd.concat([curves(), curves(trajectory="vertical", method="gicp"), curves(method="gicp", status="failed")])
+    runs = pd.concat([curves(), curves(trajectory="zigzag", method="gicp"), curves(method="gicp", status="failed")])
     figure = figure_error_bands(runs, ["icp", "gicp"])
     assert len(figure.axes) == 4
     words = [{text.get_text() for text in panel.texts} for panel in figure.axes]
     assert words == [set(), {"not run"}, {"not run"}, set()]
-    assert figure.get_suptitle() == "sensor report, 11 seeds: median and band"
+    assert figure.get_suptitle() == "sensor report-4cm, 11 seeds: median and band"
     keys = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"no correction", "ICP", "GICP", "10–90 % of the seeds"} <= keys
     colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
@@ -182,7 +183,7 @@ def test_a_panel_for_each_method_and_case_and_a_word_where_there_are_no_runs():
     assert error.get_ydata()[-1] == pytest.approx(12.0)
     assert figure.axes[0].get_yscale() == "log"
     assert (error.get_xdata() > 0).all()
-    assert figure.axes[0].get_title() == "orbit\nrandom-walk"
+    assert figure.axes[0].get_title() == "loops\nrandom-walk"
     assert len(figure_error_bands(runs.iloc[:0], ["icp"]).axes) == 1
 
 
@@ -202,7 +203,7 @@ def test_the_range_of_the_report_stands_behind_what_it_shows_alone():
 
     ((low, high),) = ranges(method="gicp", noise="constant-drift")
     assert (low, high) == pytest.approx((0.25, 0.4))
-    ((_, high),) = ranges(method="average", trajectory="vertical")
+    ((_, high),) = ranges(method="average", trajectory="zigzag")
     assert high == pytest.approx(0.28)
     assert ranges(method="gicp", noise="random-walk+yaw-random-walk") == []
     assert ranges(method="best") == []

@@ -17,7 +17,7 @@ def flown():
     )
     fast = {"flight.height_max_m": 5.0, "flight.levels": 6, "flight.speed_m_s": 0.6}
     settings = ExperimentSettings.preset(
-        "vertical", method="average", sensor="report", seed=21, duration_s=32.0, overrides=fast
+        "zigzag", method="average", sensor="report-4cm", seed=21, duration_s=32.0, overrides=fast
     ).replace(tower=tower)
     flight, truth = experiment.simulate(settings)
     return flight, experiment.estimate(settings, flight, truth)
@@ -49,7 +49,7 @@ def test_the_sweep_counts_the_combinations_within_the_limit():
                 variant = f"flight.standoff_m={away}, preprocess.crop_m=1.5, tower.waist_width_m={width}"
                 more = 0.2 * (away == 0.8 and width == 2.4)
                 case = {"variant": variant, "seed": seed, "status": "ok", "error_max_m": error_m + more + 0.012 * seed}
-                rows.append(case | {"trajectory": "vertical", "noise": "constant-drift", "sensor": "report"})
+                rows.append(case | {"trajectory": "zigzag", "noise": "constant-drift", "sensor": "report-4cm"})
     rows.append(rows[0] | {"variant": "tower.waist_width_m=1.7", "error_max_m": 0.0})
     runs = pd.DataFrame(rows)
     swept = waist.sweep_rows(runs)

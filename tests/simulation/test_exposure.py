@@ -70,8 +70,8 @@ def test_neither_columns_nor_rows_of_a_pixel_s_rays_go_with_time():
 
 
 def test_without_faults_an_exposure_sees_what_the_ideal_camera_sees():
-    scene, T = make_scene(TOWER), pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.3)
-    tof = TofSettings.preset("report")
+    scene, T = make_scene(TOWER), pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.3)
+    tof = TofSettings.preset("report-4cm")
     exact, member = cast_rays(scene, T[None], rays(tof))
     found = seen(scene, TofFaultSettings(), tof, T)
     same = found.member == member[0]
@@ -157,11 +157,11 @@ def test_light_of_two_ways_makes_corners_too_deep_and_leaves_a_plane_alone():
 
 def test_a_short_exposure_and_one_at_rest_blur_nothing():
     tower_of = make_scene(TOWER)
-    T = pose_on_path(TOWER, FlightSettings.preset("orbit"), 0.2)
+    T = pose_on_path(TOWER, FlightSettings.preset("loops"), 0.2)
     stamp = np.arange(20) * 0.008
     rest = Trajectory(stamp, np.tile(T, (20, 1, 1))).between(0.08 + 0.03 * MOMENTS)
     np.testing.assert_allclose(rest, np.tile(T, (9, 1, 1)), atol=1e-12)
-    tof = TofSettings.preset("report")
+    tof = TofSettings.preset("report-4cm")
     still, held = (seen(tower_of, TofFaultSettings(footprint_px=1.0), tof, poses).range_m for poses in (T, rest))
     both = np.isfinite(still) & np.isfinite(held)
     assert (np.abs(still[both] - held[both]) < 1e-4).mean() > 0.999
@@ -298,7 +298,7 @@ def test_an_honest_flight_is_that_of_its_seed_and_begins_as_a_shorter_one():
 
 
 def test_a_view_of_a_camera_with_faults_is_one_of_its_exposures():
-    T = pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.4)
+    T = pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.4)
     tof = TofSettings.preset("starling2").replace(columns=45, rows=60, sigma_floor_m=0.0, sigma_relative=0.0)
     ideal, same, worse = (
         Viewer(TOWER, tof.replace(faults=faults)).view(T, rng.stream(1, "view"))

@@ -10,7 +10,7 @@ from steelnb.simulation.tower import half_width
 TOWER = build_tower()
 
 
-@pytest.mark.parametrize("name", ["vertical", "orbit"])
+@pytest.mark.parametrize("name", ["zigzag", "loops"])
 def test_the_flight_covers_the_report_s_heights_in_about_200_s(name):
     settings = FlightSettings.preset(name)
     trajectory, _ = fly(TOWER, settings, 1)
@@ -28,14 +28,14 @@ def test_the_flight_covers_the_report_s_heights_in_about_200_s(name):
 
 
 def test_the_sensor_looks_at_the_face_or_at_the_axis():
-    vertical, _ = fly(TOWER, FlightSettings.preset("vertical", 30.0), 1)
-    assert vertical.T_world_drone[:, 1, 0].min() > 0.98
-    orbit, _ = fly(TOWER, FlightSettings.preset("orbit", 30.0), 1)
-    to_axis = -orbit.position[:, :2] / np.linalg.norm(orbit.position[:, :2], axis=1)[:, None]
-    assert (orbit.T_world_drone[:, :2, 0] * to_axis).sum(axis=1).min() > 0.95
+    zigzag, _ = fly(TOWER, FlightSettings.preset("zigzag", 30.0), 1)
+    assert zigzag.T_world_drone[:, 1, 0].min() > 0.98
+    loops, _ = fly(TOWER, FlightSettings.preset("loops", 30.0), 1)
+    to_axis = -loops.position[:, :2] / np.linalg.norm(loops.position[:, :2], axis=1)[:, None]
+    assert (loops.T_world_drone[:, :2, 0] * to_axis).sum(axis=1).min() > 0.95
 
 
-@pytest.mark.parametrize("name", ["vertical", "orbit"])
+@pytest.mark.parametrize("name", ["zigzag", "loops"])
 def test_the_imu_integrates_back_to_the_flight(name):
     trajectory, imu = fly(TOWER, FlightSettings.preset(name, 20.0), 3)
     R, dt = trajectory.T_world_drone[:, :3, :3], 0.008
@@ -51,15 +51,15 @@ def test_the_imu_integrates_back_to_the_flight(name):
 
 
 def test_a_seed_changes_the_gusts_and_nothing_changes_without_them():
-    calm = FlightSettings.preset("vertical", 5.0).replace(gust_sigma_m_s=0.0)
+    calm = FlightSettings.preset("zigzag", 5.0).replace(gust_sigma_m_s=0.0)
     a, b = (fly(TOWER, calm, seed)[0].position for seed in (1, 2))
     np.testing.assert_array_equal(a, b)
-    a, b, c = (fly(TOWER, FlightSettings.preset("vertical", 5.0), seed)[0].position for seed in (1, 2, 1))
+    a, b, c = (fly(TOWER, FlightSettings.preset("zigzag", 5.0), seed)[0].position for seed in (1, 2, 1))
     np.testing.assert_array_equal(a, c)
     assert 0.001 < np.abs(a - b).max() < 0.3
 
 
-@pytest.mark.parametrize("name", ["vertical", "orbit"])
+@pytest.mark.parametrize("name", ["zigzag", "loops"])
 def test_touching_the_structure_is_an_error_with_time_and_place(name):
     settings = FlightSettings.preset(name).replace(standoff_m=-0.05)
     with pytest.raises(CollisionError, match=r"standoff_m = -0.05.* t = \d+\.\d\d s, at x = .* m"):
@@ -67,7 +67,7 @@ def test_touching_the_structure_is_an_error_with_time_and_place(name):
 
 
 def test_the_path_goes_through_its_waypoints_slowly():
-    settings, tower = FlightSettings.preset("orbit"), TowerSettings()
+    settings, tower = FlightSettings.preset("loops"), TowerSettings()
     position, velocity = setpoints(settings, tower, 25_000, 0.008)
     corner = waypoints(settings, tower)
     nearest = [np.linalg.norm(position - point, axis=1).min() for point in corner]

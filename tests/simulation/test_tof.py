@@ -9,20 +9,20 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
-from steelnb.simulation import build_tower, fly, scan_flight
+from steelnb.simulation import CastScans, build_tower, fly, scan_flight
 from steelnb.simulation.scene import GROUND_M, _distance, _measure, cast_rays, make_scene, rays
-from steelnb.simulation.tof import RANGE_MIN_M
+from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
 SCENE = make_scene(TOWER)
-EXACT = TofSettings.preset("report").replace(sigma_floor_m=0.0)
+EXACT = TofSettings.preset("report-4cm").replace(sigma_floor_m=0.0)
 
 
 @pytest.fixture(scope="module")
 def flight():
-    return fly(TOWER, FlightSettings.preset("vertical", 10.0), 1)[0]
+    return fly(TOWER, FlightSettings.preset("zigzag", 10.0), 1)[0]
 
 
 class Perturbed:
@@ -40,7 +40,7 @@ class Perturbed:
 
 @pytest.mark.parametrize("ulps", [-2, -1, 1, 2])
 def test_scans_do_not_hang_on_the_last_digits_of_embree_s_distances(ulps):
-    ray, T = rays(EXACT), pose_on_path(TOWER, FlightSettings.preset("vertical"), 0.3)[None]
+    ray, T = rays(EXACT), pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.3)[None]
     exact, _ = cast_rays(SCENE, T, ray)
     perturbed, _ = cast_rays(SCENE._replace(mesh=Perturbed(SCENE, ulps)), T, ray)
     np.testing.assert_array_equal(exact, perturbed)
@@ -156,7 +156,7 @@ def test_a_ray_hits_the_member_that_it_says(seed):
 
 def test_noise_has_the_sigma_of_its_settings(flight):
     flight = Trajectory(flight.stamp_s[:501], flight.T_world_drone[:501])
-    for sensor in (TofSettings.preset("report"), TofSettings.preset("starling2")):
+    for sensor in (TofSettings.preset("report-4cm"), TofSettings.preset("starling2")):
         exact, _ = scan_flight(TOWER, flight, np.eye(4), sensor.replace(sigma_floor_m=0.0, sigma_relative=0.0), 1)
         noisy, _ = scan_flight(TOWER, flight, np.eye(4), sensor, 1)
         np.testing.assert_array_equal(np.isnan(exact.range_m), np.isnan(noisy.range_m))
@@ -169,11 +169,43 @@ def test_noise_has_the_sigma_of_its_settings(flight):
         assert limits.max() <= sensor.range_max_m
 
 
+def test_noise_on_the_depth_is_the_same_at_the_corner_as_in_the_middle():
+    """A wall ahead: each pixel's depth has the noise and the limits, and its range is the depth over the cosine."""
+    sensor = TofSettings.preset("report")
+    ahead = rays(sensor)[..., 0]
+
+    def measured(depth_m, seed=0):
+        return measured_ranges((depth_m / ahead).astype(np.float32), sensor, np.random.default_rng(seed))
+
+    depth = np.array([measured(2.0, seed) for seed in range(400)]) * ahead
+    corner, middle = depth[:, :8, :8], depth[:, 28:36, 28:36]
+    assert ahead[:8, :8].max() < 0.5
+    for part in (corner, middle):
+        assert part.mean() == pytest.approx(2.0, abs=5e-4)
+        assert part.std() == pytest.approx(0.01, rel=0.03)
+    assert np.isfinite(measured(3.99)).all()  # though ranges reach 8 m
+    assert np.isnan(measured(4.01)).all()
+    assert np.isnan(measured(RANGE_MIN_M - 0.01)).all()
+
+
+def test_the_report_s_sensor_scans_every_26_steps_from_its_start(flight):
+    sensor = TofSettings.preset("report").replace(rows=2, columns=2)
+
+    def steps(**changes):
+        return CastScans(TOWER, flight, np.eye(4), sensor.replace(**changes), 1).stamp_s / 0.008
+
+    np.testing.assert_allclose(steps(), 26 * np.arange(49), atol=1e-6)
+    np.testing.assert_allclose(steps(start_s=1.0), 125 + 26 * np.arange(44), atol=1e-6)
+    uneven = steps(rate_hz=1 / 0.212, start_s=0.08)  # 26.5 steps a scan: to the nearest step
+    np.testing.assert_allclose(uneven, np.round(uneven), atol=1e-6)
+    np.testing.assert_allclose(uneven, 10 + 26.5 * np.arange(len(uneven)), atol=0.5001)
+
+
 def test_a_longer_flight_begins_with_the_scans_of_a_shorter_one(flight):
     shorter = Trajectory(flight.stamp_s[:626], flight.T_world_drone[:626])
-    a, _ = scan_flight(TOWER, flight, np.eye(4), TofSettings.preset("report"), 4)
-    b, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report"), 4)
+    a, _ = scan_flight(TOWER, flight, np.eye(4), TofSettings.preset("report-4cm"), 4)
+    b, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 4)
     assert (len(a), len(b)) == (50, 25)
     np.testing.assert_array_equal(a.range_m[:25], b.range_m)
-    c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report"), 5)
+    c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 5)
     assert np.nanmax(np.abs(b.range_m - c.range_m)) > 0.01

@@ -26,9 +26,9 @@ from workflow.check_study import check_sample
 STUDY = """
 [a]
 seeds = [1, 2]
-trajectories = ["vertical"]
+trajectories = ["zigzag"]
 noises = ["random-walk"]
-sensors = ["report"]
+sensors = ["report-4cm"]
 methods = ["icp", "average"]
 duration_s = 3.0
 """
@@ -85,12 +85,12 @@ def test_a_study_is_plain_runs_resumed_and_widened(shared, study, tmp_path):
     frame = read_study(out)
     assert sorted(each["key"] for each in seen) == sorted(frame["key"])
     assert frame[list(CASE)].values.tolist() == [
-        ["report", 3.0, "", "vertical", seed, "random-walk", "", method]
+        ["report-4cm", 3.0, "", "zigzag", seed, "random-walk", "", method]
         for seed in (1, 2)
         for method in ("average", "icp")
     ]
     plain = experiment.run(
-        ExperimentSettings.preset("vertical", "random-walk", sensor="report", seed=2, duration_s=3.0, method="icp")
+        ExperimentSettings.preset("zigzag", "random-walk", sensor="report-4cm", seed=2, duration_s=3.0, method="icp")
     )
     assert {name: frame.iloc[3][name] for name in plain.metrics} == plain.metrics
     assert frame.groupby("seed")["flight_seconds"].nunique().tolist() == [1, 1]  # a flight is simulated once
@@ -158,7 +158,7 @@ def test_a_worker_with_other_software_gives_no_numbers(shared, study, tmp_path, 
 
 def test_numbers_and_curves_are_those_of_the_run():
     settings = ExperimentSettings.preset(
-        "vertical", "random-walk", sensor="report", seed=4, duration_s=30.0, method="icp",
+        "zigzag", "random-walk", sensor="report-4cm", seed=4, duration_s=30.0, method="icp",
         overrides={"tof.blind_s": [[10.0, 15.0]]},
     )  # fmt: skip
     flight, truth = experiment.simulate(settings)

@@ -19,9 +19,9 @@ ROOT = Path(__file__).parents[2]
 NOISES = ("random-walk", "constant-drift", "random-walk:0.004", "random-walk+yaw-random-walk")
 AXES = {
     "seeds": [1, 2],
-    "trajectories": ["vertical", "orbit"],
+    "trajectories": ["zigzag", "loops"],
     "noises": ["random-walk", "constant-drift"],
-    "sensors": ["report"],
+    "sensors": ["report-4cm"],
     "methods": ["average", "icp"],
     "duration_s": 5.0,
 }
@@ -51,7 +51,7 @@ def some(values, size=2):
 blocks = st.fixed_dictionaries(
     {
         "seeds": some(range(5)),
-        "trajectories": some(["vertical", "orbit"]),
+        "trajectories": some(["zigzag", "loops"]),
         "noises": some(NOISES),
         "sensors": some(SENSORS),
         "methods": some(METHODS),
@@ -61,7 +61,7 @@ blocks = st.fixed_dictionaries(
 
 
 def test_a_planned_flight_is_that_of_its_noise_and_method(tmp_path):
-    block = {"seeds": [1], "trajectories": ["planned"], "noises": list(NOISES[:2]), "sensors": ["report"]}
+    block = {"seeds": [1], "trajectories": ["planned"], "noises": list(NOISES[:2]), "sensors": ["report-4cm"]}
     runs = plan(tmp_path, {**block, "methods": ["best", "combined"], "overrides": [{}]})
     assert len(by_flight(runs)) == len(runs) == 4
 
@@ -134,7 +134,7 @@ def test_no_module_that_a_run_loads_is_missing_from_its_key():
     code = (
         "import sys\nfrom steelnb.study import row\nfrom steelnb.settings import ExperimentSettings\n"
         "for method in ('average', 'combined'):\n"
-        "    s = ExperimentSettings.preset(duration_s=1.0, sensor='report', method=method)\n"
+        "    s = ExperimentSettings.preset(duration_s=1.0, sensor='report-4cm', method=method)\n"
         "    print(row.run_on(row.fly(s), s)['error'], file=sys.stderr)\n"
         "print(*(name for name in sys.modules if name.startswith('steelnb.')))"
     )
@@ -154,7 +154,7 @@ def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings(
     seeds = {case: len(found) for case, found in by_case.items()}
     ours = {"best", "combined", "faces"}
     few = ours | {"loam", "loam-midlines"}
-    report = {case: count for case, count in seeds.items() if case[0] == "report" and case[-1] not in few}
+    report = {case: count for case, count in seeds.items() if case[0] == "report-4cm" and case[-1] not in few}
     other_worlds = {case: count for case, count in report.items() if case[5].startswith(("tower.", "flight."))}
     the_sweep = {case for case in other_worlds if case[4] == "constant-drift-per-axis" and "," in case[5]}
     assert the_sweep

@@ -23,7 +23,9 @@ from steelnb.study.table import (
 )
 
 PLAN = [
-    make_run(ExperimentSettings.preset(seed=seed, duration_s=4.0, sensor="report", method=method), depends_on="code")
+    make_run(
+        ExperimentSettings.preset(seed=seed, duration_s=4.0, sensor="report-4cm", method=method), depends_on="code"
+    )
     for seed in (1, 2, 3)
     for method in ("average", "icp")
 ]

@@ -1,0 +1,75 @@
+"""The report's plots of an error over samples: which flight, which noise, and at which steps the samples came."""
+
+from functools import cache
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from steelnb.errors import SettingsError
+from steelnb.settings.base import NotNegative, Positive, Settings
+from steelnb.settings.presets import PRESETS, read_toml
+from steelnb.settings.world import TrajectoryName
+from steelnb.types import Array
+
+STEP_S = 0.008
+"""The original's simulator step."""
+NOISES = {"3.2": "constant-drift", "3.3": "constant-drift", "3.5": "random-walk", "3.6": "constant-drift"}
+
+
+class ReportPlot(Settings):
+    """One of the plots of ``presets/report-plots.toml``, named as in ``notebooks/report-curves.csv``.
+
+    Sample k came at the simulator's step ``first_step + k * steps_per_sample``. ``samples``: how many the plot shows
+    after the ``earlier_samples``, which are those of another run. ``flight``: the preset, where it is not named as the
+    trajectory.
+    """
+
+    figure: Literal["3.2", "3.3", "3.5", "3.6"]
+    trajectory: Literal["vertical", "orbit"]
+    method: Literal["average", "icp", "icp-3dof", "gicp"]
+    flight: TrajectoryName | None = None
+    first_step: NotNegative
+    steps_per_sample: Positive
+    samples: Annotated[int, Field(ge=1)]
+    earlier_samples: Annotated[int, Field(ge=0)] = 0
+
+    @property
+    def noise(self) -> str:
+        """The noise of the figure."""
+        return NOISES[self.figure]
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        return 1 / (self.steps_per_sample * STEP_S)
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first sample."""
+        return self.first_step * STEP_S
+
+    @property
+    def duration_s(self) -> float:
+        """Time of flight up to just after the last sample."""
+        return STEP_S * float(np.ceil(self.first_step + (self.samples - 1) * self.steps_per_sample) + 1)
+
+    def step_at(self, sample: Array) -> Array:
+        """Steps of the simulator ``(N,)`` at places ``(N,)`` on the plot's axis of samples, negative in an earlier
+        run."""
+        return np.asarray(self.first_step + (sample - self.earlier_samples) * self.steps_per_sample)
+
+    @classmethod
+    def find(cls, figure: str, trajectory: str, method: str) -> "ReportPlot":
+        """The plot of a figure, trajectory and method. Raises `SettingsError`."""
+        plots = {(plot.figure, plot.trajectory, plot.method): plot for plot in read_report_plots()}
+        if (figure, trajectory, method) not in plots:
+            known = "; ".join(" ".join(names) for names in plots)
+            raise SettingsError(f"plot {figure} {trajectory} {method}: expected one of {known}")
+        return plots[figure, trajectory, method]  # type: ignore[index]
+
+
+@cache
+def read_report_plots() -> tuple[ReportPlot, ...]:
+    """All of them."""
+    return tuple(ReportPlot(**values) for values in read_toml(PRESETS / "report-plots.toml")["plot"])

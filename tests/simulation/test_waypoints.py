@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from steelnb.errors import CollisionError
+from steelnb.settings import FlightSettings, TowerSettings
+from steelnb.simulation import build_tower, fly
+from steelnb.simulation.paths import minimum_jerk
+from steelnb.simulation.views import pose_on_path
+
+REPORT = ("vertical", "orbit", "orbit-3.3")
+
+
+def at(name, *seconds):
+    return minimum_jerk(FlightSettings.preset(name), np.array(seconds, dtype=float))[0]
+
+
+@pytest.mark.parametrize("name", REPORT)
+def test_the_path_passes_each_waypoint_in_its_time_and_is_at_rest_there(name):
+    flight = FlightSettings.preset(name)
+    point = np.array(flight.waypoints)
+    pose, rate, acceleration = minimum_jerk(flight, np.cumsum(point[:, 4]))
+    np.testing.assert_allclose(pose[:, :3], point[:, :3], atol=1e-12)
+    turned = pose[:, 3] - np.radians(point[:, 3])
+    np.testing.assert_allclose(np.exp(1j * turned), 1, atol=1e-12)
+    np.testing.assert_allclose(np.hstack([rate, acceleration]), 0, atol=1e-12)
+    assert np.abs(np.diff(pose[:, 3])).max() <= np.pi + 1e-12
+
+
+@pytest.mark.parametrize("name", REPORT)
+def test_rate_and_acceleration_are_the_derivatives_of_the_poses(name):
+    flight = FlightSettings.preset(name)
+    time_s = np.arange(0, flight.duration_s, 0.008)
+    pose, rate, acceleration = minimum_jerk(flight, time_s)
+    np.testing.assert_allclose(np.gradient(pose, 0.008, axis=0)[1:-1], rate[1:-1], atol=2e-3)
+    np.testing.assert_allclose(np.gradient(rate, 0.008, axis=0)[1:-1], acceleration[1:-1], atol=0.1)
+
+
+def test_the_vertical_flight_is_where_the_report_has_it():
+    start, top, down, foot, end = at("vertical", 0, 210, 325, 335, 408)
+    np.testing.assert_allclose(start, [0.5, 2.5, 0.1, -np.pi / 2], atol=1e-9)
+    np.testing.assert_allclose(top[:3], [0.5, 1.5, 15.0], atol=1e-9)
+    np.testing.assert_allclose(down[:3], [-0.5, 2.5, 0.1], atol=1e-9)
+    np.testing.assert_allclose(foot, [0.5, -2.5, 0.1, np.pi / 2], atol=1e-9)
+    # Figure 3.2a ends at 12 m before the second face.
+    np.testing.assert_allclose(end[1:], [-1.5, 12.0, np.pi / 2], atol=1e-9)
+    assert 0.5 < end[0] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "heights", "level_s"), [("orbit", (0.6, 2, 4, 6, 8), 100), ("orbit-3.3", np.linspace(0.6, 7, 6), 34)]
+)
+def test_the_orbits_look_at_the_faces_at_their_heights(name, heights, level_s):
+    for level, height in enumerate(heights):
+        sides = (level + np.array([0.26, 0.4, 0.52, 0.68, 0.77, 0.94])) * level_s  # on the last three of four sides
+        x, y, z, heading = at(name, *sides).T
+        np.testing.assert_allclose(z, height, atol=1e-9)
+        ahead, across = np.cos(heading) * x + np.sin(heading) * y, np.sin(heading) * x - np.cos(heading) * y
+        np.testing.assert_allclose(ahead, -2.5, atol=1e-9)
+        assert (np.abs(across) < 2.5).all()
+        np.testing.assert_allclose(np.sin(2 * heading), 0, atol=1e-9)
+
+
+def test_the_drone_follows_the_path_within_centimetres():
+    flight = FlightSettings.preset("vertical", 30.0)
+    flown, _ = fly(build_tower(TowerSettings.of_flight("vertical")), flight, 1)
+    pose, *_ = minimum_jerk(flight, flown.stamp_s)
+    assert np.linalg.norm(flown.position - pose[:, :3], axis=1).max() < 0.06
+    assert flown.T_world_drone[:, 1, 0].max() < -0.999  # looks along −y
+
+
+def test_a_flight_of_one_s_own_turns_the_shorter_way_and_follows_in_time():
+    path = ((2.0, 3.0, 1.0, 170.0, 0.0), (2.0, 3.0, 1.0, -170.0, 4.0), (2.0, 4.0, 1.0, -170.0, 4.0))
+    flight = FlightSettings(trajectory="orbit", duration_s=8.0, waypoints=path, gust_sigma_m_s=0.0)
+    pose, *_ = minimum_jerk(flight, np.array([0.0, 2.0, 4.0, 6.0, 8.0, 9.0]))
+    np.testing.assert_allclose(np.degrees(pose[:, 3]), [170, 180, 190, 190, 190, 190])
+    np.testing.assert_allclose(pose[:, 1], [3, 3, 3, 3.5, 4, 4])
+    tower = build_tower()
+    flown, _ = fly(tower, flight, 1)
+    np.testing.assert_allclose(flown.position[-1], [2, 4, 1], atol=0.05)
+    np.testing.assert_allclose(pose_on_path(tower, flight, 0.75)[:3, 3], [2, 3.5, 1], atol=1e-9)
+
+
+def test_a_path_through_the_steel_is_a_collision():
+    path = ((3.0, 1.9, 0.5, 180.0, 0.0), (-3.0, 1.9, 0.5, 180.0, 8.0))
+    flight = FlightSettings(trajectory="vertical", duration_s=8.0, waypoints=path)
+    with pytest.raises(CollisionError, match=r"vertical flight: the drone touches .* t = \d+\.\d\d s"):
+        fly(build_tower(), flight, 1)
