@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--flight", choices=FLIGHTS, nargs="+", default=["planned"])
     parser.add_argument("--sensor", nargs="+", default=["report"])
-    parser.add_argument("--tower", nargs="+", default=["report", "heavy", "light"])
+    parser.add_argument("--tower", nargs="+", default=["tapered", "heavy", "light"])
     parser.add_argument("--gust", type=float, default=0.5)
     parser.add_argument("--rebuild", action="store_true")
     parser.add_argument("--workers", type=int, default=2)

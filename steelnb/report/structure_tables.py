@@ -89,7 +89,7 @@ def fly_tower(
     method: str,
     seed: int,
     duration_s: float,
-    tower: str = "report",
+    tower: str = "tapered",
     overrides: dict[str, Any] | None = None,
     on_progress: Progress | None = None,
 ) -> StructureFlight:

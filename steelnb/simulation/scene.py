@@ -8,8 +8,6 @@ from steelnb.libraries import import_open3d
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
-GROUND_M = 60.0
-
 
 class Pinhole(Protocol):
     """Settings of a camera: the size of its image and its fields of view."""
@@ -45,7 +43,7 @@ class Scene(NamedTuple):
 def make_scene(tower: Tower) -> Scene:
     """The scene of a tower that stands on z = 0."""
     open3d = import_open3d()
-    corners = GROUND_M * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    corners = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     vertices = np.concatenate([tower.vertices, corners]).astype(np.float32)
     n = len(tower.vertices)
     triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]]).astype(np.uint32)
