@@ -98,11 +98,12 @@ class SeenMembers:
 def seen_members(axes: Array, points: Array, member: IntArray, gap_m: float = 0.1) -> SeenMembers:
     """The visible part of members with axes ``(M, 2, 3)`` from the noise-free ``points (N, 3)`` on their surfaces.
 
-    ``member (N,)``: the member of each point. The axis of an angle section is its heel, which no sensor sees from
-    outside: a method that is right finds a line in the middle of what is seen, up to half a flange beside it. A part is
-    seen when it is no further than half of ``gap_m`` from a point, along the axis.
+    ``member (N,)``: the member of each point, negative for a plate. The axis of an angle section is its heel, which no
+    sensor sees from outside: a method that is right finds a line in the middle of what is seen, up to half a flange
+    beside it. A part is seen when it is no further than half of ``gap_m`` from a point, along the axis.
     """
     counter = SliceCounter(axes)
+    points, member = points[member >= 0], member[member >= 0]
     counter.add(points, member)
     shown, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)
     for m in np.unique(member):

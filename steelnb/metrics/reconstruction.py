@@ -2,7 +2,8 @@
 
 The axis of a member is the line through the centroids of its sections, which is where the bar models of structural
 engineering put a bar; `reference` also gives the heels (the outer corner of the angle, on which the simulated joints
-lie). The true place of a joint is the point nearest to the axes of the members that it ties.
+lie). A round member has its axis in both. The true place of a joint is the point nearest to the axes of the members
+that it ties.
 """
 
 import itertools
@@ -59,6 +60,8 @@ def reference(tower: Tower, visibility: Visibility, axis: Axis = "centroid") -> 
     shift = np.zeros((len(tower.members), 3))
     if axis == "centroid":
         for m, member in enumerate(tower.members):
+            if member.section == "round":
+                continue
             flange, thickness = member.section_m
             # Of two rectangles, b by t and (b - t) by t: the same distance from either flange's outer face.
             apart = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))

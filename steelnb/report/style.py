@@ -57,7 +57,9 @@ DETECTORS = {
     "hough": INDIGO, "ransac-lines": GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
 }  # fmt: skip
 """Methods of segmentation, which no figure shows beside odometries."""
-KINDS = {"leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "zigzag": WINE, "loops": ORANGE}
+KINDS = {
+    "leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "secondary": GREEN, "zigzag": WINE, "loops": ORANGE,
+}  # fmt: skip
 """Members of the tower, and the flights around it."""
 PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK, "wide loops": OLIVE}
 """Flights that a planner steers and those beside them, which no figure shows beside odometries."""
@@ -188,13 +190,13 @@ def thinned(points: Array, count: int) -> Array:
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
 
 
-def project_perspective(points: Array, cloud: Array) -> Array:
-    """Points ``(…, 3)`` → ``(…, 2)`` in metres: a pinhole camera 10° above and 2.2 diagonals away from the middle of
-    ``cloud``, where it is to scale.
+def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
+    """Points ``(…, 3)`` → ``(…, 2)`` in metres: a pinhole camera to the front right, ``elevation_deg`` above and
+    2.2 diagonals away from the middle of ``cloud``, where it is to scale.
 
     Not matplotlib's 3D axes, which draw into a square and hide bars behind points.
     """
-    azimuth, elevation = np.radians([-55.0, 10.0])
+    azimuth, elevation = np.radians([-55.0, elevation_deg])
     to_camera = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     away = points - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
@@ -203,24 +205,30 @@ def project_perspective(points: Array, cloud: Array) -> Array:
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
 
 
-def draw_bars(panel: Axes, bars: Array, cloud: Array, **look: Any) -> None:
+def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
-    draw_lines(panel, project_perspective(bars, cloud), **look)
+    draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
 
 
-def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, labels: Mapping[str, str] | None = None) -> None:
+def draw_paths(
+    panel: Axes,
+    paths: Mapping[str, Array],
+    cloud: Array,
+    labels: Mapping[str, str] | None = None,
+    elevation_deg: float = 10.0,
+) -> None:
     """Draw positions ``(N, 3)`` by name of their colour into a panel as `project_perspective` shows them, the truth
     wide below the others, with `frame_perspective` around them."""
     for name, positions in paths.items():
-        x, y = project_perspective(positions, cloud).T
+        x, y = project_perspective(positions, cloud, elevation_deg).T
         panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=(labels or {}).get(name))
-    frame_perspective(panel, cloud, list(paths.values()))
+    frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
 
 
-def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = ()) -> None:
+def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
     """Limits of a panel in which `project_perspective` shows ``cloud (N, 3)`` and ``more``, with a bar for the scale in
     place of axes."""
-    flat = project_perspective(np.concatenate([cloud, *more]), cloud)
+    flat = project_perspective(np.concatenate([cloud, *more]), cloud, elevation_deg)
     (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
     panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
     panel.set_axis_off()

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from matplotlib.collections import PolyCollection
 
 from steelnb.images import GreyImage
 from steelnb.noise import drifting, random_walk_rms_m
@@ -17,13 +18,17 @@ from steelnb.report.style import (
     draw_lines,
     draw_paths,
     gather_legend,
+    project_perspective,
     style,
 )
 from steelnb.settings import CameraSettings, NoiseSettings
 from steelnb.simulation import Tower, Truth, photograph
+from steelnb.simulation.sections import PLATE
 from steelnb.types import Array, Flight, Trajectory
 
 RATE_HZ = 125.0
+ABOVE_DEG = 25.0
+"""Elevation from which the tower is seen in Figure 3.1."""
 SEEDS_DRAWN = 8
 
 
@@ -115,8 +120,8 @@ def drone_views(truth: Truth, seed: int) -> dict[str, GreyImage]:
 def figure_tower(
     tower: Tower, flights: Mapping[str, Trajectory], views: Mapping[str, GreyImage] | None = None
 ) -> Figure:
-    """The tower with the flights around it, in perspective, and its members by class from two sides; beside them
-    ``views`` from the drone, if there are any."""
+    """The tower with the flights around it, from above the front right as in the report, and its members by class from
+    two sides; beside them ``views`` from the drone, if there are any."""
     views, ratios = views or {}, [1.25, 1, 0.55] + [1.2] * bool(views)
     figure = Figure(figsize=(15.5 if views else 11, 7.2))
     grid = figure.add_gridspec(max(len(views), 1), len(ratios), width_ratios=ratios)
@@ -125,18 +130,21 @@ def figure_tower(
         view = figure.add_subplot(grid[row, 3])
         view.imshow(image, cmap="gray", vmin=0, vmax=255)
         view.set(title=name, xticks=[], yticks=[])
+    plates = tower.vertices[tower.triangles[tower.triangle_member == PLATE]]
+    flat = project_perspective(plates, tower.vertices, ABOVE_DEG)
+    scene.add_collection(PolyCollection(list(flat), fc=COLOURS["member"], ec=COLOURS["member"], lw=0.5, alpha=0.6))
     kinds = np.array([member.kind for member in tower.members])
     for kind in (name for name in reversed(KINDS) if name in kinds):
         bars = tower.axes[kinds == kind]
-        look = {"colors": COLOURS[kind], "linewidths": 2.2 if kind == "leg" else 1.2}
-        draw_bars(scene, bars, tower.vertices, **look)
+        look = {"colors": COLOURS[kind], "linewidths": {"leg": 2.2, "secondary": 0.8}.get(kind, 1.2)}
+        draw_bars(scene, bars, tower.vertices, ABOVE_DEG, **look)
         for across, side in enumerate(sides):
             draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
     paths = {name: flight.position for name, flight in flights.items()}
-    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in flights})
+    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in flights}, ABOVE_DEG)
     for across, side in enumerate(sides):
         reach = np.abs(tower.axes[..., across]).max() + 0.3
-        side.set(xlim=(-reach, reach), ylim=(-0.3, tower.settings.height_m + 0.5), aspect="equal")
+        side.set(xlim=(-reach, reach), ylim=(-0.3, tower.joints[:, 2].max() + 0.5), aspect="equal")
         side.set(xlabel=f"{'xy'[across]} (m)", ylabel="z (m)", title=("front", "side")[across])
     gather_legend(figure, ncols=3)
     figure.suptitle(f"{', '.join(flights)} flight around the tower, no noise")

@@ -73,6 +73,15 @@ def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
     return _preset(file)[name]
 
 
+def members_file(members: str) -> Path:
+    """The list of a tower's members: by its name, or a file whose name ends in ``.csv``. Raises `SettingsError`."""
+    path = Path(members) if members.endswith(".csv") else PRESETS / f"{members}.csv"
+    if not path.is_file():
+        names = quoted(sorted(known.stem for known in PRESETS.glob("*.csv")))
+        raise SettingsError(f"tower.members = {members!r}: no such list; expected one of {names}, or a file FILE.csv")
+    return path
+
+
 def method_names() -> tuple[str, ...]:
     """The methods that have a preset."""
     return tuple(_preset("methods"))

@@ -22,12 +22,16 @@ Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
 
 
 class TowerSettings(Settings):
-    """A lattice tower of steel angle sections ``(flange, thickness)``. The defaults are the report's: 16 m high.
+    """A lattice tower of steel, from a list of its ``members`` or, without one, tapered as the other numbers say.
 
-    The report gives no base width. Its own crop lets the Hough transform see 1.5 m ahead, and its orbit is 3 to 4 m
-    from the axis, so the body must have been about 2 m from the axis to be seen at all: hence a base of 4 m.
+    ``members`` names a CSV of ``steelnb/presets``, such as ``report-tower``, or a file ``FILE.csv``
+    (`steelnb.simulation.lattice`). ``section``: sections are angles of ``(flange, thickness)`` or round rods as wide as
+    the flange. The ground is a square plate at z = 0, ``floor_half_m`` from its middle to its sides.
     """
 
+    members: str | None = None
+    section: Literal["angle", "round"] = "angle"
+    floor_half_m: Positive = 60.0
     height_m: Positive = 16.0
     base_width_m: Positive = 4.0
     waist_height_m: Positive = 9.0
@@ -40,6 +44,7 @@ class TowerSettings(Settings):
     ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
+    secondary_section_m: tuple[Positive, Positive] = (0.040, 0.004)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -57,8 +62,20 @@ class TowerSettings(Settings):
             raise ValueError("arms must lie between waist_height_m and height_m")
         return self
 
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        shape = [
+            name for name in type(self).model_fields if name.startswith(("height", "base", "waist", "top", "arm_"))
+        ]
+        for name in shape if self.members is not None else ():
+            if name != "arm_section_m" and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)} with members = {self.members!r}: expected one of both"
+                )
+        return self
+
     @classmethod
-    def preset(cls, tower: str = "report") -> "TowerSettings":
+    def preset(cls, tower: str = "tapered") -> "TowerSettings":
         """A tower of ``presets/towers.toml`` by name. Raises `SettingsError`."""
         return cls(**preset_table("towers", "tower", tower))
 

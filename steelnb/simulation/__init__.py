@@ -4,8 +4,9 @@ from steelnb.simulation.cache import fly_and_scan
 from steelnb.simulation.cameras import Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
+from steelnb.simulation.sections import Member
 from steelnb.simulation.tof import CastScans, scan_flight
-from steelnb.simulation.tower import Member, Tower, build_tower, build_tubes, changed_tower
+from steelnb.simulation.tower import Tower, build_tower, build_tubes, changed_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [

@@ -6,7 +6,9 @@ import numpy as np
 
 from steelnb import rng
 from steelnb.cache import kept
+from steelnb.keys import file_digest
 from steelnb.settings import FlightSettings, TofSettings
+from steelnb.settings.presets import members_file
 from steelnb.simulation.flight import Pilot, fly
 from steelnb.simulation.scene import rays
 from steelnb.simulation.tof import scan_flight
@@ -39,6 +41,8 @@ def fly_and_scan(
         return trajectory, readings, scans.stamp_s, np.packbits(seen), seen.shape, scans.range_m[seen], visibility
 
     settings = [each.model_dump(mode="json") for each in (tower.settings, flight, tof)]
+    if tower.settings.members is not None:  # what is in the file may change
+        settings.append({"members": file_digest(members_file(tower.settings.members))})
     more, module = depends_on or (None, __name__)
     key = [settings, seed] if depends_on is None else [settings, seed, more]
     trajectory, readings, stamp_s, seen, shape, finite_m, visibility = kept(

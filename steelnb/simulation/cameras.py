@@ -11,6 +11,7 @@ from steelnb import rng
 from steelnb.images import CameraImages, GreyImage
 from steelnb.settings import CameraSettings
 from steelnb.simulation.scene import Hits, Scene, cast_bundle, make_scene, rays
+from steelnb.simulation.sections import GROUND
 from steelnb.simulation.texture import Floats, Texture, make_texture, shade
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray, Trajectory
@@ -109,7 +110,7 @@ def _edges(range_m: Floats, member: IntArray) -> NDArray[np.bool_]:
     inverse = 1 / range_m  # of no hit: 0
     for this, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         apart = np.abs(inverse[this] - inverse[other]) > EDGE * inverse[this]
-        differs = (member[this] != member[other]) | apart & (member[this] >= 0)
+        differs = (member[this] != member[other]) | apart & (member[this] != GROUND)
         edge[this] |= differs
         edge[other] |= differs
     return edge

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from steelnb.settings import TofFaultSettings, TofSettings
 from steelnb.simulation.scene import Scene, cast_bundle, rays
+from steelnb.simulation.sections import GROUND
 from steelnb.types import Array, IntArray
 
 Floats = NDArray[np.float32]
@@ -83,7 +84,7 @@ def expose(
     hit = cast_bundle(scene, bundle)
     light, detour, detour_light = np.empty_like(hit.range_m), np.zeros_like(hit.range_m), np.zeros_like(hit.range_m)
     _reflect(bundle, hit.range_m, hit.normal, faults.reflectivity, light)
-    near = np.flatnonzero((hit.member >= 0) & (hit.range_m <= settings.range_max_m))
+    near = np.flatnonzero((hit.member != GROUND) & (hit.range_m <= settings.range_max_m))
     if faults.multipath > 0 and len(near):
         # Each of a pixel's nine rays goes on within a ninth of the directions of its own, so that few draws are even.
         stratum = np.column_stack(np.divmod(near // len(plane), 3))
@@ -91,7 +92,7 @@ def expose(
         onward = np.empty((len(near), 6), np.float32)
         _scatter(bundle.reshape(-1, 6), hit.range_m.ravel(), hit.normal.reshape(-1, 3), near, drawn, onward)
         second = cast_bundle(scene, onward)
-        range_2_m = np.where(second.member >= 0, second.range_m, np.float32(np.inf))
+        range_2_m = np.where(second.member != GROUND, second.range_m, np.float32(np.inf))
         share = faults.multipath * faults.reflectivity**2
         _return(bundle.reshape(-1, 6), hit.range_m.ravel(), near, onward, range_2_m, second.normal,
                 share, detour.ravel(), detour_light.ravel())  # fmt: skip

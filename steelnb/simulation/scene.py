@@ -13,7 +13,6 @@ from steelnb.libraries import import_open3d
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
-GROUND_M = 60.0
 STEPS_PER_M = 65536.0
 TOUCH_M = 1e-5
 """Surfaces this near to each other are too near for float32 to tell which a ray hits first."""
@@ -62,7 +61,7 @@ class Scene(NamedTuple):
 def make_scene(tower: Tower) -> Scene:
     """The scene of a tower that stands on z = 0."""
     open3d = import_open3d()
-    ground = GROUND_M * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     vertices = np.concatenate([tower.vertices, ground])
     n = len(tower.vertices)
     triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]])

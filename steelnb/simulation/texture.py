@@ -1,4 +1,4 @@
-"""Grey of the surfaces of a scene: each member of a tower has a texture of its own, the ground another one.
+"""Grey of the surfaces of a scene: each member of a tower has a texture of its own, plates and ground have others.
 
 One tile of periodic noise serves all: a member has a place in it for each of its flanges, and its own brightness. It is
 looked up in a pyramid of halved images, between the two whose texels are the nearest to what a ray sees (Williams,
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from steelnb import rng
 from steelnb.simulation.scene import Hits
+from steelnb.simulation.sections import PLATE
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array
 
@@ -27,8 +28,8 @@ ROUGHNESS_M = (0.012, 0.25)
 """Shortest and longest period of the texture of steel, between which octaves are equally strong."""
 SUN = np.array([0.36, -0.48, 0.8])
 AMBIENT = 0.55
-STEEL, GROUND = (95.0, 140.0), 130.0
-"""Grey levels in the sun: members lie between both."""
+STEEL, GROUND_GREY = (95.0, 140.0), 130.0
+"""Grey levels in the sun: members lie between both, plates in the middle of them."""
 STEEL_CONTRAST, GROUND_CONTRAST = 0.38, 0.15
 
 
@@ -93,10 +94,14 @@ def _shade(pyramid, frame, origin, place, grey, bundle, range_m, member, normal,
         patch_m = range_m[n] * pixel_rad / math.sqrt(max(abs(slope), 0.05))
         m = member[n]
         if m < 0:
-            x = bundle[n, 0] + range_m[n] * bundle[n, 3]
-            y = bundle[n, 1] + range_m[n] * bundle[n, 4]
-            value = _look_up(pyramid, x / GROUND_TEXEL_M, y / GROUND_TEXEL_M, patch_m / GROUND_TEXEL_M)
-            base, contrast = GROUND, GROUND_CONTRAST
+            first, second = _seen_along(normal[n])
+            texel_m = TEXEL_M if m == PLATE else GROUND_TEXEL_M
+            u = (bundle[n, first] + range_m[n] * bundle[n, 3 + first]) / texel_m
+            v = (bundle[n, second] + range_m[n] * bundle[n, 3 + second]) / texel_m
+            value = _look_up(pyramid, u, v, patch_m / texel_m)
+            base, contrast = GROUND_GREY, GROUND_CONTRAST
+            if m == PLATE:
+                base, contrast = 0.5 * (STEEL[0] + STEEL[1]), STEEL_CONTRAST
         else:
             facing, most = 0, 0.0
             for j in range(3):
@@ -112,6 +117,15 @@ def _shade(pyramid, frame, origin, place, grey, bundle, range_m, member, normal,
             value = _look_up(pyramid, u, v, patch_m / TEXEL_M)
             base, contrast = grey[m], STEEL_CONTRAST
         out[n] = base * (AMBIENT + (1 - AMBIENT) * abs(light)) * (1 + contrast * value)
+
+
+@njit(cache=True)
+def _seen_along(normal):
+    """The two axes of the world that the surface with this normal lies along the most."""
+    x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
+    if z >= x and z >= y:
+        return 0, 1
+    return (1, 2) if x >= y else (0, 2)
 
 
 @njit(cache=True)

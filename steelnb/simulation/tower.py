@@ -1,4 +1,4 @@
-"""A parametric lattice tower of steel angle sections: members, joints and surface mesh."""
+"""A lattice tower, from a list of its members or tapered by a few numbers: members, joints and surface mesh."""
 
 import itertools
 from collections.abc import Collection, Mapping
@@ -8,28 +8,15 @@ from types import MappingProxyType
 import numpy as np
 
 from steelnb.settings import TowerSettings
+from steelnb.simulation.lattice import build_lattice, leg_half_width
+from steelnb.simulation.sections import Member, across, mesh_members, unit
 from steelnb.types import Array, IntArray
-
-
-@dataclass(frozen=True)
-class Member:
-    """A straight bar of equal-leg angle section. Its axis is the heel, the outer corner of the angle.
-
-    ``kind`` leg, ring, bracing or arm; ``section_m`` width and thickness of the flanges; ``joints`` on it, from end to
-    end; ``flange_a``, ``flange_b`` unit vectors from the heel along the flanges, world frame.
-    """
-
-    kind: str
-    section_m: tuple[float, float]
-    joints: tuple[int, ...]
-    flange_a: tuple[float, float, float]
-    flange_b: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Tower:
     """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)``,
-    ``triangles (T, 3)``, ``triangle_member (T,)``."""
+    ``triangles (T, 3)``, ``triangle_member (T,)``, which is `PLATE` for a plate."""
 
     joints: Array
     members: tuple[Member, ...]
@@ -45,7 +32,10 @@ class Tower:
 
 
 def half_width(settings: TowerSettings, z: float) -> float:
-    """Distance of the body's faces to the axis at height ``z``, metres: two tapers that meet at the waist."""
+    """Distance of the body's faces to its axis at height ``z``, metres: that of the legs in a list of members, else two
+    tapers that meet at the waist. Raises `SettingsError`."""
+    if settings.members is not None:
+        return leg_half_width(settings.members, z)
     heights = (0.0, settings.waist_height_m, settings.height_m)
     widths = (settings.base_width_m, settings.waist_width_m, settings.top_width_m)
     return float(np.interp(z, heights, widths)) / 2
@@ -76,29 +66,26 @@ class _Builder:
     def add(self, kind: str, points: list[Array], flange_a: Array, flange_b: Array) -> None:
         """Add a bar through ``points``; the flanges are turned across the axis, ``flange_b`` first."""
         joints = tuple(self.joint(point) for point in points)
-        axis = self.joints[joints[-1]] - self.joints[joints[0]]
-        axis /= np.linalg.norm(axis)
-        flange_b = _unit(flange_b - (flange_b @ axis) * axis)
-        flange_a = flange_a - (flange_a @ axis) * axis
-        flange_a = _unit(flange_a - (flange_a @ flange_b) * flange_b)
-        section = getattr(self.settings, f"{kind}_section_m")
-        self.members.append(Member(kind, section, joints, tuple(flange_a.tolist()), tuple(flange_b.tolist())))
+        flanges = across(unit(self.joints[joints[-1]] - self.joints[joints[0]]), flange_a, flange_b)
+        size = getattr(self.settings, f"{kind}_section_m")
+        self.members.append(Member(kind, size, joints, *flanges, self.settings.section))
 
     def in_face(self, kind: str, k: int, points: list[Array]) -> None:
         """Add a bar that lies in face ``k``: one flange in the face, the other pointing inwards."""
         inward = -np.array([*np.add(CORNERS[k], CORNERS[(k + 1) % 4]) / 2.0, 0.0])
-        axis = _unit(points[-1] - points[0])
+        axis = unit(points[-1] - points[0])
         self.add(kind, points, np.cross(axis, inward), inward)
 
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
-    """The tower of the settings (default: the preset ``tapered``): X-bracing up to the waist, K-bracing between the
-    arms, single bracing in their depth.
-
-    World frame, metres: the base stands on z = 0, centred on the z axis; arms reach along ±x. The mesh holds a closed
-    prism of 20 triangles for each member. No randomness.
-    """
+    """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres; arms
+    reach along ±x. The mesh holds a closed prism for each member. No randomness. Raises `SettingsError`."""
     settings = settings or TowerSettings()
+    return _build_tapered(settings) if settings.members is None else Tower(*build_lattice(settings), settings)
+
+
+def _build_tapered(settings: TowerSettings) -> Tower:
+    """X-bracing up to the waist, K-bracing between the arms, single bracing in their depth; centred on the z axis."""
     build = _Builder(settings)
     lower = _panel_levels(settings)
     upper = [settings.waist_height_m]
@@ -124,7 +111,7 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
             _arm(build, z, reach, side)
 
     joints = np.array(build.joints)
-    vertices, triangles, owner = _mesh(joints, build.members)
+    vertices, triangles, owner = mesh_members(joints, build.members)
     return Tower(joints, tuple(build.members), vertices, triangles, owner, settings)
 
 
@@ -183,63 +170,33 @@ def changed_tower(
     middle moves by one and their ends stay (half a sine). Only the mesh changes: the list of members stays."""
     vertices, triangles, owner = [tower.vertices.copy()], [tower.triangles], [tower.triangle_member]
     for m, by in moved.items():
-        vertices[0][12 * m : 12 * m + 12] += by
+        vertices[0][np.unique(tower.triangles[tower.triangle_member == m])] += by
     count, share = len(tower.vertices), np.linspace(0, 1, BEND_PIECES + 1)[:, None, None]
     for m, by in bent.items():
-        lower, upper = tower.vertices[12 * m : 12 * m + 6], tower.vertices[12 * m + 6 : 12 * m + 12]
+        prism = tower.triangles[tower.triangle_member == m]
+        lower, upper = np.split(tower.vertices[prism.min() : prism.max() + 1], 2)
         bow = lower + share * (upper - lower) + np.sin(np.pi * share) * by
         for below, above in itertools.pairwise(bow):
             vertices.append(np.concatenate([below, above]))
-            triangles.append(count + _PRISM)
-            owner.append(np.full(len(_PRISM), m))
-            count += 12
+            triangles.append(count + prism - prism.min())
+            owner.append(np.full(len(prism), m))
+            count += 2 * len(lower)
     whole, of = np.concatenate(triangles), np.concatenate(owner)
     gone = np.isin(of, [*removed]) | (np.isin(of, [*bent]) & (np.arange(len(of)) < len(tower.triangles)))
     return replace(tower, vertices=np.concatenate(vertices), triangles=whole[~gone], triangle_member=of[~gone])
 
 
 BEND_PIECES = 8
-_SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
-_ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
-_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
-"""Triangles of a closed prism over an L-shaped outline of six corners, the lower one first."""
-
-
-def _mesh(joints: Array, members: list[Member]) -> tuple[Array, IntArray, IntArray]:
-    """Closed prisms over the L-shaped outlines of the sections, heel on the axis."""
-    vertices = []
-    for member in members:
-        width, thickness = member.section_m
-        outline = np.array(
-            [(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)]
-        )
-        across = outline @ np.array([member.flange_a, member.flange_b])
-        vertices += [joints[member.joints[0]] + across, joints[member.joints[-1]] + across]
-    number = np.arange(len(members))
-    triangles = (12 * number[:, None, None] + _PRISM).reshape(-1, 3)
-    return np.concatenate(vertices), triangles, np.repeat(number, len(_PRISM))
-
-
-def _unit(vector: Array) -> Array:
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def build_tubes(axes: Array, radius_m: float, sides: int = 48) -> Tower:
     """Round tubes along ``axes (M, 2, 3)``, metres, world frame, as open prisms with so many sides, of the same area as
-    the circle. Their members have the diameter for a width, and flanges that say nothing."""
-    axes, angle = np.asarray(axes, dtype=np.float64), 2 * np.pi * np.arange(sides) / sides
-    reach = radius_m * np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
-    ring, members, vertices = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1), [], []
+    the circle."""
+    axes, members = np.asarray(axes, dtype=np.float64), []
     for k, (start, end) in enumerate(axes):
-        first = _unit(np.cross(end - start, np.eye(3)[np.argmin(np.abs(end - start))]))
-        second = np.cross(_unit(end - start), first)
+        first = unit(np.cross(end - start, np.eye(3)[np.argmin(np.abs(end - start))]))
+        second = np.cross(unit(end - start), first)
         flanges = tuple(first.tolist()), tuple(second.tolist())
-        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *flanges))
-        across = ring @ np.stack([first, second])
-        vertices += [start + across, end + across]
-    low = np.arange(sides)
-    high = (low + 1) % sides
-    wall = np.concatenate([np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)])
-    triangles = (2 * sides * np.arange(len(axes))[:, None, None] + wall).reshape(-1, 3)
-    owner = np.repeat(np.arange(len(axes)), len(wall))
-    return Tower(axes.reshape(-1, 3), tuple(members), np.concatenate(vertices), triangles, owner, TowerSettings())
+        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *flanges, "round"))
+    joints = axes.reshape(-1, 3)
+    return Tower(joints, tuple(members), *mesh_members(joints, members, sides, closed=False), TowerSettings())

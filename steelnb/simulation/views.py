@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation.exposure import MOMENTS
 from steelnb.simulation.paths import heading, minimum_jerk, waypoints
+from steelnb.simulation.sections import GROUND
 from steelnb.simulation.tof import TofCamera, measured_ranges
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
@@ -16,7 +17,7 @@ from steelnb.types import Array, IntArray
 @dataclass(frozen=True)
 class View:
     """Returns of one scan in the world frame: ``points (N, 3)`` as measured, ``surface (N, 3)`` where they truly lie,
-    and the ``member (N,)`` each belongs to. ``across (3,)`` is the direction to the right, level."""
+    and the ``member (N,)`` each belongs to, or `PLATE`. ``across (3,)`` is the direction to the right, level."""
 
     points: Array
     surface: Array
@@ -41,7 +42,7 @@ class Viewer:
         along = self._camera.ray[returned] @ rotation.T
         points = measured[returned][:, None].astype(np.float64) * along + position
         surface = seen.exact_m[returned][:, None].astype(np.float64) * along + position
-        kept = (member >= 0) & (points[:, 2] >= floor_m)
+        kept = (member != GROUND) & (points[:, 2] >= floor_m)
         level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
         return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
 

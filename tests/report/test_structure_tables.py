@@ -159,7 +159,7 @@ def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
     assert json.loads((tmp_path / "all" / "provenance.json").read_text())["parts"]["a"]["tower"] == "a"
 
 
-def test_other_towers_differ_from_the_one_of_the_report_and_unknown_names_are_refused(source):
+def test_other_towers_differ_from_the_tapered_one_and_unknown_names_are_refused(source):
     towers = [TowerSettings.preset(name) for name in ("tapered", "heavy", "light")]
     sections = [{tower.leg_section_m, tower.bracing_section_m} for tower in towers]
     assert len(set.union(*sections)) == 6

@@ -41,7 +41,9 @@ def walls(*corners):
         triangles += [(n, n + 1, n + 2), (n, n + 2, n + 3)]
     member = np.repeat(np.arange(len(corners)), 2)
     return make_scene(
-        SimpleNamespace(vertices=np.array(vertices), triangles=np.array(triangles), triangle_member=member)
+        SimpleNamespace(
+            vertices=np.array(vertices), triangles=np.array(triangles), triangle_member=member, settings=TOWER.settings
+        )
     )
 
 
@@ -194,6 +196,7 @@ def test_scans_of_a_flight_are_exposed_about_their_stamps():
         triangles=np.array([(0, 1, 2), (0, 2, 3)]),
         triangle_member=np.zeros(2, int),
         axes=np.array([[(4.0, 0, 0), (4.0, 0, 10)]]),
+        settings=TOWER.settings,
     )
     blurred, sharp = (
         scan_flight(tower, trajectory, np.eye(4), SMALL.replace(faults=each), 1)[0] for each in (faults, None)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import CastScans, build_tower, fly, scan_flight
-from steelnb.simulation.scene import GROUND_M, _distance, _measure, cast_rays, make_scene, rays
+from steelnb.simulation.scene import _distance, _measure, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
@@ -120,7 +120,7 @@ def test_ranges_to_the_ground_are_those_of_the_plane(height, yaw, pitch, roll):
     world = ray @ T[:3, :3].T
     with np.errstate(divide="ignore"):
         at = -height / world[..., 2:] * world + T[:3, 3]
-    ground = (world[..., 2] < -1e-3) & (np.abs(at[..., :2]).max(axis=-1) < GROUND_M - 0.1)
+    ground = (world[..., 2] < -1e-3) & (np.abs(at[..., :2]).max(axis=-1) < TOWER.settings.floor_half_m - 0.1)
     tower = member[0] >= 0
     assert ground.any()
     np.testing.assert_allclose(exact[0][ground & ~tower], (-height / world[..., 2])[ground & ~tower], rtol=1e-4)

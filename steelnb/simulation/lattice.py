@@ -1,0 +1,184 @@
+"""A tower from a list of its members and plates, in a CSV file.
+
+Columns ``kind, x0, y0, z0, x1, y1, z1, x2, y2, z2``, metres, world frame, z up; lines that begin with # are comments.
+Members (`KINDS`) have two ends, and the last three columns are empty. A ``plate`` is a parallelogram given by a corner
+and the two beside it, a ``triangle`` a plate with these three corners.
+"""
+
+import csv
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from steelnb.errors import SettingsError
+from steelnb.files import reading
+from steelnb.settings import TowerSettings
+from steelnb.settings.base import quoted
+from steelnb.settings.presets import members_file
+from steelnb.simulation.sections import PLATE, Member, across, mesh_members, unit
+from steelnb.types import Array, IntArray
+
+COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
+KINDS = ("leg", "ring", "bracing", "arm", "secondary")
+"""Each has a setting for its section. Secondary: redundants, webs of the arms, railings."""
+PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
+"""Triangles of a plate, whose fourth corner lies opposite the first."""
+JOINT_M = 0.02
+"""Members that come as close as this meet in a joint."""
+UPRIGHT, ALONG = 0.3, 0.5
+"""Horizontal part of the direction of an upright member; slope, seen from above, of one in a face."""
+
+
+class MemberList(NamedTuple):
+    """``kinds`` and ``ends (M, 2, 3)`` of the members; ``plates (P, 3, 3)``, triangles."""
+
+    kinds: list[str]
+    ends: Array
+    plates: Array
+
+
+class Lattice(NamedTuple):
+    """Joints, members and mesh as those of a `Tower`."""
+
+    joints: Array
+    members: tuple[Member, ...]
+    vertices: Array
+    triangles: IntArray
+    triangle_member: IntArray
+
+
+def build_lattice(settings: TowerSettings) -> Lattice:
+    """The members and plates of ``settings.members``; plates have no thickness and are nobody's (`PLATE`).
+
+    Joints are the ends of members and the points where they meet. Raises `SettingsError`.
+    """
+    listed = read_members(settings.members or "")
+    joints, along = find_joints(listed.ends)
+    middle = (listed.ends.min(axis=(0, 1)) + listed.ends.max(axis=(0, 1))) / 2
+    members = []
+    for kind, ends, on in zip(listed.kinds, listed.ends, along, strict=True):
+        size: tuple[float, float] = getattr(settings, f"{kind}_section_m")
+        if settings.section == "round":
+            size = size[0], size[0] / 2
+        members.append(Member(kind, size, on, *_flanges(ends - middle), settings.section))
+    vertices, triangles, owner = mesh_members(joints, members)
+    plates = len(vertices) + np.arange(3 * len(listed.plates)).reshape(-1, 3)
+    vertices = np.concatenate([vertices, listed.plates.reshape(-1, 3)])
+    owner = np.concatenate([owner, np.full(len(plates), PLATE)])
+    return Lattice(joints, tuple(members), vertices, np.concatenate([triangles, plates]), owner)
+
+
+def leg_half_width(members: str, z: float) -> float:
+    """Half the distance between the outermost legs along x at height ``z``, metres. Raises `SettingsError`."""
+    listed = read_members(members)
+    legs = listed.ends[np.array(listed.kinds) == "leg"]
+    legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
+    if not len(legs):
+        raise SettingsError(f"tower.members = {members!r}: without a leg; expected one for the width of the body")
+    z = float(np.clip(z, legs[..., 2].min(), legs[..., 2].max()))
+    x = [np.interp(z, *leg[:, [2, 0]].T) for leg in legs if leg[0, 2] <= z <= leg[1, 2]]
+    return float(max(x) - min(x)) / 2
+
+
+def read_members(members: str) -> MemberList:
+    """The list of members of a preset, or of a file ``FILE.csv``. Raises `SettingsError`."""
+    path = members_file(members)
+    with reading(path, "a list of members", content=SettingsError), path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
+        rows = [(k, row) for k, row in enumerate(reader, 1) if row]
+        if not rows or rows[0][1] != COLUMNS:
+            raise SettingsError(
+                f"{path}: columns {','.join(rows[0][1]) if rows else ''!r}: expected {','.join(COLUMNS)}"
+            )
+        points = [(row[0], _points(path, line, row)) for line, row in rows[1:]]
+    kinds = [kind for kind, _ in points if kind in KINDS]
+    if not kinds:
+        raise SettingsError(f"{path}: no member; expected one of {quoted(KINDS)}")
+    corners = [(kind, [*found, found[1] + found[2] - found[0]]) for kind, found in points if kind in PLATES]
+    plates = [[at[i] for i in triangle] for kind, at in corners for triangle in PLATES[kind]]
+    return MemberList(
+        kinds, np.array([found for kind, found in points if kind in KINDS]), np.array(plates).reshape(-1, 3, 3)
+    )
+
+
+def _points(path: Path, line: int, row: list[str]) -> Array:
+    """The ends of a member ``(2, 3)``, or the corners of a plate ``(3, 3)``."""
+    count = 6 if row[0] in KINDS else 9 if row[0] in PLATES else 0
+    if not count:
+        raise SettingsError(f"{path}: line {line}: kind {row[0]!r}: expected one of {quoted((*KINDS, *PLATES))}")
+    try:
+        number = [float(text) for text in row[1 : 1 + count]]
+    except ValueError:
+        number = []
+    if len(number) < count or not all(map(math.isfinite, number)) or any(row[1 + count :]):
+        raise SettingsError(f"{path}: line {line}: {','.join(row)}: expected {count} finite numbers after {row[0]!r}")
+    points = np.array(number).reshape(-1, 3)
+    if np.linalg.norm(points[1:] - points[0], axis=1).min() <= JOINT_M:
+        raise SettingsError(f"{path}: line {line}: {','.join(row)}: expected points more than {JOINT_M} m apart")
+    return points
+
+
+def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
+    """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member its own from end to end.
+
+    A joint takes the place of an end in it, of the first in the list, or lies midway between members that cross.
+    """
+    count = len(ends)
+    points, owners = [ends.reshape(-1, 3)], [np.repeat(np.arange(count), 2)]
+    for i in range(count - 1):
+        on_i, on_others = _nearest(ends[i], ends[i + 1 :])
+        close = np.flatnonzero(np.linalg.norm(on_i - on_others, axis=1) <= JOINT_M)
+        meeting = (on_i[close] + on_others[close]) / 2
+        points += [meeting, meeting]
+        owners += [np.full(len(close), i), i + 1 + close]
+    point, owner = np.concatenate(points), np.concatenate(owners)
+    pairs = cKDTree(point).query_pairs(JOINT_M, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(point), len(point)))
+    _, label = connected_components(links, directed=False)
+    _, first, label = np.unique(label, return_index=True, return_inverse=True)
+    along = []
+    for m, (start, end) in enumerate(ends):
+        own = np.unique(label[owner == m])
+        inner = own[~np.isin(own, label[2 * m : 2 * m + 2])]
+        inner = inner[np.argsort((point[first[inner]] - start) @ (end - start))]
+        along.append((int(label[2 * m]), *inner.tolist(), int(label[2 * m + 1])))
+    return point[first], along
+
+
+def _nearest(segment: Array, others: Array) -> tuple[Array, Array]:
+    """The nearest points ``(N, 3)`` of a ``segment (2, 3)`` and of each of the ``others (N, 2, 3)``, on both.
+
+    Ericson, "Real-Time Collision Detection", 2005, section 5.1.9.
+    """
+    d, e, r = segment[1] - segment[0], others[:, 1] - others[:, 0], segment[0] - others[:, 0]
+    dd, ee, de, dr, er = d @ d, (e * e).sum(axis=1), e @ d, r @ d, (e * r).sum(axis=1)
+    sine = dd * ee - de**2
+    s = np.where(sine > 1e-9 * dd * ee, np.clip((de * er - dr * ee) / np.maximum(sine, 1e-300), 0, 1), 0.0)
+    t = np.clip((de * s + er) / ee, 0, 1)
+    s = np.clip((de * t - dr) / dd, 0, 1)
+    return segment[0] + s[:, None] * d, others[:, 0] + t[:, None] * e
+
+
+def _flanges(ends: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Directions of the flanges of a member with ``ends (2, 3)`` seen from the middle of the tower.
+
+    Those of an upright member point inwards along x and y. One in a face has a flange in it, which points downwards or,
+    if upright, sideways, and one inwards; one inside the body has its second flange below.
+    """
+    axis, out, down = unit(ends[1] - ends[0]), ends.mean(axis=0), np.array([0.0, 0.0, -1.0])
+    run, inward = np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
+    face = int(np.argmin(run))
+    if np.hypot(*run) < UPRIGHT:
+        first, second = inward[0], inward[1]
+    elif run[face] <= ALONG * run[1 - face] and abs(out[face]) > JOINT_M:
+        second = inward[face]
+        first = np.cross(axis, second)
+        first = first if first[2] < 0 else -first
+    else:
+        first, second = np.cross(axis, down), down
+    return across(axis, first, second)  # type: ignore[return-value]

@@ -1,0 +1,325 @@
+"""The report's tower against its published geometry, and towers from other lists of members."""
+
+import itertools
+import math
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from steelnb.errors import SettingsError
+from steelnb.metrics.members import seen_members
+from steelnb.settings import CameraSettings, TofFaultSettings, TofSettings, TowerSettings
+from steelnb.simulation import Camera, build_tower, changed_tower, scan_flight
+from steelnb.simulation.flight import HALF_BOX_M
+from steelnb.simulation.lattice import COLUMNS, find_joints
+from steelnb.simulation.scene import cast_bundle, make_scene
+from steelnb.simulation.sections import GROUND, PLATE
+from steelnb.simulation.tower import half_width
+from steelnb.types import Trajectory
+
+CENTRE = np.array([0.07, 0.04, 0.0])
+HALF_WIDTH_M = {0.0: 1.76, 2.85: 1.40, 5.92: 0.99, 7.93: 0.71, 8.83: 0.60, 12.0: 0.60, 15.9: 0.60}
+BRACE_ENDS_M = (0.0, 4.95, 7.0, 8.83, 10.25, 11.67, 13.05, 14.45, 15.92)
+CROSSINGS_M = (2.85, 5.92, 7.93, 9.55, 10.95, 12.4, 13.75, 15.17)
+ARMS_M = {9.55: (8.83, 2.55), 11.67: (10.95, 3.05), 13.75: (13.05, 3.7)}  # top chord: lower chord at the body, tip
+CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+FACES = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+HEADER = ",".join(COLUMNS)
+NEAR_M = 0.025
+"""The published numbers are rounded to a centimetre and were read off segments; those of one node differ by 3 cm."""
+
+
+@pytest.fixture(scope="module")
+def tower():
+    return build_tower(TowerSettings.preset("report"))
+
+
+@pytest.fixture(scope="module")
+def scene(tower):
+    return make_scene(tower)
+
+
+def width_at(z):
+    return np.interp(z, list(HALF_WIDTH_M), list(HALF_WIDTH_M.values()))
+
+
+def joint_at(tower, x, y, z, near=NEAR_M):
+    """The joint at a place relative to the middle of the tower."""
+    distance = np.linalg.norm(tower.joints - CENTRE - [x, y, z], axis=1)
+    assert distance.min() <= near, (x, y, z, distance.min())
+    return int(distance.argmin())
+
+
+def through(tower, joint, kind):
+    """The members of a kind on a joint, as the end points of their axes."""
+    return [axis for axis, member in zip(tower.axes, tower.members, strict=True)
+            if joint in member.joints and member.kind == kind]  # fmt: skip
+
+
+def is_member(tower, start, end, kind, near=NEAR_M):
+    axes = tower.axes[[member.kind == kind for member in tower.members]] - CENTRE
+    both = np.stack([axes, axes[:, ::-1]])
+    return (np.linalg.norm(both - [start, end], axis=3).max(axis=2) <= near).any()
+
+
+def hit(scene, position, direction):
+    """What a ray from a place relative to the middle of the tower hits: its range, and the member."""
+    ray = np.concatenate([CENTRE + position, direction]).astype(np.float32)
+    found = cast_bundle(scene, ray[None])
+    return float(found.range_m[0]), int(found.member[0])
+
+
+def test_the_legs_have_the_published_widths(tower):
+    legs = tower.axes[[member.kind == "leg" for member in tower.members]] - CENTRE
+    legs = np.array([sorted(leg.tolist(), key=lambda end: end[2]) for leg in legs])
+    assert legs[..., 2].max() == pytest.approx(16.0)
+    for z, half in HALF_WIDTH_M.items():
+        at = [start + (z - start[2]) / (end[2] - start[2]) * (end - start)
+              for start, end in legs if start[2] <= z < end[2]]  # fmt: skip
+        assert {tuple(np.sign(place[:2])) for place in at} == {tuple(corner) for corner in CORNERS}
+        np.testing.assert_allclose(np.abs(np.array(at)[:, :2]), half, atol=0.0125)
+        assert half_width(tower.settings, z) == pytest.approx(half, abs=0.0125)
+
+
+def test_braces_end_on_the_legs_and_cross_at_a_strut_on_all_faces(tower):
+    for z in BRACE_ENDS_M:
+        for corner in CORNERS * width_at(z):
+            joint = joint_at(tower, *corner, z)
+            assert through(tower, joint, "leg")
+            assert len(through(tower, joint, "bracing")) >= 2  # of the faces on both sides
+    for z, face in itertools.product(CROSSINGS_M, FACES):
+        joint = joint_at(tower, *face * width_at(z), z, near=0.05 if z == 12.4 else NEAR_M)
+        height = tower.joints[joint, 2]
+        ends = [end for axis in through(tower, joint, "bracing") for end in axis if abs(end[2] - height) > 0.05]
+        side = np.array(ends) - tower.joints[joint]
+        along = side[:, :2] @ face[::-1]
+        quarters = {(int(np.sign(a)), int(np.sign(b))) for a, b in zip(along, side[:, 2], strict=True) if abs(a) > 0.3}
+        assert quarters == {(1, 1), (1, -1), (-1, 1), (-1, -1)}, (z, face)
+        struts = [axis for axis in through(tower, joint, "ring") if abs((axis[1] - axis[0])[:2] @ face) < NEAR_M]
+        assert [np.linalg.norm(b - a) for a, b in struts] == [pytest.approx(2 * width_at(z), abs=0.03)]
+
+
+def test_rings_diaphragms_and_struts_through_the_axis_lie_at_their_levels(tower):
+    corner = [(*c, 0) for c in CORNERS]
+    for z in (8.83, 15.92):
+        places = np.array(corner) * width_at(z) + [0, 0, z]
+        assert all(is_member(tower, places[k], places[(k + 1) % 4], "ring") for k in range(4))
+    for z in (2.85, 5.92):
+        places = np.array(corner) * width_at(z) + [0, 0, z]
+        assert all(is_member(tower, places[k], places[k + 2], "ring") for k in range(2))
+    for z in (2.87, 5.92, 7.93):
+        for face in FACES[:2]:
+            end = np.append(face * width_at(z), z)
+            assert is_member(tower, end, end * [-1, -1, 1], "ring")
+
+
+def test_hip_diagonals_run_from_the_feet_through_the_axis(tower):
+    for low, middle, high in ((0.0, 2.88, 4.95), (4.95, 5.93, 7.0)):
+        for corner in CORNERS:
+            foot, opposite = np.append(corner * width_at(low), low), np.append(-corner * width_at(high), high)
+            assert is_member(tower, foot, (0, 0, middle), "bracing")
+            assert is_member(tower, (0, 0, middle), opposite, "bracing")
+
+
+def test_arms_reach_from_the_corners_to_their_tips(tower):
+    for top, (low, tip) in ARMS_M.items():
+        for side, y in itertools.product((-1, 1), (-1, 1)):
+            for z in (top, low):
+                assert is_member(tower, (side * 0.6, y * 0.6, z), (side * tip, 0, top), "arm")
+    arms = np.abs(tower.axes[[member.kind == "arm" for member in tower.members]][..., 0] - CENTRE[0])
+    assert arms.max() == pytest.approx(3.7)
+
+
+def test_decks_fill_the_top_planes_of_the_arms_and_railings_stand_above_them(tower, scene):
+    secondary = tower.axes[[member.kind == "secondary" for member in tower.members]] - CENTRE
+    for z, (_, tip) in ARMS_M.items():
+        for x, share in itertools.product((-0.8, -0.3, 0.3, 0.8), (-0.45, 0.0, 0.45)):
+            reach = x * tip
+            y = share * (0.6 if abs(reach) < 0.6 else 0.6 * (tip - abs(reach)) / (tip - 0.6))
+            down, member = hit(scene, (reach, y, z + 0.05), (0, 0, -1))
+            assert (down, member) == (pytest.approx(0.05, abs=0.02), PLATE), (reach, y, z)
+        # Outside the triangle there is none.
+        assert hit(scene, (0.8 * tip, 0.5, z + 0.05), (0, 0, -1))[0] > 1.0
+        rails = secondary[np.abs(secondary[..., 2] - z - 0.25).max(axis=1) < 0.02]
+        assert {tuple(np.sign(rail.mean(axis=0)[:2])) for rail in rails} == {tuple(corner) for corner in CORNERS}
+
+
+def test_the_platform_at_the_top_widens_along_the_arms(tower, scene):
+    edge = tower.vertices[tower.vertices[:, 2] > 14.5] - CENTRE
+    assert np.abs(edge[:, 0]).max() == pytest.approx(1.1, abs=0.1)
+    assert np.abs(edge[:, 1]).max() < 0.65
+    struts = tower.axes[[member.kind == "arm" for member in tower.members]] - CENTRE
+    struts = struts[struts[..., 2].min(axis=1) > 14.5]
+    assert struts[..., 2].min() == pytest.approx(15.2, abs=0.03)
+    assert struts[..., 2].max() == pytest.approx(15.95, abs=0.05)
+    assert hit(scene, (0.3, 0.2, 16.5), (0, 0, -1)) == (pytest.approx(0.57, abs=0.03), PLATE)
+
+
+def test_gussets_lie_in_the_faces_at_joints(tower):
+    corner = tower.vertices[tower.triangles[tower.triangle_member == PLATE]] - CENTRE
+    gussets = corner[np.ptp(corner[..., 2], axis=1) > 0.05]  # decks are level
+    assert len(gussets) == 2 * (8 * 4 + 7 * 8)  # two triangles each: crossings of four faces, nodes of four legs
+    assert np.abs(np.abs(gussets[..., :2]).max(axis=2) - width_at(gussets[..., 2])).max() < 0.025
+    edges = np.sort(np.linalg.norm(gussets - np.roll(gussets, 1, axis=1), axis=2), axis=1)[:, :2]
+    assert edges.min() == pytest.approx(0.2)
+    assert edges.max() == pytest.approx(0.4, abs=0.01)  # along the leaning leg
+    gap = np.linalg.norm(tower.joints - CENTRE - gussets.reshape(-1, 1, 3), axis=2).reshape(len(gussets), 3, -1)
+    assert gap.min(axis=(1, 2)).max() < 0.3  # half a diagonal
+
+
+def test_the_floor_is_a_plate_of_six_metres_and_nothing_lies_beyond(scene):
+    for x, y in ((2.9, 2.9), (-2.9, 2.9), (2.9, -2.9), (0.3, 0.5)):
+        assert hit(scene, (x - CENTRE[0], y - CENTRE[1], 0.5), (0, 0, -1)) == (pytest.approx(0.5), GROUND)
+    for x, y in ((4, 4), (3.1, 0), (0, -3.1)):
+        assert hit(scene, (x, y, 0.5), (0, 0, -1)) == (math.inf, GROUND)
+
+
+def test_the_way_of_the_published_flights_is_free(scene):
+    """Corners of both flights, x, y, z; above the ground, from which they start."""
+    corners = [(0.5, 2.5, 0.3), (0.5, 2.5, 4.0), (0.5, 2.0, 6.0)]
+    corners += [(x, 1.5, z) for z in (9.0, 12.0, 15.0) for x in (0.5, 1.0, -1.5, -0.5, 0.5)]
+    corners += [(-0.5, 1.5, 15.0), (-0.5, 1.5, 9.0), (-0.5, 2.0, 6.0), (-0.5, 2.5, 0.3)]
+    around = [(x, y, z) for z in (0.6, 2.0, 4.0, 6.0, 8.0) for x, y in (*CORNERS * 2.5, CORNERS[0] * 2.5)]
+    for way in (np.array(corners), np.array(corners) * [1, -1, 1], np.array(around)):
+        points = np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(way)]).astype(np.float32)
+        distance = scene.mesh.compute_distance(points).numpy()
+        assert distance.min() > math.hypot(*HALF_BOX_M), points[distance.argmin()]
+
+
+def test_members_are_straight_share_joints_and_hang_together(tower):
+    for member in tower.members:
+        points = tower.joints[list(member.joints)]
+        axis = points[-1] - points[0]
+        along = (points - points[0]) @ axis / (axis @ axis)
+        assert (np.diff(along) > 0).all()
+        np.testing.assert_allclose(points[0] + along[:, None] * axis, points, atol=1e-3)
+    graph = nx.Graph(edge for member in tower.members for edge in itertools.pairwise(member.joints))
+    assert nx.is_connected(graph)
+    assert len(graph) == len(tower.joints)
+    loose = [tower.joints[joint] for joint, degree in graph.degree if degree < 2]
+    assert [end[2] for end in loose] == [16.0] * 4  # the legs above the platform
+
+
+def test_angles_have_their_heel_on_the_axis_and_open_inwards(tower):
+    for m, member in enumerate(tower.members):
+        corners = tower.vertices[tower.triangles[tower.triangle_member == m].ravel()]
+        start, end = tower.axes[m]
+        assert np.linalg.norm(corners - start, axis=1).min() < 1e-9
+        assert np.linalg.norm(corners - end, axis=1).min() < 1e-9
+        axis = (end - start) / np.linalg.norm(end - start)
+        away = np.linalg.norm(np.cross(corners - start, axis), axis=1)
+        assert away.max() == pytest.approx(math.hypot(member.section_m[0], member.section_m[1]))
+        out = (tower.axes[m].mean(axis=0) - CENTRE) * [1, 1, 0]
+        if member.kind == "leg":
+            assert np.array(member.flange_a) @ out < 0
+            assert np.array(member.flange_b) @ out < 0
+        face = FACES[np.argmax(FACES @ out[:2])]
+        if (
+            member.kind != "leg"
+            and np.abs(tower.axes[m] @ [*face, 0] - CENTRE[:2] @ face - width_at(tower.axes[m][:, 2])).max() < 0.02
+        ):
+            assert np.array(member.flange_b)[:2] @ face < -0.9
+            assert abs(np.array(member.flange_a)[:2] @ face) < 0.2
+
+
+def test_round_members_have_the_radius_and_the_area_of_the_circle(tower):
+    rods = build_tower(tower.settings.replace(section="round"))
+    np.testing.assert_array_equal(rods.joints, tower.joints)
+    corner = rods.vertices[rods.triangles]
+    volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
+    for m, member in enumerate(rods.members):
+        start, end = rods.axes[m]
+        length, mine = np.linalg.norm(end - start), rods.triangle_member == m
+        radius = tower.members[m].section_m[0] / 2
+        away = np.linalg.norm(np.cross(corner[mine] - start, (end - start) / length), axis=2)
+        np.testing.assert_allclose(away[away > 1e-9], radius, rtol=0.015)
+        assert volume[mine].sum() == pytest.approx(math.pi * radius**2 * length)  # closed, and outward
+        assert member.section_m == (2 * radius, radius)
+
+
+def test_the_tapered_tower_can_have_round_members_too():
+    angles, rods = build_tower(), build_tower(TowerSettings(section="round"))
+    np.testing.assert_array_equal(rods.axes, angles.axes)
+    start, end = rods.axes[0]
+    corner = rods.vertices[rods.triangles[rods.triangle_member == 0]]
+    away = np.linalg.norm(np.cross(corner - start, (end - start) / np.linalg.norm(end - start)), axis=2)
+    np.testing.assert_allclose(away, rods.members[0].section_m[0] / 2, rtol=0.015)
+    now = changed_tower(rods, moved={1: np.array([0.05, 0, 0])}, bent={2: np.array([0, 0, 0.03])})
+    for m, by in ((0, 0.0), (1, 0.05), (3, 0.0)):
+        before, after = (each.vertices[each.triangles[each.triangle_member == m]] for each in (rods, now))
+        np.testing.assert_allclose(after - before, np.full(before.shape, [by, 0, 0]), atol=1e-12)
+    low, high = (each.vertices[each.triangles[each.triangle_member == 2]][..., 2].mean() for each in (rods, now))
+    assert 0.01 < high - low < 0.03
+
+
+def listed(tmp_path, *rows):
+    path = tmp_path / "mine.csv"
+    path.write_text("\n".join(["# mine", HEADER, *rows]) + "\n")
+    return TowerSettings(members=str(path))
+
+
+def test_joints_lie_where_members_end_and_cross_but_not_where_they_pass():
+    ends = np.array([
+        [(0, 0, 0), (0, 0, 2)], [(-1, 0.01, 1), (1, 0.01, 1)],  # cross, 1 cm apart
+        [(0, 0, 2), (2, 0, 2)], [(1, 0, 1.995), (1, 0, 0)],  # share an end; ends on another
+        [(-1, 0.05, 0.5), (1, 0.05, 0.5)],  # passes at 5 cm
+    ], dtype=float)  # fmt: skip
+    joints, along = find_joints(ends)
+    assert [len(on) for on in along] == [3, 3, 3, 3, 2]
+    np.testing.assert_allclose(joints[along[0][1]], (0, 0.005, 1))
+    assert along[0][-1] == along[2][0]
+    np.testing.assert_allclose(joints[along[2][1]], (1, 0, 1.995))
+    assert len(joints) == 10
+
+
+def test_plates_of_a_list_are_seen_and_are_no_bars(tmp_path):
+    """A wall of 2 × 2 m before one leg: returns, light between surfaces and grey levels, but of no member."""
+    settings = listed(tmp_path, "leg,2,0,0,2,0,3,,,", "plate,1.5,-1,0,1.5,1,0,1.5,-1,2", "triangle,3,0,0,3,1,0,3,0,2")
+    tower = build_tower(settings)
+    assert (tower.triangle_member == PLATE).sum() == 3
+    assert half_width(settings, 1.0) == 0.0
+    T = np.eye(4)
+    T[2, 3] = 1.0
+    flight = Trajectory(np.arange(51) / 125, np.tile(T, (51, 1, 1)))
+    tof = TofSettings(columns=24, rows=24, fov_horizontal_rad=1.0, fov_vertical_rad=1.0, sigma_floor_m=0.0)
+    plain, visibility = scan_flight(tower, flight, np.eye(4), tof, 1)
+    points = plain[0].points.reshape(-1, 3)
+    np.testing.assert_allclose(points[:, 0], 1.5, rtol=1e-5)
+    assert visibility.returns.sum() == 0
+    faulty = tof.replace(faults=TofFaultSettings(multipath=1.0))
+    np.testing.assert_allclose(scan_flight(tower, flight, np.eye(4), faulty, 1)[0].range_m, plain.range_m, rtol=0.05)
+    member = np.full(len(points), PLATE)
+    assert not seen_members(tower.axes, points, member).visibility.returns.any()
+    camera = CameraSettings.preset("forward").replace(columns=80, rows=80, fov_horizontal_rad=0.8)
+    rendered = Camera(tower, camera).render(np.tile(T, (camera.samples, 1, 1)))
+    assert (rendered.member == PLATE).all()
+    assert min(rendered.grey.std(axis=0).min(), rendered.grey.std(axis=1).min()) > 1.0  # no stripes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "kind,x,y\nleg,0,0\n", HEADER + "\n", f"{HEADER}\nleg,0,0,0,0,0,x,,,\n", f"{HEADER}\nleg,0,0,0,0,0\n",
+        f"{HEADER}\nleg,0,0,0,0,0,nan,,,\n", f"{HEADER}\nmast,0,0,0,0,0,1,,,\n", f"{HEADER}\nleg,0,0,0,0,0,0,,,\n",
+        f"{HEADER}\nleg,0,0,0,0,0,1,2,,\n", f"{HEADER}\nplate,0,0,0,0,0,1,,,\n",
+        f"{HEADER}\nleg,0,0,0,0,0,1\xff".encode("latin-1"),
+    ],
+)  # fmt: skip
+def test_a_list_that_cannot_be_read_is_refused_in_one_line(tmp_path, text):
+    path = tmp_path / "mine.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(SettingsError) as refused:
+        build_tower(TowerSettings(members=str(path)))
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_list_that_is_not_there_and_numbers_beside_a_list_are_refused(tmp_path):
+    for members in ("eiffel", str(tmp_path / "none.csv")):
+        with pytest.raises(SettingsError, match="report-tower"):
+            build_tower(TowerSettings(members=members))
+    with pytest.raises(SettingsError, match=r"height_m = 20\.0"):
+        TowerSettings.preset("report").replace(height_m=20.0)
+    with pytest.raises(SettingsError, match="mine"):
+        half_width(listed(tmp_path, "arm,0,0,0,0,0,1,,,"), 1.0)
