@@ -21,6 +21,7 @@ from steelnb.settings.presets import PRESETS
 BOTH = ("combined", "combined-camera", "faces", "smoothed", "calibrated")
 """Methods by clouds and segments."""
 PEERS = ("kiss-icp", "small-gicp")
+REPORT_CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
 
 
 @pytest.mark.parametrize(
@@ -141,7 +142,10 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, "orb", "orb-monocular", "deepvo", *PEERS))
+    alone = ("orb", "orb-monocular", "deepvo", *PEERS, *REPORT_CLOUDS, "report-segments")
+    assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, *alone))
+    assert (settings.report_clouds is None) == (method not in REPORT_CLOUDS)
+    assert (settings.report_segments is None) == (method != "report-segments")
     assert (settings.weights is None) == (method != "deepvo")
     assert (settings.library is None) == (method not in PEERS)
     assert (settings.orb is None) == (method not in ("orb", "orb-monocular", "combined-camera"))
@@ -161,10 +165,10 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_115_settings():
+def test_there_are_at_most_123_settings():
     """81, nine faults of a Time-of-Flight camera, six of an IMU, the spectrum of the gusts, the prior's tilt, the
     sigma filter, how well five errors of a sensor are known, eight of a camera, where image features have
-    depth from, a file of weights, and a library."""
+    depth from, a file of weights, a library, and eight of the report's programs."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
         name
@@ -172,7 +176,7 @@ def test_there_are_at_most_115_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 115
+    assert len(leaves) <= 123
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:
