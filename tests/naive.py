@@ -1,6 +1,7 @@
 """Slow twins of the fast code: short, obviously right, and used by nothing but the tests."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from steelnb.hough import directions
 
@@ -169,6 +170,12 @@ def registration_terms(error, source, C_source, target, normal, C_target, match,
             root = np.eye(3)
         terms.append((e, root, q))
     return terms
+
+
+def gicp_cost(x, source, target, metric):
+    """`bfgs.mean_cost` in double precision: ``x`` is a translation, then roll, pitch and yaw."""
+    apart = source.astype(float) @ Rotation.from_euler("xyz", x[3:]).as_matrix().T + x[:3] - target
+    return np.mean([e @ M @ e for e, M in zip(apart, full(metric), strict=True)])
 
 
 def mixed(range_m, light, detour, detour_light, ambiguity_m=7.5):

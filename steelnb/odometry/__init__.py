@@ -12,6 +12,8 @@ from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.loam import LoamOdometry
 from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.peers import PeerOdometry
+from steelnb.odometry.report_clouds import ReportCloudOdometry
+from steelnb.odometry.report_segments import ReportSegmentOdometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry, shared_segments
 from steelnb.settings import OdometrySettings
@@ -32,6 +34,10 @@ def make_odometry(
         return PeerOdometry(settings, T_drone_sensor)
     if settings.weights is not None:
         return DeepVoOdometry(settings, T_drone_sensor)
+    if settings.report_clouds is not None:
+        return ReportCloudOdometry(settings, T_drone_sensor)
+    if settings.report_segments is not None:
+        return ReportSegmentOdometry(settings, T_drone_sensor)
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
     if settings.clouds.by_features:
@@ -43,6 +49,6 @@ def make_odometry(
 
 __all__ = [
     "CameraOdometry", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry",
-    "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry", "SegmentOdometry", "make_odometry", "run", "run_kept",
-    "shared_segments",
+    "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry",
+    "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -8,6 +8,8 @@ from steelnb.cache import kept
 from steelnb.odometry.base import Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces import FaceOdometry
+from steelnb.odometry.report_clouds import ReportCloudOdometry
+from steelnb.odometry.report_segments import ReportSegmentOdometry
 from steelnb.odometry.run import OnStep, run, run_online, smoothed
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.types import Estimate, Flight, RangeScans
@@ -21,7 +23,7 @@ def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) 
     when it was computed. It is kept as it was before it was smoothed, which is what several methods share.
     """
     # To tell images apart takes too long, and neither weights nor the version of a library are settings.
-    by_settings = CloudOdometry | FaceOdometry | SegmentOdometry
+    by_settings = CloudOdometry | FaceOdometry | SegmentOdometry | ReportCloudOdometry | ReportSegmentOdometry
     if not isinstance(flight.scans, RangeScans) or not isinstance(odometry, by_settings) or odometry.settings.orb:
         return run(flight, odometry, on_step)
     scans, prior = flight.scans, flight.prior

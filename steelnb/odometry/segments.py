@@ -95,16 +95,20 @@ class SegmentOdometry:
 
     def map_points(self, spacing_m: float = 0.05) -> Array:
         """Points along the bars of the map, ``(N, 3)`` in the world frame."""
-        bars = self.map.segments
-        pieces = [
-            start + np.linspace(0, 1, max(2, int(length / spacing_m) + 1))[:, None] * (end - start)
-            for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
-        ]
-        return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+        return points_along(self.map.segments, spacing_m)
 
     def map_segments(self) -> Segments:
         """The bars of the map."""
         return self.map.segments
+
+
+def points_along(bars: Segments, spacing_m: float) -> Array:
+    """Points ``(N, 3)`` along bars, at most ``spacing_m`` apart, both ends included."""
+    pieces = [
+        start + np.linspace(0, 1, max(2, int(length / spacing_m) + 1))[:, None] * (end - start)
+        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
+    ]
+    return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
 
 def segments_in(points: Array, settings: HoughSettings) -> Segments:

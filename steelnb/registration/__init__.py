@@ -1,12 +1,13 @@
 """Source, target → `RegistrationResult`: the ICP family, one solver loop for every error and degree of freedom."""
 
 from steelnb.registration.api import register
+from steelnb.registration.as_pcl import Aligned, gicp_as_pcl, icp_as_pcl
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.result import RegistrationResult
 from steelnb.registration.solve import AnyTarget, Term, align, free_directions, prior_term
 from steelnb.registration.target import Target, VoxelTarget, make_target, voxel_target
 
 __all__ = [
-    "AnyTarget", "FeatureTarget", "RegistrationResult", "Target", "Term", "VoxelTarget", "align", "free_directions",
-    "make_target", "prior_term", "register", "voxel_target",
+    "Aligned", "AnyTarget", "FeatureTarget", "RegistrationResult", "Target", "Term", "VoxelTarget", "align",
+    "free_directions", "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register", "voxel_target",
 ]  # fmt: skip

@@ -17,6 +17,8 @@ from steelnb.settings.odometry import (
     HoughSettings,
     OdometrySettings,
     PreprocessSettings,
+    ReportCloudSettings,
+    ReportSegmentSettings,
     SegmentSettings,
 )
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
@@ -40,8 +42,8 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CameraSettings",
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings",
-    "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
+    "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "ReportCloudSettings",
+    "ReportSegmentSettings", "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
     "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
     "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

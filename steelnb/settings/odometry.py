@@ -100,6 +100,42 @@ class CloudSettings(Settings):
         return self.bars_weight > 0 or self.shape == "midlines"
 
 
+CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariances", "solver"]
+SegmentTrait = Literal["mount", "logging", "mapping", "weight"]
+
+
+class ReportCloudSettings(Settings):
+    """The report's program for odometry by clouds (`steelnb.odometry.report_clouds`). Each default is the original's.
+
+    ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's criteria (`steelnb.registration.as_pcl`); GICP has
+    no ``mse_change_min``. ``drop_rotation`` keeps only the translation of each step, although the scan enters the map
+    turned. ``switched`` are the traits of the original that are replaced: ``floor``, points below
+    ``preprocess.floor_m`` are left out; ``thinning``, the scan goes through a voxel grid of
+    ``preprocess.voxel_leaf_m``; ``mount``, the scan is placed at the sensor instead of at the drone; ``gates``, no step
+    is too large; ``order``, a step joins the correction on the left; ``covariances`` of GICP are those of the
+    neighbours instead of planes; ``solver``, `steelnb.registration.align` instead of PCL's.
+    """
+
+    error: Literal["point", "gicp"] = "gicp"
+    max_correspondence_m: Positive = 0.3
+    iterations_max: Annotated[int, Field(ge=1)] = 150
+    epsilon: Positive = 1e-5
+    mse_change_min: NotNegative = 0.0
+    drop_rotation: bool = False
+    switched: tuple[CloudTrait, ...] = ()
+
+
+class ReportSegmentSettings(Settings):
+    """The report's program for odometry by segments (`steelnb.odometry.report_segments`).
+
+    ``switched`` are the traits of the original that are replaced: ``mount``, points are those of the drone frame;
+    ``logging``, the pose put out is that after the scan's own correction; ``mapping``, so is the one at which segments
+    enter the map; ``weight``, a segment moves its bar by its share of the points.
+    """
+
+    switched: tuple[SegmentTrait, ...] = ()
+
+
 class CalibrationSettings(Settings):
     """Standard deviations, before the flight, of errors of the sensor that smoothing finds; 0 for what is known.
 
@@ -129,8 +165,8 @@ class OdometrySettings(Settings):
     (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others. ``library``: the one that does
     the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: visual odometry by ORB features
     (`steelnb.odometry.orb`) whose landmarks have the Time-of-Flight ``sensor``'s depths, or ``triangulated`` ones from
-    two images (`steelnb.odometry.monocular`), whose scale is that of the drifting prior; None for no images. Tables
-    that a method does not use are None.
+    two images (`steelnb.odometry.monocular`), whose scale is that of the drifting prior; None for no images.
+    ``report_clouds``, ``report_segments``: the report's own programs. Tables that a method does not use are None.
     """
 
     method: str
@@ -147,6 +183,8 @@ class OdometrySettings(Settings):
     orb: Literal["sensor", "triangulated"] | None = None
     weights: str | None = None
     library: Literal["kiss_icp", "small_gicp"] | None = None
+    report_clouds: Annotated[ReportCloudSettings | None, table(ReportCloudSettings)] = None
+    report_segments: Annotated[ReportSegmentSettings | None, table(ReportSegmentSettings)] = None
     calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
@@ -154,10 +192,11 @@ class OdometrySettings(Settings):
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        others = {"orb": self.orb, "weights": self.weights, "a library": self.library}
+        others = {"orb": self.orb, "weights": self.weights, "a library": self.library,
+                  "report_clouds": self.report_clouds, "report_segments": self.report_segments}  # fmt: skip
         other = [name for name, given in others.items() if given is not None]
         if len(other) > 1:
-            raise ValueError(f"method {self.method!r}: two of orb, weights and a library: expected one of them")
+            raise ValueError(f"method {self.method!r}: {' and '.join(other)}: expected one of them")
         with_camera = self.orb is not None and self.clouds is not None
         alone = "" if with_camera else "".join(other)
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
@@ -172,6 +211,8 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
         if self.orb is not None and self.prior_sigma is None:
             raise ValueError(f"method {self.method!r}: orb: expected prior_sigma")
+        if self.report_segments is not None and self.hough is None:
+            raise ValueError(f"method {self.method!r}: expected a table hough")
         by_points = self.clouds is not None or self.orb is not None
         if self.tilt_sigma_rad and (not by_points or self.prior_sigma is None):
             given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
@@ -197,7 +238,8 @@ class OdometrySettings(Settings):
         bars, or by features of images, uses the IMU beside the sensor. Raises `SettingsError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
-        crop = "segments" if tables.keys().isdisjoint(("clouds", "orb", "weights", "library")) else "clouds"
+        others = ("clouds", "orb", "weights", "library", "report_clouds")
+        crop = "segments" if tables.keys().isdisjoint(others) else "clouds"
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
@@ -205,8 +247,10 @@ class OdometrySettings(Settings):
         if inertial and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
         crops = of_sensor.get("preprocess", {}).get(crop, {})
+        if "segments" in built or "report_segments" in tables:
+            built["hough"] = HoughSettings(**of_sensor.get("hough", {}))
         if "segments" in built:
-            built |= {"hough": HoughSettings(**of_sensor.get("hough", {})), "fusion": FusionSettings.preset(sensor)}
+            built["fusion"] = FusionSettings.preset(sensor)
         preprocess = PreprocessSettings(**{**crops, **tables.pop("preprocess", {})})
         settings = cls(method=method, preprocess=preprocess, **built, **tables)
         return settings.override(overrides or {})

@@ -79,7 +79,7 @@ def test_settings_of_other_methods_and_mixtures_are_refused():
     with pytest.raises(SettingsError, match="'best': expected one with a library, such as 'kiss-icp'"):
         PeerOdometry(OdometrySettings.preset("best"))
     for overrides, says in (
-        ({"weights": "mine.npz"}, "'kiss-icp': two of orb, weights and a library: expected one of them"),
+        ({"weights": "mine.npz"}, "'kiss-icp': weights and a library: expected one of them"),
         ({"smooth": True}, "'kiss-icp': a library: expected no tables clouds and segments, no smooth"),
         ({"library": "pcl"}, "library = 'pcl'"),
     ):

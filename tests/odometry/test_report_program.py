@@ -1,0 +1,301 @@
+"""The report's programs as they were."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from steelnb.errors import SettingsError
+from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments
+from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.points.kdtree import build_kdtree
+from steelnb.registration import Aligned, Target, bfgs, gicp_as_pcl, icp_as_pcl
+from steelnb.settings import OdometrySettings
+from steelnb.types import Segments
+from tests import naive
+
+CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
+
+
+def corner(count=3000, seed=0, sigma_m=0.005):
+    """Points of three walls in front of the sensor, ``(N, 3)`` in its frame, metres."""
+    rng = np.random.default_rng(seed)
+    u, v = rng.uniform(-1.2, 1.2, (2, count))
+    wall = np.arange(count) % 3
+    points = np.where(
+        (wall == 0)[:, None], np.stack([np.full(count, 2.5), u, v], axis=1),
+        np.where((wall == 1)[:, None], np.stack([2.0 + 0.4 * u, np.full(count, 1.2), v], axis=1),
+                 np.stack([2.0 + 0.4 * u, v, np.full(count, -1.2)], axis=1)),
+    )  # fmt: skip
+    return points + rng.normal(0, sigma_m, points.shape)
+
+
+def pose(position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), position
+    return T
+
+
+def clouds(method="report-gicp", *switched, T_drone_sensor=None):
+    settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
+    return ReportCloudOdometry(settings, T_drone_sensor)
+
+
+def told(odometry, step, **other):
+    """Let an odometry find one step whatever it sees."""
+    fields = {"converged": True, "iterations": 1, "inliers": 100, **other}
+    odometry.registered = lambda points: Aligned(step, **fields)
+
+
+@pytest.mark.parametrize("method", CLOUDS)
+def test_without_drift_the_correction_stays_near_the_identity(method):
+    odometry = clouds(method)
+    for k in range(6):
+        step = odometry.update(corner(seed=k), pose((0.0, 0.0, 1.0)))
+    assert step.used
+    np.testing.assert_allclose(odometry.correction, np.eye(4), atol=0.02)
+
+
+@pytest.mark.parametrize("method", CLOUDS)
+def test_a_shifted_prior_is_brought_back(method):
+    odometry = clouds(method)
+    for k in range(3):
+        odometry.update(corner(seed=k), pose())
+    shifted = pose((0.03, -0.02, 0.02))
+    step = odometry.update(corner(seed=9), shifted)
+    assert np.linalg.norm(step.T_world_drone[:3, 3]) < 0.5 * np.linalg.norm(shifted[:3, 3])
+
+
+def test_the_order_of_composition_shows_once_the_correction_is_turned():
+    first, second = pose((0.1, 0.0, 0.0), (0, 0, 0.2)), pose((0.0, 0.2, 0.0), (0, 0.1, 0))
+    for switched, expected in (((), first @ second), (("order",), second @ first)):
+        odometry = clouds("report-gicp", *switched)
+        odometry.update(corner(), pose())
+        for motion in (first, second):
+            told(odometry, motion)
+            odometry.update(corner(), pose())
+        np.testing.assert_allclose(odometry.correction, expected, atol=1e-12)
+    assert np.abs(first @ second - second @ first).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("step", "reason"), [(pose((1.01, 0, 0)), "jump"), (pose(turn=(0, 0, 0.4)), "turn"), (np.eye(4), "too few pairs")]
+)
+def test_a_refused_scan_leaves_correction_and_map(step, reason):
+    odometry = clouds()
+    odometry.update(corner(), pose())
+    told(odometry, pose((0.1, 0.0, 0.0)))
+    odometry.update(corner(seed=1), pose())
+    correction, points = odometry.correction.copy(), odometry.map_points()
+    told(odometry, step, converged=reason != "too few pairs")
+    refused = odometry.update(corner(seed=2), pose())
+    assert not refused.used
+    assert reason in refused.reason
+    np.testing.assert_array_equal(odometry.correction, correction)
+    np.testing.assert_array_equal(odometry.map_points(), points)
+    np.testing.assert_array_equal(refused.T_world_drone, correction)
+
+
+def test_the_gates_can_be_left_out_and_take_steps_just_within():
+    for step, switched in ((pose((1.01, 0, 0)), ("gates",)), (pose((0.99, 0, 0), (0, 0, 0.39)), ())):
+        odometry = clouds("report-gicp", *switched)
+        odometry.update(corner(), pose())
+        told(odometry, step)
+        assert odometry.update(corner(), pose()).used
+
+
+def test_three_dof_drops_the_rotation_but_maps_the_turned_cloud():
+    odometry, motion = clouds("report-icp-3dof"), pose((0.05, 0.0, 0.1), (0.0, 0.1, 0.0))
+    odometry.update(corner(), pose())
+    told(odometry, motion)
+    step = odometry.update(corner(seed=1), pose())
+    np.testing.assert_array_equal(odometry.correction[:3, :3], np.eye(3))
+    np.testing.assert_allclose(step.T_world_drone[:3, 3], motion[:3, 3], atol=1e-12)
+    turned = corner(seed=1) @ motion[:3, :3].T + motion[:3, 3]
+    expected = naive.voxel_grid(np.concatenate([corner(), turned]), 0.1)
+    assert cKDTree(odometry.map_points()).query(expected)[0].max() < 1e-9
+
+
+def test_an_old_voxel_weighs_as_one_point():
+    odometry = clouds()
+    odometry.update(corner(), pose())
+    told(odometry, np.eye(4))
+    expected = corner()
+    for seed in (1, 2):
+        odometry.update(corner(seed=seed), pose())
+        expected = naive.voxel_grid(np.concatenate([expected, corner(seed=seed)]), 0.1)
+        assert len(odometry.map_points()) == len(expected)
+        assert cKDTree(odometry.map_points()).query(expected)[0].max() < 1e-9
+
+
+def test_what_is_placed_follows_box_floor_thinning_and_mount():
+    points = np.array([[2.0, 0, 0], [2.01, 0, 0], [-0.2, 0, 0], [4.1, 0, 0], [2, 3.1, 0], [2, 0, -3.1], [np.nan] * 3])
+    prior, mount = pose((0.0, 0.0, 0.2)), pose((0.07, 0.0, 0.04))
+    placed = {}
+    for switched in ((), ("thinning",), ("floor",), ("mount",)):
+        odometry = clouds("report-gicp", *switched, T_drone_sensor=mount)
+        odometry.update(points, prior)
+        placed["".join(switched)] = odometry.map_points()
+    np.testing.assert_allclose(placed[""], points[:2] + prior[:3, 3])
+    np.testing.assert_allclose(placed["thinning"], [points[:2].mean(axis=0) + prior[:3, 3]])
+    np.testing.assert_allclose(placed["mount"], points[:2] + prior[:3, 3] + mount[:3, 3])
+    assert not len(placed["floor"])
+
+
+@pytest.mark.parametrize("switched", ["solver", "covariances"])
+def test_other_traits_find_the_pose_too(switched):
+    odometry = clouds("report-gicp", switched)
+    for k in range(3):
+        odometry.update(corner(seed=k), pose())
+    assert np.linalg.norm(odometry.update(corner(seed=9), pose((0.03, -0.02, 0.02))).T_world_drone[:3, 3]) < 0.02
+
+
+def test_icp_stops_at_a_step_below_the_root_of_epsilon():
+    # PCL compares epsilon with the square of the step: 1e-3 is content with 3 cm, which one step leaves here.
+    target = Target(build_kdtree(corner(seed=1)))
+    source = corner(seed=1) + np.array([0.025, 0.0, 0.0])
+    once, more = icp_as_pcl(source, target, 0.5, 150, 1e-3), icp_as_pcl(source, target, 0.5, 150, 1e-9)
+    assert once.converged
+    assert once.iterations == 1 < more.iterations
+    assert np.linalg.norm(more.T_target_source[:3, 3] + [0.025, 0, 0]) < 1e-3
+    assert icp_as_pcl(source, target, 0.5, 150, 1e-9, mse_change_min=0.9).iterations == 2
+
+
+@pytest.mark.parametrize("solve", ["icp", "gicp"])
+def test_iterations_that_run_out_count_as_converged_and_too_few_pairs_do_not(solve):
+    covariance, tree = regularised(neighbour_covariances(corner(seed=2))), build_kdtree(corner(seed=1))
+
+    def found(source, iterations):
+        if solve == "icp":
+            return icp_as_pcl(source, Target(tree), 0.2, iterations, 1e-12)
+        return gicp_as_pcl(source, covariance, Target.with_planes(tree, 20), 0.2, iterations, 1e-12)
+
+    assert found(corner(seed=2) + 0.05, 2).converged
+    away = found(corner(seed=2) + 50.0, 5)
+    assert not away.converged
+    np.testing.assert_array_equal(away.T_target_source, np.eye(4))
+
+
+@pytest.fixture
+def paired():
+    """Points, their partners, and metrics of planes, as a GICP has them; single precision."""
+    rng = np.random.default_rng(4)
+    source, covariance = corner(400, seed=3), regularised(neighbour_covariances(corner(400, seed=3)))
+    moved = source @ pose(turn=(0.02, -0.01, 0.03))[:3, :3].T + [0.03, 0.01, -0.02] + rng.normal(0, 0.005, source.shape)
+    return source.astype(np.float32), moved.astype(np.float32), bfgs.metrics(covariance, covariance, np.eye(3))
+
+
+@pytest.mark.kernels
+def test_the_cost_and_its_gradient_are_those_of_numpy(paired):
+    x, gradient, step = np.array([0.02, -0.03, 0.01, 0.05, -0.04, 0.1]), np.empty(6), 1e-6
+    assert bfgs.mean_cost(x, *paired, gradient) == pytest.approx(naive.gicp_cost(x, *paired), rel=1e-4)
+    numeric = [
+        (naive.gicp_cost(x + e, *paired) - naive.gicp_cost(x - e, *paired)) / (2 * step) for e in step * np.eye(6)
+    ]
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(bfgs.euler_pose(x)[:3, :3], Rotation.from_euler("xyz", x[3:]).as_matrix(), atol=1e-12)
+
+
+@pytest.mark.kernels
+def test_the_minimum_is_that_of_scipy_within_the_tolerance_of_the_gradient(paired):
+    x = np.zeros(6)
+    for _ in range(5):
+        bfgs.minimise(x, *paired)
+    best = minimize(naive.gicp_cost, np.zeros(6), paired, method="BFGS", options={"gtol": 1e-8})
+    assert naive.gicp_cost(np.zeros(6), *paired) > 10 * best.fun
+    assert naive.gicp_cost(x, *paired) < 1.01 * best.fun
+    np.testing.assert_allclose(x, best.x, atol=2e-3)
+
+
+BARS = np.array(
+    [([1.2, 0.5, 0.4], [1.2, 0.5, 1.4]), ([1.2, -0.5, 0.5], [1.2, 0.5, 1.5]), ([1.2, -0.5, 1.2], [1.2, 0.5, 1.2])]
+)
+
+
+@pytest.fixture
+def segments(monkeypatch):
+    """An odometry whose Hough transform finds `BARS` in every scan, moved by what its ``seen_at`` says."""
+
+    def make(*switched):
+        overrides = {"report_segments.switched": switched}
+        odometry = ReportSegmentOdometry(OdometrySettings.preset("report-segments", "report", overrides))
+        odometry.seen_at = np.zeros(3)
+
+        def found(points, hough):
+            bars = BARS + odometry.seen_at
+            return Segments(bars[:, 0], bars[:, 1], np.full(len(BARS), 60), np.full(len(BARS), 0.01)), 0.0
+
+        monkeypatch.setattr(report_segments, "timed_segments", found)
+        return odometry
+
+    return make
+
+
+def test_segments_log_the_pose_before_the_update(segments):
+    drift = np.array([0.1, 0.05, -0.04])
+    put_out = {}
+    for before in (True, False):
+        odometry = segments(*(() if before else ("logging",)))
+        odometry.update(corner(30), pose())
+        steps = [odometry.update(corner(30), pose(drift)) for _ in range(2)]
+        put_out[before] = [step.T_world_drone[:3, 3] for step in steps]
+        assert steps[0].matches == len(BARS)
+    np.testing.assert_array_equal(put_out[True][0], drift)  # nothing of this scan's own correction
+    np.testing.assert_array_equal(put_out[True][1], put_out[False][0])
+    assert np.linalg.norm(put_out[False][0]) < 0.8 * np.linalg.norm(drift)
+
+
+def test_a_step_is_the_gain_times_the_mean_offset_across_the_bars(segments):
+    drift = np.array([0.1, 0.05, -0.04])
+    odometry = segments()
+    odometry.update(corner(30), pose())
+    odometry.update(corner(30), pose(drift))
+    direction = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
+    across = drift - (direction @ drift)[:, None] * direction
+    np.testing.assert_allclose(odometry.error, 0.5 * across.mean(axis=0), atol=1e-12)
+
+
+def test_segments_are_mapped_before_the_update_and_hardly_move_their_bars(segments):
+    drift, moved = np.array([0.1, 0.0, 0.0]), {}
+    for switched in ((), ("mapping",), ("weight",)):
+        odometry = segments(*switched)
+        odometry.update(corner(30), pose())
+        odometry.update(corner(30), pose(drift))
+        assert len(odometry.map_segments()) == len(BARS)
+        moved["".join(switched)] = odometry.bars.anchor[:, 0] - BARS[0, 0, 0]
+    np.testing.assert_allclose(moved[""], 0.01 * drift[0], atol=1e-12)
+    np.testing.assert_allclose(moved["weight"], 0.5 * drift[0], atol=1e-12)
+    np.testing.assert_allclose(moved["mapping"], 0.005 * drift[0], atol=1e-12)
+
+
+def test_segments_match_where_both_ends_are_near_and_they_overlap(segments):
+    odometry = segments()
+    odometry.update(corner(30), pose())
+    for shift, matches in (((0.3, 0, 0), 3), ((0.34, 0, 0), 0), ((0.0, 0, 0.9), 1), ((0.0, 0, 1.1), 0)):
+        seen = Segments(*(BARS + shift).transpose(1, 0, 2), np.full(3, 60), np.full(3, 0.01))
+        assert len(odometry.bars.offsets(seen)) == matches, shift
+
+
+def test_segments_on_the_floor_do_not_count(segments):
+    odometry = segments()
+    odometry.update(corner(30), pose((0.0, 0.0, -1.0)))
+    assert len(odometry.map_segments()) == 2  # the horizontal one lies below 0.3 m, the others end above it
+
+
+@pytest.mark.parametrize("method", [*CLOUDS, "report-segments"])
+def test_nothing_in_sight_keeps_the_correction(method):
+    odometry = make_odometry(OdometrySettings.preset(method, "report"), np.eye(4))
+    for scan in (np.full((4, 4, 3), np.nan), np.zeros((0, 3))):
+        step = odometry.update(scan, pose((1.0, 2.0, 3.0)))
+        assert not step.used
+        np.testing.assert_array_equal(step.T_world_drone, pose((1.0, 2.0, 3.0)))
+    assert len(odometry.map_points()) == len(odometry.map_segments()) == 0
+
+
+def test_a_program_is_one_method_alone():
+    for kind, other in ((ReportCloudOdometry, "report-segments"), (ReportSegmentOdometry, "report-gicp")):
+        with pytest.raises(SettingsError, match=f"{other}.*expected"):
+            kind(OdometrySettings.preset(other, "report"))
+    with pytest.raises(SettingsError, match="expected no tables clouds"):
+        OdometrySettings.preset("best", "report", {"report_clouds": {}})
