@@ -71,7 +71,8 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
 
     def configured(method: str) -> ExperimentSettings:
         return ExperimentSettings.preset(
-            trajectory, settings["noise"], method, sensor, settings["seed"], 15.0, settings["overrides"]
+            trajectory,  # type: ignore[arg-type]
+            settings["noise"], method, sensor, settings["seed"], 15.0, settings["overrides"],
         )  # fmt: skip
 
     whole, truth = experiment.simulate(configured("orb"))
