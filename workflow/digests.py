@@ -7,7 +7,6 @@ A digest is the first 16 hexadecimal digits of a SHA-256.
 
 import hashlib
 import importlib.metadata
-import itertools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -33,8 +32,12 @@ WRITE = "python -m workflow digests --write"
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "open3d-cpu", "opencv-python-headless", "pybullet", "imufusion")
 
 SETTINGS: dict[str, Any] = {
-    "flights": ["zigzag", "loops"],
-    "sensors": ["report", "starling2", "starling2-honest"],
+    "flights": {
+        "report": ["vertical", "orbit"],
+        "starling2": ["zigzag", "loops"],
+        "starling2-honest": ["zigzag", "loops"],
+    },
+    "start_s": {"vertical": 20.0, "orbit": 5.0},  # of the scans: before, the tower is out of sight
     "noise": "random-walk+yaw-random-walk",
     "seed": 7,
     "scans": 12,
@@ -42,8 +45,7 @@ SETTINGS: dict[str, Any] = {
     "overrides": {},
 }
 SHORT = SETTINGS | {
-    "flights": ["loops"],
-    "sensors": ["starling2"],
+    "flights": {"starling2": ["loops"]},
     "scans": 8,
     "scans_of_faces": 12,
     "overrides": {"tof.columns": 90, "tof.rows": 120},
@@ -63,16 +65,19 @@ def digest(*arrays: Any) -> str:
 
 def pairs(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Sensor and flight of each simulated flight."""
-    return list(itertools.product(settings["sensors"], settings["flights"]))
+    return [(sensor, flight) for sensor, flights in settings["flights"].items() for flight in flights]
 
 
 def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterator[tuple[str, str]]:
     """Name and digest of everything computed from one flight, in the order in which it is computed."""
 
+    start_s = settings["start_s"].get(trajectory, 0.0)
+
     def configured(method: str) -> ExperimentSettings:
         return ExperimentSettings.preset(
             trajectory,  # type: ignore[arg-type]
-            settings["noise"], method, sensor, settings["seed"], 15.0, settings["overrides"],
+            settings["noise"], method, sensor, settings["seed"], start_s + 15.0,
+            settings["overrides"] | {"tof.start_s": start_s},
         )  # fmt: skip
 
     whole, truth = experiment.simulate(configured("orb"))
@@ -81,9 +86,10 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
     yield f"{name}/scans", digest(*(scan.points for scan in whole.scans))
     yield f"{name}/prior", digest(whole.prior.T_world_drone)
     if whole.images is not None:
-        count = int(np.searchsorted(whole.images.stamp_s, flight.prior.stamp_s[-1], side="right"))
-        images = [whole.images.images[k] for k in range(count)]
-        flight = replace(flight, images=replace(whole.images, stamp_s=whole.images.stamp_s[:count], images=images))
+        stamp_s, (first, last) = whole.images.stamp_s, flight.prior.stamp_s[[0, -1]]
+        taken = np.flatnonzero((stamp_s >= first - 1e-6) & (stamp_s <= last + 1e-6))
+        images = [whole.images.images[k] for k in taken.tolist()]
+        flight = replace(flight, images=replace(whole.images, stamp_s=stamp_s[taken], images=images))
         yield f"{name}/images", digest(*images)
     yield from _bars(name, flight, configured("least_squares").odometry)
     smoothed = None

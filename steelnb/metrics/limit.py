@@ -23,9 +23,8 @@ from scipy.linalg import cholesky, lapack, solve_triangular
 
 from steelnb.errors import SettingsError
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
-from steelnb.libraries import import_open3d
 from steelnb.settings import TofSettings
-from steelnb.simulation.scene import make_scene, rays
+from steelnb.simulation.scene import cast_bundle, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
@@ -77,7 +76,7 @@ def see(tower: Tower, T_world_drone: Array, settings: TofSettings) -> Iterator[R
     """
     if settings.sigma_floor_m <= 0:
         raise SettingsError(f"tof.sigma_floor_m = {settings.sigma_floor_m}: expected noise; without it the bound is 0")
-    open3d, scene, ray = import_open3d(), make_scene(tower), rays(settings).reshape(-1, 3)
+    scene, ray = make_scene(tower), rays(settings).reshape(-1, 3)
     corner = tower.vertices[tower.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -90,8 +89,8 @@ def see(tower: Tower, T_world_drone: Array, settings: TofSettings) -> Iterator[R
         T = T_world_drone_k @ settings.T_drone_sensor
         along = ray @ T[:3, :3].T
         bundle[:, :3], bundle[:, 3:] = T[:3, 3], along
-        hit = scene.mesh.cast_rays(open3d.core.Tensor.from_numpy(bundle), nthreads=1)
-        range_m, triangle = hit["t_hit"].numpy().astype(np.float64), hit["primitive_ids"].numpy()
+        hit = cast_bundle(scene, bundle)
+        range_m, triangle = hit.range_m.astype(np.float64), hit.triangle
         steel = triangle < len(normal)
         seen = np.flatnonzero(steel & (range_m >= RANGE_MIN_M) & (range_m <= settings.range_max_m))
         slope = np.abs((normal[triangle[seen]] * along[seen]).sum(axis=1))

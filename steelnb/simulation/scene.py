@@ -15,7 +15,11 @@ from steelnb.types import Array, IntArray
 
 STEPS_PER_M = 65536.0
 TOUCH_M = 1e-5
-"""Surfaces this near to each other are too near for float32 to tell which a ray hits first."""
+"""Surfaces this near to each other, and rays this near to an edge, are too near for float32 to tell which is hit."""
+MARGIN_M = 2e-5
+"""By so much the edges of the triangles that Embree sees lie outside of the true ones."""
+STEP_M = np.float32(4e-6)
+"""From a triangle that a ray passes beside to where it goes on: twice what float32 rounds off, 16 m from the origin."""
 
 
 class Pinhole(Protocol):
@@ -42,12 +46,13 @@ def rays(settings: Pinhole) -> Array:
 
 
 class Scene(NamedTuple):
-    """The mesh of a tower on the ground plane. Open3D tells which of its T triangles a ray hits, and the plane of that
-    triangle how far away.
+    """The mesh of a tower on the ground plane: Open3D tells which of its T triangles a ray may hit, and float64 whether
+    it does, and how far away.
 
-    ``mesh``: Open3D's; ``member (T + 1,)``: of each triangle, −1 for the ground and, as the last entry, for no hit;
-    ``corner (T, 3, 3)`` metres; ``plane (T, 4)``: unit normal n and offset d of n · x = d; ``begin (T + 1,)``: where in
-    ``touching`` the later triangles begin, the last of them first, that touch, cross or overlap each.
+    ``mesh``: Open3D's, of triangles that are larger by `MARGIN_M`; ``member (T + 1,)``: of each triangle, −1 for the
+    ground and, as the last entry, for no hit; ``corner (T, 3, 3)`` metres; ``plane (T, 4)``: unit normal n and offset d
+    of n · x = d; ``begin (T + 1,)``: where in ``touching`` the triangles begin, the last one first, that touch, cross
+    or overlap each.
     """
 
     mesh: Any
@@ -62,60 +67,69 @@ def make_scene(tower: Tower) -> Scene:
     """The scene of a tower that stands on z = 0."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
-    vertices = np.concatenate([tower.vertices, ground])
-    n = len(tower.vertices)
-    triangles = np.concatenate([tower.triangles, [(n, n + 1, n + 2), (n, n + 2, n + 3)]])
+    corner = np.concatenate([tower.vertices[tower.triangles], ground[[(0, 1, 2), (0, 2, 3)]]]).astype(np.float64)
+    count = len(corner)
     mesh = open3d.t.geometry.RaycastingScene(nthreads=1)
-    tensor = open3d.core.Tensor.from_numpy
-    mesh.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    corner = np.ascontiguousarray(vertices[triangles], dtype=np.float64)
+    tensor, number = open3d.core.Tensor.from_numpy, np.arange(3 * count, dtype=np.uint32)
+    mesh.add_triangles(tensor(_enlarged(corner).reshape(-1, 3).astype(np.float32)), tensor(number.reshape(-1, 3)))
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     plane = np.column_stack([normal, (normal * corner[:, 0]).sum(axis=1)])
-    begin, touching = _touching(corner, plane)
-    return Scene(mesh, np.append(tower.triangle_member, [-1, -1, -1]), corner, plane, begin, touching)
+    one, other = _touching(corner, plane).T
+    one, other = np.append(one, other), np.append(other, one)
+    order = np.lexsort((-other, one))
+    begin = np.searchsorted(one[order], np.arange(count + 1))
+    return Scene(mesh, np.append(tower.triangle_member, [-1, -1, -1]), corner, plane, begin, other[order])
+
+
+def _enlarged(corner: Array) -> Array:
+    """Triangles ``(T, 3, 3)`` whose edges lie `MARGIN_M` farther from the centre of the inscribed circle."""
+    side = np.linalg.norm(np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1), axis=2)  # opposite each corner
+    around = side.sum(axis=1)
+    centre = (side[..., None] * corner).sum(axis=1) / around[:, None]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    factor = 1 + MARGIN_M * around / (2 * area)  # the radius is twice the area by the perimeter
+    return np.asarray(centre[:, None] + factor[:, None, None] * (corner - centre[:, None]))
 
 
 @njit(cache=True)
 def _touching(corner, plane):
-    """See `Scene`; of those in one plane, all whose boxes overlap."""
+    """Pairs ``(P, 2)`` of triangles that touch, cross or overlap; of those in one plane, all whose boxes overlap."""
     count, size = len(corner), 0
     low, high = np.empty((count, 3)), np.empty((count, 3))
     for i in range(count):
         for k in range(3):
             low[i, k] = min(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) - TOUCH_M
             high[i, k] = max(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) + TOUCH_M
-    begin, touching = np.zeros(count + 1, np.int64), np.empty(1024, np.int64)
+    pair = np.empty((1024, 2), np.int64)
     for i in range(count):
-        for j in range(count - 1, i, -1):
+        for j in range(i):
             if (
                 low[i, 0] <= high[j, 0] and low[j, 0] <= high[i, 0]
                 and low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
                 and low[i, 2] <= high[j, 2] and low[j, 2] <= high[i, 2]
-                and (_pierces(corner[i], corner[j], plane[j]) or _pierces(corner[j], corner[i], plane[i]))
+                and (_pierces(corner, plane, i, j) or _pierces(corner, plane, j, i))
             ):  # fmt: skip
-                if size == len(touching):
-                    touching = np.concatenate((touching, np.empty_like(touching)))
-                touching[size] = j
+                if size == len(pair):
+                    pair = np.concatenate((pair, np.empty_like(pair)))
+                pair[size, 0], pair[size, 1] = i, j
                 size += 1
-        begin[i + 1] = size
-    return begin, touching[:size].copy()
+    return pair[:size].copy()
 
 
 @njit(cache=True)
-def _pierces(edges, corner, plane):
-    """Whether an edge of a triangle ``edges (3, 3)`` meets another one, or all of them lie in its plane."""
-    flat, place = True, np.empty(3)
+def _pierces(corner, plane, i, j):
+    """Whether an edge of triangle ``i`` meets triangle ``j``, or all of them lie in its plane."""
+    flat = True
     for k in range(3):
-        a, b = edges[k], edges[(k + 1) % 3]
-        from_a, from_b = _height(plane, a), _height(plane, b)
+        a, b = corner[i, k], corner[i, (k + 1) % 3]
+        from_a, from_b = _height(plane[j], a), _height(plane[j], b)
         flat = flat and abs(from_a) <= TOUCH_M
         if abs(from_a) > TOUCH_M and from_a * from_b > 0.0 and abs(from_b) > TOUCH_M:
             continue
         share = 0.0 if abs(from_a) <= TOUCH_M else min(max(from_a / (from_a - from_b), 0.0), 1.0)
-        for i in range(3):
-            place[i] = a[i] + share * (b[i] - a[i])
-        if _holds(corner, plane, place):
+        place = a + share * (b - a)
+        if _holds(corner, plane, j, place[0], place[1], place[2]):
             return True
     return flat
 
@@ -140,52 +154,78 @@ def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarr
 
 class Hits(NamedTuple):
     """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for none; ``normal
-    (..., 3)`` float32, unit normals of the triangles hit, of either sign, zero for no hit."""
+    (..., 3)`` float32, unit normals of the triangles hit, of either sign, zero for no hit; ``triangle (...)``, the
+    number of triangles for no hit."""
 
     range_m: np.ndarray
     member: IntArray
     normal: np.ndarray
+    triangle: IntArray
 
 
 def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
     """What rays ``(..., 6)`` float32, origins and unit directions in the world frame, hit first.
 
-    Embree's own distance holds the processor's approximate reciprocal, which differs from vendor to vendor. So only the
-    triangle is Embree's, and of several that a ray hits in one place the last is taken; the distance is that to its
-    plane, in float64, to the nearest 2⁻¹⁶ m (15 µm).
+    Embree's traversal and its distances hold the processor's approximate reciprocal, which differs from vendor to
+    vendor. So it is only asked which triangle may be hit, of a mesh a little too large. Whether the true one is hit is
+    decided in float64; where it is not, the ray goes on behind it. Of several triangles that are hit in one place the
+    last is taken. The distance is that to its plane, to the nearest 2⁻¹⁶ m (15 µm).
     """
-    hit = scene.mesh.cast_rays(import_open3d().core.Tensor.from_numpy(bundle), nthreads=1)
-    shape, triangle = bundle.shape[:-1], hit["primitive_ids"].numpy().ravel()
-    range_m, normal = np.empty(len(triangle), np.float32), np.empty((len(triangle), 3), np.float32)
-    member = np.empty(len(triangle), np.int64)
-    _measure(bundle.reshape(-1, 6), triangle, *scene[1:], range_m, member, normal)
-    return Hits(range_m.reshape(shape), member.reshape(shape), normal.reshape(*shape, 3))
+    tensor, shape = import_open3d().core.Tensor.from_numpy, bundle.shape[:-1]
+    ray = bundle.reshape(-1, 6)
+    hit = Hits(np.empty(len(ray), np.float32), np.empty(len(ray), np.int64), np.empty((len(ray), 3), np.float32),
+               np.empty(len(ray), np.int64))  # fmt: skip
+    left, onward = np.arange(len(ray)), ray
+    while len(left):
+        seen = scene.mesh.cast_rays(tensor(onward), nthreads=1)
+        missed = _measure(ray, left, seen["primitive_ids"].numpy(), *scene[1:], *hit)
+        left, onward, behind_m = left[missed], onward[missed], seen["t_hit"].numpy()[missed] + STEP_M
+        onward[:, :3] += behind_m[:, None] * onward[:, 3:]
+    return Hits(*(found.reshape(*shape, *found.shape[1:]) for found in hit))
 
 
 @njit(cache=True)
-def _measure(bundle, triangle, member_of, corner, plane, begin, touching, range_m, member, normal):
-    """Fill in `Hits` of the rays ``bundle (N, 6)`` and the ``triangle (N,)`` each hits, beyond the last for none."""
-    ray, place = np.empty(6), np.empty(3)
-    for i in range(len(triangle)):
-        t = np.int64(triangle[i])
-        if t >= len(corner):
-            range_m[i], member[i] = np.inf, -1
+def _measure(
+    rays, left, named, member_of, corner, plane, begin, touching, range_m, member, normal, triangle
+):  # fmt: skip
+    """Fill in `Hits` of those of the ``rays (N, 6)`` that are ``left (L,)``, each of which may hit the triangle
+    ``named (L,)``, beyond the last for none. Gives the places in ``left`` of those that do not."""
+    ray = np.empty(6)
+    missed, count = np.empty(len(left), np.int64), 0
+    for m in range(len(left)):
+        i, t = left[m], min(np.int64(named[m]), len(corner))
+        if t == len(corner):
+            range_m[i], member[i], triangle[i] = np.inf, -1, t
             normal[i, 0] = normal[i, 1] = normal[i, 2] = 0.0
             continue
         for k in range(6):
-            ray[k] = bundle[i, k]
+            ray[k] = rays[i, k]
         distance = _distance(ray, corner[t], plane[t])
-        for k in range(3):
-            place[k] = ray[k] + distance * ray[3 + k]
-        for s in range(begin[t], begin[t + 1]):
-            other = touching[s]
-            if abs(_height(plane[other], place)) < TOUCH_M and _holds(corner[other], plane[other], place):
-                t, distance = other, _distance(ray, corner[other], plane[other])
-                break
+        x, y, z = ray[0] + distance * ray[3], ray[1] + distance * ray[4], ray[2] + distance * ray[5]
+        found, s, own = -1, begin[t], False
+        while s < begin[t + 1] and found < 0:
+            u = touching[s]
+            if u < t and not own:
+                own = True
+                if _holds(corner, plane, t, x, y, z):
+                    break
+            height = plane[u, 0] * x + plane[u, 1] * y + plane[u, 2] * z - plane[u, 3]
+            if abs(height) < TOUCH_M and _holds(corner, plane, u, x, y, z):
+                found = u
+            s += 1
+        if found < 0 and _holds(corner, plane, t, x, y, z):
+            found = t
+        if found < 0:
+            missed[count] = m
+            count += 1
+            continue
+        if found != t:
+            distance = _distance(ray, corner[found], plane[found])
         range_m[i] = max(math.floor(distance * STEPS_PER_M + 0.5) / STEPS_PER_M, 0.0)
-        member[i] = member_of[t]
+        member[i], triangle[i] = member_of[found], found
         for k in range(3):
-            normal[i, k] = plane[t, k]
+            normal[i, k] = plane[found, k]
+    return missed[:count]
 
 
 @njit(cache=True)
@@ -205,14 +245,15 @@ def _distance(ray, corner, plane):
 
 
 @njit(cache=True)
-def _holds(corner, plane, place):
-    """Whether a place in the plane of a triangle lies in it, or on its edge. Its corners run to the left about the
-    normal."""
+def _holds(corner, plane, t, x, y, z):
+    """Whether a place in the plane of triangle ``t`` lies in it, or as near to it as float32 can tell. Its corners run
+    to the left about the normal."""
     for k in range(3):
-        a, b = corner[k], corner[(k + 1) % 3]
-        ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        px, py, pz = place[0] - a[0], place[1] - a[1], place[2] - a[2]
-        left = (ey * pz - ez * py) * plane[0] + (ez * px - ex * pz) * plane[1] + (ex * py - ey * px) * plane[2]
-        if left < -TOUCH_M * math.sqrt(ex * ex + ey * ey + ez * ez):
+        n = (k + 1) % 3
+        ax, ay, az = corner[t, k, 0], corner[t, k, 1], corner[t, k, 2]
+        ex, ey, ez = corner[t, n, 0] - ax, corner[t, n, 1] - ay, corner[t, n, 2] - az
+        px, py, pz = x - ax, y - ay, z - az
+        left = (ey * pz - ez * py) * plane[t, 0] + (ez * px - ex * pz) * plane[t, 1] + (ex * py - ey * px) * plane[t, 2]
+        if left < 0.0 and left * left > TOUCH_M * TOUCH_M * (ex * ex + ey * ey + ez * ez):
             return False
     return True

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import CastScans, build_tower, fly, scan_flight
-from steelnb.simulation.scene import _distance, _measure, cast_rays, make_scene, rays
+from steelnb.simulation.scene import _distance, _measure, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
@@ -59,12 +59,27 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names
     down[0, :3], down[1, :3] = (1, 0.3, 5), (0.5, 0.1, 5)  # on the ridge; on the plate and the roof below it
     found = []
     for named in [(1, 1), (2, 4)]:
-        hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32)
-        _measure(down, np.array(named, np.uint32), *scene[1:], *hits)
+        hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32), np.empty(2, np.int64)
+        missed = _measure(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
+        assert not len(missed)
         found.append(hits)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(found[0][0], [3.0, 3.5])
+
+
+def test_a_ray_that_passes_beside_a_triangle_has_not_hit_it_and_goes_on_behind_it():
+    """A wall at x = 2, which Embree takes for a little larger than it is, and a larger one at x = 4."""
+    near, far = ([(x, -y, 5 - y), (x, y, 5 - y), (x, y, 5 + y), (x, -y, 5 + y)] for x, y in ((2, 1), (4, 3)))
+    triangles = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)])
+    tower = replace(TOWER, vertices=np.array([*near, *far], float), triangles=triangles, triangle_member=[0, 0, 1, 1])
+    scene = make_scene(tower)
+    along = np.zeros((4, 6), np.float32)
+    along[:, 3] = 1
+    along[:, 1:3] = [(0.5, 4.5), (1 + 5e-6, 4.5), (1 + 1.5e-5, 4.5), (1.5, 4.5)]
+    hits = np.empty(4, np.float32), np.empty(4, np.int64), np.empty((4, 3), np.float32), np.empty(4, np.int64)
+    assert _measure(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
+    np.testing.assert_array_equal(cast_bundle(scene, along).range_m, [2, 2, 4, 4])
 
 
 def test_a_ray_that_grazes_a_plane_ends_on_the_triangle():
