@@ -21,7 +21,7 @@ from workflow.task_notebooks import run
 
 ROOT = Path(__file__).parents[1]
 COLOURED_MIN = 0.001  # axes and text alone have none
-SENSORS = {"report-4cm": "", "starling2": "-starling2"}
+SENSORS = {"report": "", "starling2": "-starling2"}
 """Sensor → what the experiments with it alone have behind their name."""
 AXES = ("middle of points", "section fitted")
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -35,7 +35,7 @@ def coloured(path: Path) -> float:
 
 def of_sensors(smoke: Path, experiment: str, name: str = "table.csv") -> pd.DataFrame:
     """The tables of an experiment and its twin with the other sensor."""
-    return pd.concat([pd.read_csv(smoke / f"{experiment}{twin}" / name) for twin in SENSORS.values()])
+    return pd.concat([pd.read_csv(smoke / f"{experiment}{twin}" / name) for twin in ("", "-starling2")])
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -98,7 +98,7 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
     assert set(table["noise"]) == {"random-walk", "constant-drift", "yaw-random-walk"}
     assert (table["rms"] / table["expected_rms"]).between(0.85, 1.15).all()
     metrics = json.loads((smoke / "world-and-noise" / "metrics.json").read_text())
-    assert metrics["zigzag.members_seen"] >= 10
+    assert metrics["vertical.members_seen"] >= 10
     for name in ("fig_3_1.png", "fig_drift.png"):
         assert coloured(smoke / "world-and-noise" / name) > COLOURED_MIN
 
@@ -106,42 +106,39 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
 def test_the_segmentation_notebook_corrects_the_drift(smoke):
     folder = smoke / "segmentation-odometry"
     table = pd.read_csv(folder / "table.csv")
-    assert len(table) == 2 * 2 * 2 * 3
-    assert set(table["method"]) == {"none", "average", "least_squares"}
-    assert set(table["sensor"]) == {"report-4cm", "starling2"}
-    good = table[(table["sensor"] == "starling2") & (table["method"] == "least_squares")]
-    assert (good["error_mean_m"] < 0.03).all()
-    assert (good["ate_rmse_m"] < 0.3 * good["raw_ate_rmse_m"]).all()
+    assert len(table) == 2 * 2 * 4
+    assert set(table["method"]) == {"none", "report-segments", "average", "least_squares"}
+    assert set(table["sensor"]) == {"report", "starling2"}
+    assert (table["report_max_m"] > table["report_mean_m"]).all()
+    final = table.pivot(index=["trajectory", "sensor"], columns="method", values="error_final_m")
+    assert np.allclose(final["none"], 0.0828e-3 * 125 * 22, rtol=0.03), "the report's constant drift"
+    # The first scan is off by 0.12 m, as is the map from there on.
+    assert (final[["average", "least_squares"]].max(axis=1) < 0.85 * final["none"]).all()
+    assert (final["least_squares"] < final["average"]).all()
     names = {path.name for path in folder.glob("fig_*.png")}
-    for part, figure in {"zigzag": "3_2", "loops": "3_3"}.items():
-        for sensor in ("report-4cm", "starling2"):
+    for part, figure in {"vertical": "3_2", "orbit": "3_3"}.items():
+        for sensor in ("report", "starling2"):
             assert {f"fig_{figure}_{part}-{sensor}.png", f"fig_3_4_{part}-{sensor}.png"} <= names
     timing = pd.read_csv(folder / "timing.csv")
-    assert set(timing["stage"]) == {"preprocess", "hough", "match", "map", "frame"}
+    assert {"preprocess", "hough", "match", "map", "frame"} <= set(timing["stage"])
 
 
-def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
+def test_the_icp_notebook_flies_the_report_s_programs_beside_the_methods_as_they_should_be(smoke):
     table = of_sensors(smoke, "cloud-odometry")
     assert not table.duplicated(["trajectory", "noise", "method", "map", "sensor", "seed"]).any()
     assert table.notna().all(axis=None)
-    assert (table["scans"] == 35).all()
-    # One scan of the loops has fewer points than `best` registers.
-    assert (table["unused_share"] * (table["scans"] - 1) < 1.5).all()
-    report = {"icp", "icp-3dof", "gicp"}
+    own = {"icp", "icp-3dof", "gicp"}
     for (flight, noise, sensor), rows in table.groupby(["trajectory", "noise", "sensor"]):
         where = f"{flight}, {noise}, {sensor}"
-        assert report | {"best"} <= set(rows["method"]), where
-        first = rows.drop_duplicates("method").set_index("method")
-        assert first["ate_rmse_m"]["best"] < 0.75 * first["raw_ate_rmse_m"]["best"], where
-        assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp"], where
-        if sensor == "report-4cm":
-            assert {"icp-4dof", "gicp-4dof", "icp-3dof-dropped"} <= set(rows["method"]), where
-            # A rotation dropped after the solve is no restricted solve: that is the fault this run shows.
-            assert first["ate_rmse_m"]["icp-3dof"] < first["ate_rmse_m"]["icp-3dof-dropped"], where
-            assert set(rows.loc[rows["method"] == "icp", "map"]) == {"re-voxelised", "weighted"}, where
-    flown = {("random-walk", "report-4cm"), ("random-walk", "starling2"), ("constant-drift", "report-4cm")}
+        first = rows.set_index("method")
+        assert set(first.index) == own | {f"report-{name}" for name in own} | {"best"}, where
+        assert first["scans"]["gicp"] < 0.25 * first["scans"]["icp"], "a busy program misses scans"
+        assert first["error_final_m"]["best"] < 0.7 * first["raw_error_final_m"]["best"], where
+        # A rotation dropped after the solve is no restricted solve: that is the fault of the report's program.
+        assert first["error_final_m"]["icp-3dof"] < first["error_final_m"]["report-icp-3dof"], where
+    flown = {("random-walk", "report"), ("random-walk", "starling2"), ("constant-drift", "report")}
     assert set(table.groupby(["noise", "sensor"]).groups) == flown
-    assert set(table["trajectory"]) == {"loops", "zigzag"}
+    assert set(table["trajectory"]) == {"orbit", "vertical"}
     figures = {"random-walk": "3_5", "constant-drift": "3_6"}
     for noise, sensor in flown:
         folder = smoke / f"cloud-odometry{SENSORS[sensor]}"
@@ -150,7 +147,7 @@ def test_the_icp_notebook_compares_every_method_under_both_noises(smoke):
 
 def test_the_icp_notebook_measures_how_much_longer_gicp_takes(smoke):
     times = of_sensors(smoke, "cloud-odometry", "timing.csv")
-    frames = times[(times["stage"] == "frame") & (times["map"] == "re-voxelised")]
+    frames = times[times["stage"] == "frame"]
     wide = frames.pivot_table(index=["trajectory", "noise", "sensor"], columns="method", values="median_ms")
     ratio = wide["gicp"] / wide["icp"]
     assert len(ratio) == 6
@@ -159,16 +156,16 @@ def test_the_icp_notebook_measures_how_much_longer_gicp_takes(smoke):
 
 def test_the_comparison_notebook_measures_the_bend_of_each_cloud(smoke):
     table = of_sensors(smoke, "cloud-comparison")
-    assert table.groupby(["sensor", "method"]).ngroups == 2 * 4
+    assert table.groupby(["sensor", "method"]).ngroups == 2 * 7
     for _, rows in table.groupby(["sensor", "method"]):
-        assert len(rows) >= 4
+        assert len(rows) >= 3
         assert (rows["height_m"].diff().dropna() > 0).all()
         assert rows[["tilt_deg", "offset_m", "blur_m"]].notna().all(axis=None)
-    for sensor, twin in SENSORS.items():
-        metrics = json.loads((smoke / f"cloud-comparison{twin}" / "metrics.json").read_text())
+    for sensor in ("report", "starling2"):
+        metrics = json.loads((smoke / f"cloud-comparison{SENSORS[sensor]}" / "metrics.json").read_text())
         assert metrics[f"{sensor}.best.bend_deg"] < 1
-        assert metrics[f"{sensor}.best.offset_max_m"] < 0.06
-        assert metrics[f"{sensor}.icp-3dof.bend_deg"] < metrics[f"{sensor}.icp.bend_deg"]
+        assert metrics[f"{sensor}.best.offset_max_m"] < 0.08
+        assert metrics[f"{sensor}.icp-3dof.tilt_max_deg"] < metrics[f"{sensor}.icp.tilt_max_deg"]
 
 
 def test_the_convergence_notebook_maps_the_basin_and_searches(smoke):
@@ -185,7 +182,8 @@ def test_the_convergence_notebook_maps_the_basin_and_searches(smoke):
     assert metrics[f"{wide}.right_share"] > metrics[f"{narrow}.right_share"]
     assert metrics[f"{wide}.wrong_share"] > metrics[f"{narrow}.wrong_share"]
     table = pd.read_csv(folder / "table.csv")
-    assert len(table) == metrics["flights"] == 2 * 2 * 2 * 2
+    assert len(table) == metrics["flights"] == 2 * 2 * 3
+    assert set(table["method"]) == {"icp-3dof", "report-icp-3dof"}
     assert table["wrong"].sum() == metrics["flights_wrong"]
     assert {path.name for path in folder.glob("fig_*.png")} == {"fig_basin.png", "fig_3_10.png"}
 
@@ -201,7 +199,7 @@ def test_the_yaw_notebook_flies_every_method_and_best_takes_the_turn_out(smoke):
         assert ate["none"] == pytest.approx(rows["raw_ate_rmse_m"].iloc[0])
         assert ate["best"] < min(ate["none"], ate["icp-3dof"], ate["least_squares"]), where
     assert table.groupby(["trajectory", "sensor"]).ngroups == 4
-    for sensor, twin in SENSORS.items():
+    for sensor, twin in {"report-4cm": "", "starling2": "-starling2"}.items():
         for figure in ("5_1", "5_2", "errors"):
             assert coloured(smoke / f"yaw-drift{twin}" / f"fig_{figure}_{sensor}.png") > COLOURED_MIN
 

@@ -2,15 +2,20 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from steelnb import experiment, rng
+from steelnb.errors import SettingsError
+from steelnb.keys import find_root
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
 from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
+from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.types import Array
 
 Progress = Callable[[float], None]
@@ -19,37 +24,41 @@ CLOUD_CASE = ("trajectory", "noise", "method", "map")
 
 REPORT_FLIGHTS = {"vertical": ("vertical", "zigzag"), "orbit": ("orbit", "orbit-3.3", "loops")}
 """The report's two flights, and the presets that are compared with each."""
-
-
-def _by_preset(of_flight: dict[str, Any]) -> dict[str, Any]:
-    """What the report says of its flights, by the names of the presets that are compared with them."""
-    return {name: value for flight, value in of_flight.items() for name in REPORT_FLIGHTS[flight]}
-
-
-REPORT_FIGURE = _by_preset({"vertical": "3_2", "orbit": "3_3"}) | {"random-walk": "3_5", "constant-drift": "3_6"}
+REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure of segment odometry on a flight, and of odometry by clouds under a noise, as files are named."""
-REPORT_SEGMENT_ODOMETRY: dict[str, dict[str, float]] = _by_preset(
-    {
-        "vertical": {"raw_final_m": 4.2, "mean_m": 0.2, "max_m": 0.28, "steps": 1050},
-        "orbit": {"raw_final_m": 2.1, "mean_m": 0.3, "max_m": 0.42, "steps": 800},
-    }
-)
-"""Figures 3.2b and 3.3b: the drift at the end, and the corrected error's usual and largest value."""
-REPORT_CLOUD_ODOMETRY: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
-    "random-walk": {
-        "none": _by_preset({"orbit": (0.7, 0.8), "vertical": (0.7, 0.8)}),
-        "icp": _by_preset({"orbit": (0.1, 0.3), "vertical": (0.0, 1.0)}),
-        "icp-3dof": _by_preset({"orbit": (0.0, 0.85), "vertical": (0.02, 0.35)}),
-        "gicp": _by_preset({"orbit": (0.25, 0.54), "vertical": (0.10, 0.25)}),
-    },
-    "constant-drift": {
-        "none": _by_preset({"orbit": (2.5, 4.6), "vertical": (2.5, 4.6)}),
-        "icp": _by_preset({"orbit": (0.1, 0.85), "vertical": (0.0, 1.5)}),
-        "icp-3dof": _by_preset({"orbit": (0.3, 0.4), "vertical": (0.1, 0.5)}),
-        "gicp": _by_preset({"orbit": (0.25, 0.4), "vertical": (0.0, 0.1)}),
-    },
-}
-"""Figures 3.5 and 3.6: noise → method → flight → range (m) of the corrected error; for ``none``, the drift's end."""
+REPORT_CURVES = Path("notebooks", "report-curves.csv")
+"""The curves of the report's plots, read off its PDF, below the root of the project."""
+
+
+@cache
+def _report_curves() -> pd.DataFrame:
+    return pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
+
+
+def report_curve(plot: ReportPlot, curve: str = "corrected") -> tuple[Array, Array]:
+    """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` of one of the report's plots,
+    without the samples of an earlier run."""
+    rows = _report_curves()
+    case = (rows["figure"] == plot.figure) & (rows["trajectory"] == plot.trajectory) & (rows["method"] == plot.method)
+    rows = rows[case & (rows["curve"] == curve) & (rows["step"] >= plot.earlier_samples)]
+    return plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
+
+
+def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
+    """The report's plot whose flight, noise and rate of samples an experiment has, or None."""
+    wanted = (settings.flight.trajectory, settings.noise_name, settings.tof.rate_hz)
+    plots = ((plot.flight or plot.trajectory, plot.noise, plot.rate_hz) for plot in read_report_plots())
+    return next((plot for plot, own in zip(read_report_plots(), plots, strict=True) if own == wanted), None)
+
+
+def report_range(noise: str, method: str, trajectory: str) -> tuple[float, float] | None:
+    """Smallest and largest corrected error (m) that the report shows of a method under a noise, on the flight of its
+    own that is compared with a trajectory; None where it shows none."""
+    for plot in read_report_plots():
+        if (plot.noise, plot.method) == (noise, method) and trajectory in REPORT_FLIGHTS[plot.trajectory]:
+            error = report_curve(plot)[1]
+            return float(error.min()), float(error.max())
+    return None
 
 
 def at_level(noise: str, level: float) -> str:
@@ -69,7 +78,7 @@ def make_cases(
     noise: Sequence[str],
     method: Iterable[str | tuple[str, dict[str, Any]]],
     seed: rng.Seed,
-    duration_s: float,
+    duration_s: float | None,
     overrides: dict[str, Any] | None = None,
 ) -> list[ExperimentSettings]:
     """Settings of every flight × noise × method; a method may come with its overrides. Raises `SettingsError`."""
@@ -79,6 +88,37 @@ def make_cases(
         ExperimentSettings.preset(flight, each, overrides={**(overrides or {}), **changes}, method=name, **given)
         for flight, each, (name, changes) in itertools.product(trajectory, noise, wanted)
     ]
+
+
+def report_cases(
+    trajectory: Iterable[str],
+    noise: str,
+    methods: Mapping[str, Iterable[str]],
+    sensor: str = "report",
+    seed: rng.Seed = "report",
+    duration_s: float | None = None,
+    overrides: dict[str, Any] | None = None,
+) -> list[ExperimentSettings]:
+    """Settings of the report's own experiments: for each flight, and each method of its plots, the methods that fly on
+    the samples of that plot, which are those of the other noise where the plot's noise is not ``noise``.
+
+    ``duration_s``: default as long as the plot. Raises `SettingsError`.
+    """
+    cases = []
+    for flight, shown in itertools.product(trajectory, methods):
+        plots = [plot for plot in read_report_plots() if (plot.trajectory, plot.method) == (flight, shown)]
+        if not plots:
+            raise SettingsError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
+        plot = next((plot for plot in plots if plot.noise == noise), plots[0])
+        samples = {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s}
+        cases += [
+            ExperimentSettings.preset(
+                plot.flight or plot.trajectory, noise, method, sensor, seed, duration_s or plot.duration_s,
+                {**samples, **(overrides or {})},
+            )
+            for method in methods[shown]
+        ]  # fmt: skip
+    return cases
 
 
 def run_all(
@@ -130,7 +170,7 @@ def caption(cases: pd.DataFrame | Sequence[experiment.Result]) -> str:
     return ", ".join([*parts, seeds_text(rows["seed"])])
 
 
-def seeds_text(seeds: Iterable[int]) -> str:
+def seeds_text(seeds: Iterable[rng.Seed]) -> str:
     """The only one of some seeds, or their number."""
     different = set(seeds)
     return f"seed {different.pop()}" if len(different) == 1 else f"{len(different)} seeds"
@@ -139,6 +179,8 @@ def seeds_text(seeds: Iterable[int]) -> str:
 def map_kind(settings: ExperimentSettings) -> str:
     """The map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which forgets), or
     ``bars``."""
+    if settings.odometry.report_clouds is not None:
+        return "re-voxelised"
     if settings.odometry.clouds is None:
         return "bars"
     return "weighted" if settings.odometry.clouds.accumulate else "re-voxelised"
@@ -158,6 +200,20 @@ def cloud_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
     return rows
 
 
+def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
+    """`cloud_table` with mean, maximum and end (m) of the corrected curve in the report's plot of the same experiment,
+    up to the end of the run: ``report_mean_m``, ``report_max_m``, ``report_final_m``; NaN where there is none."""
+    numbers = []
+    for result in results:
+        plot, error = plot_of(result.settings), np.array([np.nan])
+        if plot:
+            time_s, error = report_curve(plot)
+            error = error[time_s <= result.corrected.stamp_s[-1] + 1 / plot.rate_hz]
+        numbers.append((error.mean(), error.max(), error[-1]))
+    columns = ["report_mean_m", "report_max_m", "report_final_m"]
+    return cloud_table(results).join(pd.DataFrame(numbers, columns=columns))
+
+
 def metrics(results: Sequence[experiment.Result], by: Sequence[str] = ("noise", "method")) -> dict[str, float]:
     """The finite numbers of all runs in one flat map, ``<values of by>.<metric>``."""
     return {f"{_name(r.settings, by)}.{k}": v for r in results for k, v in r.metrics.items() if np.isfinite(v)}
@@ -170,7 +226,7 @@ def provenance(results: Sequence[experiment.Result], by: Sequence[str] = ("noise
 
 def _name(settings: ExperimentSettings, by: Sequence[str]) -> str:
     case = {**case_of(settings), "map": map_kind(settings)}
-    return ".".join(case[name] for name in by)
+    return ".".join(str(case[name]) for name in by)
 
 
 def timing(results: Sequence[experiment.Result], with_map: bool = False) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle
 
-from steelnb import experiment
+from steelnb import experiment, rng
 from steelnb.experiment import Result
 from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
@@ -34,7 +34,7 @@ def basin_cases(
     sensor: str,
     noise: str,
     correspondence_m: Sequence[float],
-    seed: int,
+    seed: rng.Seed,
     duration_s: float,
     overrides: dict[str, Any],
 ) -> dict[str, ExperimentSettings]:
@@ -49,20 +49,19 @@ def search_cases(
     sensor: str,
     noise: Sequence[str],
     correspondence_m: Sequence[float],
-    seed: Sequence[int],
+    seed: Sequence[rng.Seed],
     duration_s: float,
     blind_s: Sequence[Sequence[float]],
     overrides: dict[str, Any],
 ) -> list[ExperimentSettings]:
-    """3-DoF ICP with each largest distance, on every seed, flight and noise, with the tower in sight all the time and
-    with the gaps ``blind_s`` that end before the flight does."""
+    """3-DoF ICP with each largest distance and the report's program for it, on every seed, flight and noise, with the
+    tower in sight all the time and with the gaps ``blind_s`` that end before the flight does."""
     gaps = [list(gap) for gap in blind_s if gap[1] < duration_s]
+    methods: list[str | tuple[str, dict[str, Any]]] = [*narrowed(correspondence_m), "report-icp-3dof"]
     return [
         case
         for one, flight, sight in itertools.product(seed, trajectory, ({}, {"tof.blind_s": gaps}))
-        for case in make_cases(
-            [flight], sensor, noise, narrowed(correspondence_m), one, duration_s, {**overrides, **sight}
-        )
+        for case in make_cases([flight], sensor, noise, methods, one, duration_s, {**overrides, **sight})
     ]
 
 
@@ -78,7 +77,8 @@ def label(settings: ExperimentSettings) -> str:
 
 
 def _reach_m(settings: ExperimentSettings) -> float:
-    return float(getattr(settings.odometry.clouds, "max_correspondence_m", np.nan))
+    settings_of = settings.odometry.clouds or settings.odometry.report_clouds
+    return float(getattr(settings_of, "max_correspondence_m", np.nan))
 
 
 def beside_best(result: Result, overrides: dict[str, Any]) -> tuple[dict[str, Result], dict[str, tuple[Array, Array]]]:

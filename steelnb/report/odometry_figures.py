@@ -10,12 +10,11 @@ from matplotlib.axes import Axes
 
 from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
-from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
+from steelnb.report.batch import caption, plot_of, report_curve
 from steelnb.report.style import (
     BLACK,
     COLOURS,
     LABELS,
-    REPORT_BAND,
     Figure,
     draw_bars,
     draw_paths,
@@ -23,18 +22,20 @@ from steelnb.report.style import (
     style,
     thinned,
 )
+from steelnb.settings.report_plots import ReportPlot
 from steelnb.types import Array
 
 POINTS_MAX = 60_000
-ERROR_MIN_M = 0.005
-"""Where a logarithmic axis of errors begins, as errors do at zero."""
+ERROR_MIN_M, ERROR_MAX_M = 0.005, 12.0
+"""Ends of a logarithmic axis of errors, which begin at zero."""
+CLOUDS = {"report-icp": "3.7", "report-icp-3dof": "3.8", "report-gicp": "3.9"}
 REPORT_FIGURES = {
-    "random-walk": {"icp": "3.7", "icp-3dof": "3.8", "gicp": "3.9"},
+    "random-walk": CLOUDS,
+    "constant-drift": CLOUDS,  # the report does not say which of both
     "random-walk+yaw-random-walk": {"gicp": "5.2, 5.3"},
 }
 """The report's figures of clouds: noise → method → number."""
 SMOOTHED_S, REACH_M = 10.0, 2.2
-Range = tuple[float, float]
 
 
 @style()
@@ -45,7 +46,6 @@ def figure_segment_errors(results: Sequence[Result]) -> Figure:
     true one, the drifting one and that of the last correction.
     """
     noises = list(dict.fromkeys(result.settings.noise_name for result in results))
-    report = REPORT_SEGMENT_ODOMETRY[results[0].settings.flight.trajectory]
     figure = Figure(figsize=(12.5, 4.4 * len(noises)))
     grid = figure.add_gridspec(len(noises), 2, width_ratios=(1, 2.4))
     first = None
@@ -56,12 +56,9 @@ def figure_segment_errors(results: Sequence[Result]) -> Figure:
         first = first or curve
         _draw_flight(scene, last)
         _draw_errors(curve, {_with_numbers(result): result for result in of_noise})
-        label = f"report: up to {report['max_m']} m"
-        _draw_report(curve, (0.0, report["max_m"]), (report["raw_final_m"],) * 2, label)
-        usual = f"report: about {report['mean_m']} m"
-        curve.axhline(report["mean_m"], color=COLOURS["report"], linestyle="--", linewidth=1.2, label=usual)
+        _draw_report(curve, plot_of(last.settings))
         curve.plot([], [], color=COLOURS["truth"], label="true path (left)")
-        curve.set(ylabel="distance to the truth (m)", title=caption(of_noise), xlabel=_scans(last))
+        curve.set(ylabel="distance to the truth (m)", title=caption(of_noise), xlabel="time (s)")
         curve.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=10)
     return figure
 
@@ -80,43 +77,36 @@ def _with_numbers(result: Result) -> str:
     return f"{LABELS[result.settings.odometry.method]}: mean {error.mean():.3f} m, max {error.max():.3f} m"
 
 
-def _scans(result: Result) -> str:
-    return f"ToF scan ({result.settings.tof.rate_hz:g} Hz)"
-
-
 def _draw_errors(panel: Axes, results: Mapping[str, Result]) -> None:
-    """Draw the distance to the truth of some runs, by label, over the scans."""
+    """Draw the distance to the truth of some runs, by label, over time."""
     for label, result in results.items():
         error = position_error_m(result.corrected, result.truth.trajectory)
-        panel.plot(error, color=COLOURS[result.settings.odometry.method], label=label)
-    panel.set(xlim=(0, len(error) - 1))
+        stamps, colour = result.corrected.stamp_s, COLOURS[result.settings.odometry.method]
+        panel.plot(stamps, error, color=colour, label=label)
+    panel.set(xlim=(0, stamps[-1]))
 
 
-def _draw_report(panel: Axes, shown: Range | None, raw_end: Range | None, label: str) -> None:
-    """Draw what the report shows behind errors, whose axis turns logarithmic: the range of its corrected error as a
-    band, and at the right edge that of the drift at its end."""
-    if shown:
-        panel.axhspan(max(shown[0], 0.1 * ERROR_MIN_M), shown[1], **REPORT_BAND, label=label)
-    if raw_end:
-        look: dict[str, Any] = {"color": COLOURS["none"], "marker": "D", "ms": 7, "mec": "white", "clip_on": False}
-        place = panel.get_xlim()[1]
-        panel.plot([place, place], raw_end, lw=2.5, zorder=5, label="report: drift at the end", **look)
-    panel.set(yscale="log", ylim=(ERROR_MIN_M, 6.0))
+def _draw_report(panel: Axes, plot: ReportPlot | None) -> None:
+    """Draw the curves of the report's plot behind errors, whose axis turns logarithmic."""
+    look: dict[str, Any] = {"color": COLOURS["report"], "linewidth": 1.0, "zorder": 1}
+    if plot:
+        panel.plot(*report_curve(plot, "drift"), ":", label="the report: no correction", **look)
+        panel.plot(*report_curve(plot), label="the report: corrected", **look)
+    panel.set(yscale="log", ylim=(ERROR_MIN_M, ERROR_MAX_M))
 
 
 @style()
 def figure_errors(results: Sequence[Result], rows: Sequence[Sequence[str]], smoothed_s: float = 0.0) -> Figure:
-    """Rows of methods × columns of flights, all with the same axes: the distance to the truth over the scans, raw and
+    """Rows of methods × columns of flights, all with the same axes: the distance to the truth over time, raw and
     corrected, or its running root mean square over a time.
 
-    ``results`` hold one noise and sensor; drawn is the first of each method and flight, as far as they are there. The
-    grey band is the range that the report's figure shows of the only method of a row.
+    ``results`` hold one noise and sensor; drawn is the first of each method and flight, as far as they are there. Grey
+    are the curves of the report's plot of the same samples.
     """
     cases: dict[tuple[str, str], Result] = {}
     for result in results:
         cases.setdefault((result.settings.odometry.method, result.settings.flight.trajectory), result)
     flights = list(dict.fromkeys(flight for _, flight in cases))
-    report = REPORT_CLOUD_ODOMETRY.get(results[0].settings.noise_name, {})
     figure = Figure(figsize=(5.4 * len(flights) + 0.4, (2.6 if len(rows) > 2 else 3.6) * len(rows) + 1.0))
     panels = figure.subplots(len(rows), len(flights), squeeze=False, sharex="col", sharey=True)
     for (row, column), panel in np.ndenumerate(panels):
@@ -124,18 +114,20 @@ def figure_errors(results: Sequence[Result], rows: Sequence[Sequence[str]], smoo
         drawn = [cases[method, flight] for method in rows[row] if (method, flight) in cases]
         first = drawn[0] if drawn else results[0]
         raw = running_rms_m(replace(first, corrected=first.prior), smoothed_s)
-        panel.plot(raw, "--", color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
+        panel.plot(first.prior.stamp_s, raw, "--", color=COLOURS["none"], linewidth=1.2, label=LABELS["none"])
+        panel.set_title(flight, fontsize=11)
         for result in drawn:
             error, method = running_rms_m(result, smoothed_s), result.settings.odometry.method
-            panel.plot(error, color=COLOURS[method], label=LABELS[method])
-            title = f"{LABELS[method]}, {flight}: mean {error.mean():.2f} m, max {error.max():.2f} m"
-            panel.set_title(title if len(rows[row]) == 1 else flight, fontsize=11)
+            panel.plot(result.corrected.stamp_s, error, color=COLOURS[method], label=LABELS[method])
+            if len(rows[row]) == 1:
+                title = f"{LABELS[method]}, {flight}: mean {error.mean():.2f} m, max {error.max():.2f} m"
+                panel.set_title(title, fontsize=11)
         over = f", RMS over {smoothed_s:g} s" if smoothed_s else ""
-        panel.set(xlim=(0, len(raw) - 1), ylabel=f"error (m){over}", xlabel=_scans(first))
-        shown = report.get(rows[row][0], {}).get(flight) if len(rows[row]) == 1 else None
-        _draw_report(panel, shown, report.get("none", {}).get(flight), "report: corrected error")
+        last_s = max(case.prior.stamp_s[-1] for (_, name), case in cases.items() if name == flight)
+        panel.set(xlim=(0, last_s), ylabel=f"error (m){over}", xlabel="time (s)")
+        _draw_report(panel, plot_of(first.settings))
         panel.label_outer()
-    gather_legend(figure, ncols=4)
+    gather_legend(figure, ncols=3)
     figure.suptitle(caption(results))
     return figure
 
@@ -174,7 +166,7 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
 
 @style()
 def figure_slip(results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int) -> Figure:
-    """The error over the scans (left) and, for each label, the built and the true cloud around where the drone was at
+    """The error over time (left) and, for each label, the built and the true cloud around where the drone was at
     ``scan`` (right)."""
     first = next(iter(results.values()))
     drone = first.truth.trajectory.at(first.corrected.stamp_s).position[scan]
@@ -183,12 +175,11 @@ def figure_slip(results: Mapping[str, Result], clouds: Mapping[str, tuple[Array,
     figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.6))
     curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
     _draw_errors(curve, results)
-    curve.axvline(scan, color=BLACK, linewidth=1.0, linestyle=":", label="largest slip")
+    curve.axvline(first.corrected.stamp_s[scan], color=BLACK, linewidth=1.0, linestyle=":", label="largest slip")
     for k, gap in enumerate(first.settings.tof.blind_s):
         label = "no sight of the tower" if k == 0 else None
-        span = np.array(gap) * first.settings.tof.rate_hz
-        curve.axvspan(*span, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
-    curve.set(xlabel=_scans(first), ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
+        curve.axvspan(*gap, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
+    curve.set(xlabel="time (s)", ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
     for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
         near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * REACH_M).all(axis=1)
         _draw_clouds(panel, built[near], true[near], results[label].settings.odometry.method, 0, size=2.0)

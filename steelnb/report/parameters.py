@@ -78,7 +78,7 @@ def _fit(name: str, value: Any, default: Any) -> Any:
     kind = type(default)
     if (
         default is None
-        or (name == "seed" and "report" in (value, default))
+        or (name.partition("[")[0] == "seed" and "report" in (value, default))
         or (kind in (bool, int, str) and type(value) is kind)
     ):
         return value

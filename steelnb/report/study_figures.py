@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from steelnb.report.batch import REPORT_CLOUD_ODOMETRY, REPORT_SEGMENT_ODOMETRY, caption
+from steelnb.report.batch import caption, report_range
 from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, Verdict, cell_name
 from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, style
 from steelnb.types import Array
@@ -85,9 +85,7 @@ def _draw_bands(panel: Axes, runs: pd.DataFrame, method: str) -> None:
 
 def _draw_report(panel: Axes, noise: str, trajectory: str, method: str, lowest_m: float) -> bool:
     """The range of the report's corrected error down to ``lowest_m``, where it shows one; True then."""
-    found = REPORT_CLOUD_ODOMETRY.get(noise, {}).get(method, {}).get(trajectory)
-    if method == "average" and noise in REPORT_CLOUD_ODOMETRY and trajectory in REPORT_SEGMENT_ODOMETRY:
-        found = (0.0, REPORT_SEGMENT_ODOMETRY[trajectory]["max_m"])
+    found = report_range(noise, method, trajectory)
     if found:
         panel.axhspan(max(found[0], lowest_m), found[1], **REPORT_BAND)
     return found is not None

@@ -13,15 +13,14 @@ from steelnb.metrics import position_error_m
 from steelnb.metrics.matching import match_members
 from steelnb.odometry.segments import segments_in
 from steelnb.points import preprocess_scan
-from steelnb.report.batch import REPORT_SEGMENT_ODOMETRY, caption, case_of
+from steelnb.report.batch import caption, case_of, plot_of, report_curve, report_range
 from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, gather_legend, style
 from steelnb.types import Flight
 
-KINDS = ("leg", "ring", "bracing", "arm")
+KINDS = ("leg", "ring", "bracing", "arm", "secondary")
 ANGLE_MAX_RAD, DISTANCE_MAX_M = 0.26, 0.2
 """A segment of one noisy scan, whose points lie on the near faces, belongs to the member within these."""
 WINDOW_S = 10.0
-REPORT_MAX_M = REPORT_SEGMENT_ODOMETRY["vertical"]["max_m"]
 AXES = {"waist": "tower.waist_width_m", "standoff": "flight.standoff_m", "crop": "preprocess.crop_m"}
 
 
@@ -68,8 +67,8 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     )
     error, method = position_error_m(run.corrected, run.truth.trajectory), run.settings.odometry.method
     top.plot(stamps, error, color=COLOURS[method], label=LABELS[method])
-    report_m = REPORT_SEGMENT_ODOMETRY[run.settings.flight.trajectory]["max_m"]
-    top.axhline(report_m, color=COLOURS["report"], linestyle="-.", label="the report's largest error")
+    if plot := plot_of(run.settings):
+        top.plot(*report_curve(plot), color=COLOURS["report"], linewidth=1.0, label="the report's curve")
     top.set(ylabel="error (m)", ylim=(0, None))
     edges = np.arange(0.0, stamps[-1] + WINDOW_S, WINDOW_S)
     scans = np.histogram(stamps[::every], edges)[0]
@@ -84,7 +83,7 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     below.plot(middle, other, "o-", label="on another member", **look)
     below.set(xlabel="time (s)", ylabel="pairs a scan", xlim=(0, stamps[-1]))
     for panel in (top, below):
-        if waist_s(run) < stamps[-1]:
+        if run.settings.tower.members is None and waist_s(run) < stamps[-1]:
             panel.axvline(waist_s(run), color=GREY, linewidth=1.2, linestyle=":", label="the waist")
     gather_legend(figure, ncols=5, fontsize=10)
     figure.suptitle(caption(pd.DataFrame([case_of(run.settings)])))
@@ -103,8 +102,10 @@ def sweep_rows(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 @style()
-def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float = REPORT_MAX_M) -> Figure:
-    """Largest error over width at the waist and stand-off, a panel a crop; what is within the report's is framed."""
+def figure_sweep(rows: pd.DataFrame, runs: pd.DataFrame, limit_m: float | None = None) -> Figure:
+    """Largest error over width at the waist and stand-off, a panel a crop; what is within ``limit_m``, default the
+    largest of the report's Figure 3.2, is framed."""
+    limit_m = limit_m or (report_range("constant-drift", "average", "vertical") or (0.0, 0.0))[1]
     crops = sorted(rows["crop"].unique())
     figure = Figure(figsize=(4.2 * len(crops) + 1.6, 4.4))
     panels = figure.subplots(1, len(crops), squeeze=False, sharey=True)[0]

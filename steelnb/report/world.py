@@ -6,13 +6,17 @@ import numpy as np
 import pandas as pd
 from matplotlib.collections import PolyCollection
 
+from steelnb import rng
 from steelnb.images import GreyImage
 from steelnb.noise import drifting, random_walk_rms_m
+from steelnb.report.batch import report_curve
 from steelnb.report.style import (
+    BLACK,
     BLUE,
     COLOURS,
     GREY,
     KINDS,
+    ORANGE,
     Figure,
     draw_bars,
     draw_lines,
@@ -22,6 +26,7 @@ from steelnb.report.style import (
     style,
 )
 from steelnb.settings import CameraSettings, NoiseSettings
+from steelnb.settings.report_plots import ReportPlot
 from steelnb.simulation import Tower, Truth, photograph
 from steelnb.simulation.sections import PLATE
 from steelnb.types import Array, Flight, Trajectory
@@ -30,6 +35,8 @@ RATE_HZ = 125.0
 ABOVE_DEG = 25.0
 """Elevation from which the tower is seen in Figure 3.1."""
 SEEDS_DRAWN = 8
+REPORT_DRIFT = {"random-walk": ("3.5", "vertical", "icp"), "constant-drift": ("3.6", "vertical", "icp")}
+"""Noise → figure, flight and method of one of the plots that show its drift."""
 
 
 def flight_table(flights: dict[str, tuple[Flight, Truth]]) -> pd.DataFrame:
@@ -58,7 +65,7 @@ def flight_table(flights: dict[str, tuple[Flight, Truth]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def drift_curves(noise: str, seeds: Sequence[int], duration_s: float) -> tuple[Array, Array]:
+def drift_curves(noise: str, seeds: Sequence[rng.Seed], duration_s: float) -> tuple[Array, Array]:
     """Drift of many seeds without flying: stamps ``(N,)`` at 125 Hz and errors ``(S, N)``.
 
     Drift does not depend on the flight, so a drone that stays where it is will do. Errors are of the position in
@@ -105,7 +112,7 @@ def drift_metrics(drift: pd.DataFrame) -> dict[str, float]:
     return {named.format_map(row): float(row["rms"]) for row in drift.to_dict("records")}
 
 
-def drone_views(truth: Truth, seed: int) -> dict[str, GreyImage]:
+def drone_views(truth: Truth, seed: rng.Seed) -> dict[str, GreyImage]:
     """What the report's two cameras see in the middle of a flight, by what to call it."""
     views = {}
     for name in ("forward", "tracking"):
@@ -152,11 +159,14 @@ def figure_tower(
 
 
 @style()
-def figure_drift(curves: Mapping[str, tuple[Array, Array]], claim: str) -> Figure:
+def figure_drift(
+    curves: Mapping[str, tuple[Array, Array]], own: Mapping[str, tuple[Array, Array]], claim: str
+) -> Figure:
     """Drift over time, a panel for each noise.
 
-    ``curves`` maps a noise to its `drift_curves`; the dashed line is their `expected_drift`. The report's claim (1 m
-    after 3 min) is marked in the panel of the noise named ``claim``.
+    ``curves`` maps a noise to its `drift_curves`; the dashed line is their `expected_drift`. ``own`` are those of the
+    report's own seed, beside the drift that its `REPORT_DRIFT` shows. The report's claim (1 m after 3 min) is marked in
+    the panel of the noise named ``claim``.
     """
     figure = Figure(figsize=(11, 4.4))
     for k, (name, (stamp, errors)) in enumerate(curves.items()):
@@ -172,6 +182,13 @@ def figure_drift(curves: Mapping[str, tuple[Array, Array]], claim: str) -> Figur
         panel.plot(
             minutes[thin], scale * expected_drift(name, stamp[thin]), "--", color=COLOURS["truth"], label="expected"
         )
+        seconds, error = own[name]
+        panel.plot(seconds[thin] / 60, scale * error[0, thin], color=ORANGE, label="the report's seed")
+        if name in REPORT_DRIFT:
+            seconds, drift = report_curve(ReportPlot.find(*REPORT_DRIFT[name]), "drift")
+            label = f"the report's Figure {REPORT_DRIFT[name][0]}"
+            panel.plot(seconds / 60, drift, ":", color=BLACK, label=label)
+            panel.set_xlim(0, minutes[-1])
         if name == claim:
             panel.plot(3, 1.0, "*", color=COLOURS["report"], ms=16, mec="white", zorder=5, label="report: about 1 m")
         panel.set(title=name, xlabel="time (min)", ylabel="heading error (°)" if yaw else "position error (m)")

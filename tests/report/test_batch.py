@@ -7,6 +7,7 @@ import pytest
 from steelnb import experiment
 from steelnb.errors import SettingsError
 from steelnb.report import batch, false_convergence
+from steelnb.settings.report_plots import read_report_plots
 from steelnb.study.row import paired_clouds
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -100,9 +101,30 @@ def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():
     search = false_convergence.search_cases(
         ["loops", "zigzag"], "report-4cm", ["random-walk"], [0.1, 0.5], [1, 2], 20.0, gaps, {}
     )
-    assert [case.seed for case in search] == [1] * 8 + [2] * 8
-    assert [len(case.tof.blind_s) for case in search[:8]] == [0, 0, 1, 1] * 2
+    assert [case.seed for case in search] == [1] * 12 + [2] * 12
+    assert [len(case.tof.blind_s) for case in search[:12]] == [0, 0, 0, 1, 1, 1] * 2
     assert [case.odometry.clouds.max_correspondence_m for case in search[:2]] == [0.1, 0.5]
+    assert search[2].odometry.method == "report-icp-3dof"
+
+
+def test_the_report_s_experiments_have_its_samples_and_its_curves():
+    cases = batch.report_cases(["orbit"], "constant-drift", {"average": ["average"], "gicp": ["report-gicp", "gicp"]})
+    assert [case.flight.trajectory for case in cases] == ["orbit-3.3", "orbit", "orbit"]
+    assert {case.seed for case in cases} == {"report"}
+    plots = [batch.plot_of(case) for case in cases]
+    assert [(plot.figure, plot.method) for plot in plots] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
+    time_s, error_m = batch.report_curve(plots[0])
+    assert (error_m.mean(), error_m.max(), error_m[-1]) == pytest.approx((0.285, 0.417, 0.333), abs=0.003)
+    assert time_s[-1] == pytest.approx(plots[0].duration_s, abs=2)
+    walk = batch.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
+    assert walk.tof == cases[0].tof
+    assert batch.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    with pytest.raises(SettingsError, match="'best' on the flight 'orbit'"):
+        batch.report_cases(["orbit"], "random-walk", {"best": ["best"]})
+    assert batch.report_range("random-walk", "gicp", "zigzag") == pytest.approx((0.07, 0.246), abs=0.003)
+    assert batch.report_range("random-walk", "best", "zigzag") is None
+    early = next(plot for plot in read_report_plots() if plot.earlier_samples)
+    assert (batch.report_curve(early)[0] >= early.start_s - 1e-9).all(), "nothing of the earlier run"
 
 
 def test_the_worst_flight_is_flown_again_with_best_on_the_same_scans(runs):

@@ -11,7 +11,9 @@ def odometry_rows(means: dict[str, float], flight: str = "zigzag", **more) -> pd
     """Rows of `batch.cloud_table` of one flight: method → mean error; the drift has a root mean square of 0.4 m."""
     same = {"trajectory": flight, "noise": "random-walk", "map": "weighted", "sensor": "report-4cm", "seed": 1, **more}
     rows = pd.DataFrame({**same, "method": method, "error_mean_m": mean} for method, mean in means.items())
-    return rows.assign(ate_rmse_m=1.1 * rows["error_mean_m"], raw_ate_rmse_m=0.4, unused_share=0.25)
+    rows = rows.assign(ate_rmse_m=1.1 * rows["error_mean_m"], raw_ate_rmse_m=0.4, unused_share=0.25)
+    rows = rows.assign(error_max_m=2 * rows["error_mean_m"], error_final_m=rows["error_mean_m"])
+    return rows.assign(report_mean_m=0.2, report_max_m=0.28, report_final_m=0.23)
 
 
 def test_values_are_named_from_the_smallest_up():
@@ -58,7 +60,11 @@ def test_drift(rms, expected, time_s, words):
 def test_odometries_beside_the_report():
     said = conclusions.segment_odometry(odometry_rows({"none": 0.4, "average": 0.5, "least_squares": 0.02}))
     assert "least squares 2.0, average (report's) 50.0 cm" in said
-    assert "about 0.2 m; 1 of 2 runs have a mean at or below that. Up to 25% of the scans" in said
+    assert "average (report's): mean / largest / last error 0.500 / 1.000 / 0.500 m" in said
+    assert "0.200 / 0.280 / 0.230 m; the mean is 2.5 times it" in said
+    assert "Up to 25% of the scans" in said
+    assert "within 30%" in conclusions.beside_report(odometry_rows({"report-segments": 0.25}))[0]
+    assert conclusions.beside_report(odometry_rows({"average": 0.2}).assign(report_mean_m=np.nan)) == []
     times = pd.DataFrame({"stage": "frame", "method": ["icp", "gicp"], "median_ms": [10.0, 31.0]})
     clouds = odometry_rows({"icp": 0.5, "gicp": 0.1})
     assert "GICP takes 3.1 times as long as ICP" in conclusions.cloud_odometry(clouds, times, ["icp", "gicp"])
@@ -72,7 +78,7 @@ def test_odometries_beside_the_report():
 
 def test_false_convergence():
     basins = pd.DataFrame({"radius_m": {"narrow": 0.1, "wide": 0.4}})
-    case = {"trajectory": "loops", "noise": "random-walk", "seed": 1, "max_correspondence_m": 0.5}
+    case = {"method": "icp-3dof", "trajectory": "loops", "noise": "random-walk", "seed": 1, "max_correspondence_m": 0.5}
     flights = pd.DataFrame(
         [
             {**case, "blind_s": 0, "wrong_share": 0.0, "slip_m": 0.1, "error_final_m": 0.2, "wrong": False},
