@@ -1,11 +1,9 @@
 """The report's Figures 3.2b, 3.3b, 3.5 and 3.6: its curves behind ours, on its own tower, flights, noise and sensor.
 
-    PYTHONPATH=. .venv/bin/python benchmarks/report.py [--section round] [--figures 3.2 3.3] [--repeats 3]
+    PYTHONPATH=. .venv/bin/python benchmarks/report.py [--section round] [--figures 3.2 3.3]
 
 Prints the tables of report.md and writes the pictures report-FIGURE-SECTION.png beside it. With STEELNB_CACHE set to a
-folder, flights and estimates are kept between calls. The report's curves are those of notebooks/report-curves.csv. GICP
-and the 3-DoF ICP as the report had them are nearly chaotic: beside the one run on the scans as they are, `--repeats`
-gives the range of the mean error over runs with other micrometres of noise on the points.
+folder, flights and estimates are kept between calls. The report's curves are those of notebooks/report-curves.csv.
 """
 
 import argparse
@@ -16,12 +14,10 @@ import numpy as np
 import pandas as pd
 import seaborn as sns
 
-from shared import jittered
 from steelnb import experiment
 from steelnb.metrics import position_error_m
-from steelnb.odometry import make_odometry, run
 from steelnb.report.results import machine
-from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
+from steelnb.settings import ExperimentSettings, read_report_plots
 from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight, Trajectory
@@ -30,7 +26,6 @@ HERE = Path(__file__).parent
 CURVES = HERE.parent / "notebooks" / "report-curves.csv"
 PROGRAMS = {"average": "report-segments", "icp": "report-icp", "icp-3dof": "report-icp-3dof", "gicp": "report-gicp"}
 """Method of a plot → the report's program; the method of that name is the same as it should be."""
-CHAOTIC = ("report-icp-3dof", "report-gicp")
 SHOULD_BE = {"average": "least_squares"}
 """Which method is named otherwise as it should be."""
 OURS = ("best", "faces", "smoothed")
@@ -48,7 +43,7 @@ def summary(error: Array) -> str:
 
 
 def as_reported(plot: ReportPlot, curve: str) -> tuple[Array, Array]:
-    """Samples and metres of a curve as read off the report, without those of an earlier run."""
+    """Samples and metres of a curve as read off the report."""
     table = pd.read_csv(CURVES, dtype={"figure": str})
     of_plot = (table.figure == plot.figure) & (table.trajectory == plot.trajectory) & (table.method == plot.method)
     own = table[of_plot & (table.curve == curve)]
@@ -67,7 +62,7 @@ def corrected(method: str, flight: Flight, truth: Truth, plot: ReportPlot) -> Tr
     return experiment.estimate(settings, flight, truth).corrected
 
 
-def plot_rows(plot: ReportPlot, section: str, repeats: int) -> Iterator[tuple[str, str, Array, Array]]:
+def plot_rows(plot: ReportPlot, section: str) -> Iterator[tuple[str, str, Array, Array]]:
     """For each curve of ours of a plot: what it is, its row of the table, the samples and the errors."""
     flight, truth = simulated(plot, section)
     sample = plot.earlier_samples + np.arange(len(flight), dtype=np.float64)
@@ -75,21 +70,16 @@ def plot_rows(plot: ReportPlot, section: str, repeats: int) -> Iterator[tuple[st
     names = ("drift", program, *((plot.method,) if method != plot.method else ()), method)
     for name in names:
         found = flight.prior if name == "drift" else corrected(name, flight, truth, plot)
-        error, spread = position_error_m(found, truth.trajectory), ""
+        error = position_error_m(found, truth.trajectory)
         at, theirs = as_reported(plot, "drift" if name == "drift" else "corrected")
-        own = at >= plot.earlier_samples
-        shared = np.corrcoef(np.interp(at[own], sample, error), theirs[own])[0, 1]
-        if name in CHAOTIC and repeats:
-            odometry = OdometrySettings.preset(name, "report")
-            again = [run(jittered(flight, k), make_odometry(odometry, flight.T_drone_sensor)) for k in range(repeats)]
-            means = [position_error_m(each.corrected, truth.trajectory).mean() for each in again]
-            spread = f"{min(means):.3f}–{max(means):.3f}"
+        at, theirs = at[at >= plot.earlier_samples], theirs[at >= plot.earlier_samples]
+        shared = np.corrcoef(np.interp(at, sample, error), theirs)[0, 1]
         kind = {"drift": "drift, ours", program: "its program, ours"}.get(name, "as it should be, ours")
         row = (
-            f"| {plot.figure} {plot.trajectory}, {plot.method} | {name} | {summary(theirs[own])} | {summary(error)} "
-            f"| {spread} | {error.mean() / theirs[own].mean():.2f} | {error[-1] / theirs[own][-1]:.2f} | {shared:.3f} |"
+            f"| {plot.figure} {plot.trajectory}, {plot.method} | {name} | {summary(theirs)} | {summary(error)} "
+            f"| {error.mean() / theirs.mean():.2f} | {error[-1] / theirs[-1]:.2f} | {shared:.3f} |"
         )
-        yield kind if name != plot.method or method == plot.method else "", row, sample, error
+        yield kind if name in ("drift", program, method) else "", row, sample, error
 
 
 def draw(table: pd.DataFrame, plots: list[ReportPlot], path: Path) -> None:
@@ -108,7 +98,7 @@ def draw(table: pd.DataFrame, plots: list[ReportPlot], path: Path) -> None:
     grid.savefig(path, dpi=90, metadata={"Software": None})
 
 
-def figure(name: str, section: str, repeats: int) -> None:
+def figure(name: str, section: str) -> None:
     """Print the rows of a figure's plots and draw them."""
     plots, parts = [plot for plot in read_report_plots() if plot.figure == name], []
     for plot in plots:
@@ -116,7 +106,7 @@ def figure(name: str, section: str, repeats: int) -> None:
         for curve in ("drift", "corrected"):
             at, metres = as_reported(plot, curve)
             parts.append(pd.DataFrame({"sample": at, "error (m)": metres, "curve": f"{curve}, the report"} | place))
-        for kind, row, sample, error in plot_rows(plot, section, repeats):
+        for kind, row, sample, error in plot_rows(plot, section):
             print(row, flush=True)
             parts += [pd.DataFrame({"sample": sample, "error (m)": error, "curve": kind} | place)] if kind else []
     draw(pd.concat(parts, ignore_index=True), plots, HERE / f"report-{name}-{section}.png")
@@ -139,15 +129,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--section", choices=["angle", "round"], default="angle")
     parser.add_argument("--figures", nargs="+", default=["3.2", "3.3", "3.5", "3.6"])
-    parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--parts", nargs="+", choices=["plots", "ours"], default=["plots", "ours"])
     asked = parser.parse_args()
     print(f"{machine()}; section {asked.section}\n")
     if "plots" in asked.parts:
-        print("| plot | curve | the report | ours | range of the mean | mean, ours / report | end | correlation |")
-        print(f"{'|---' * 8}|")
+        print("| plot | curve | the report | ours | mean, ours / report | end | correlation |")
+        print(f"{'|---' * 7}|")
         for name in asked.figures:
-            figure(name, asked.section, asked.repeats)
+            figure(name, asked.section)
     if "ours" in asked.parts:
         print(f"\n| flight | scans | drift | {' | '.join(OURS)} |\n{'|---' * (3 + len(OURS))}|")
         for name in asked.figures:

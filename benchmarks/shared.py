@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.points import VoxelMap
-from steelnb.rng import stream
-from steelnb.types import Array, Flight, Scan
-
-JITTER_M = 1e-6
+from steelnb.types import Array
 
 
 def command(doc: str) -> str:
@@ -47,10 +43,3 @@ def aligned_m(found: Array, true: Array) -> Array:
     a, b = found - found.mean(axis=0), true - true.mean(axis=0)
     turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a[:, :2] * b[:, :2]).sum())
     return np.asarray(np.linalg.norm(Rotation.from_rotvec([0, 0, turn]).apply(a) - b, axis=1))
-
-
-def jittered(flight: Flight, repeat: int) -> Flight:
-    """The flight, the points of its scans moved by micrometres, in each repeat by others."""
-    noise = stream(0, "jitter", repeat)
-    scans = [Scan(scan.stamp_s, scan.points + noise.normal(0, JITTER_M, scan.points.shape)) for scan in flight.scans]
-    return replace(flight, scans=scans)
