@@ -1,6 +1,6 @@
 """The report's programs, ours beside PCL's own registrations, on the flights of its plots; and GICP trait by trait.
 
-    PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--figures 3.5 3.6] [--traits]
+    PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--traits 3.5 vertical gicp]
 
 Prints the tables of report-peers.md. Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and
 pkg-config. Both programs get the same scans and the same drifting poses. All repeats but the first add micrometres of
@@ -18,14 +18,13 @@ import numpy as np
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m
-from steelnb.odometry import make_odometry, run
+from steelnb.odometry import make_odometry, run_kept
 from steelnb.report.results import machine
 from steelnb.rng import stream
 from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight, Scan, Trajectory
 
-PROGRAMS = {"icp": "report-icp", "icp-3dof": "report-icp-3dof", "gicp": "report-gicp"}
 ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "as it was": ({}, ()),
     "floor removed": ({}, ("floor",)),
@@ -44,23 +43,20 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 """Rows of the second table: changes of the world, traits switched."""
 
 
-def jittered(flight: Flight, repeat: int) -> Flight:
-    """The flight, its points moved by micrometres."""
-    noise = stream(0, "jitter", repeat)
-    scans = [Scan(scan.stamp_s, scan.points + noise.normal(0, 1e-6, scan.points.shape)) for scan in flight.scans]
-    return replace(flight, scans=scans)
-
-
 def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int) -> tuple[list[Flight], Truth]:
     """The flight of a plot as it is, and with micrometres of noise."""
     flight, truth = experiment.simulate(ExperimentSettings.report(*given, overrides=changes))
-    return [flight, *(jittered(flight, k) for k in range(1, repeats))], truth
+    flights, noise = [flight], stream(0, "jitter")
+    for _ in range(1, repeats):
+        scans = [Scan(s.stamp_s, s.points + noise.normal(0, 1e-6, s.points.shape)) for s in flight.scans]
+        flights.append(replace(flight, scans=scans))
+    return flights, truth
 
 
 def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
     """Poses by our program."""
     settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
-    return run(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
+    return run_kept(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
 
 
 def peer(program: Path, method: str, flight: Flight) -> Trajectory:
@@ -87,8 +83,7 @@ def built(folder: str) -> Path:
 
 def errors(found: list[Trajectory], truth: Truth) -> Array:
     """Mean, largest and last error of each trajectory ``(R, 3)``, metres."""
-    error = [position_error_m(trajectory, truth.trajectory) for trajectory in found]
-    return np.array([[e.mean(), e.max(), e[-1]] for e in error])
+    return np.array([[e.mean(), e.max(), e[-1]] for e in (position_error_m(each, truth.trajectory) for each in found)])
 
 
 def told(error: Array) -> str:
@@ -102,26 +97,23 @@ def by_program(asked: argparse.Namespace) -> None:
     print("| plot | program | PCL | range | ours | range | ours / PCL |\n|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         program = built(folder)
-        for plot in read_report_plots():
-            if plot.figure not in asked.figures or plot.method not in PROGRAMS:
-                continue
-            method, given = PROGRAMS[plot.method], (plot.figure, plot.trajectory, plot.method)
+        for plot in (each for each in read_report_plots() if each.figure in asked.figures):
+            method, given = f"report-{plot.method}", (plot.figure, plot.trajectory, plot.method)
             flights, truth = repeated(given, {}, asked.repeats)
             theirs = errors([peer(program, method, each) for each in flights], truth)
             mine = errors([ours(method, each) for each in flights], truth)
             ratio = mine[:, 0].mean() / theirs[:, 0].mean()
-            print(
-                f"| {plot.figure} {plot.trajectory} | {method} | {told(theirs)} | {told(mine)} | {ratio:.2f} |",
-                flush=True,
-            )
+            row = f"{plot.figure} {plot.trajectory} | {method} | {told(theirs)} | {told(mine)} | {ratio:.2f}"
+            print(f"| {row} |", flush=True)
 
 
 def by_trait(asked: argparse.Namespace) -> None:
-    """Print the second table, of the report's Figure 3.5, vertical, GICP."""
-    print("| trait of `report-gicp` | error | range |\n|---|---|---|")
+    """Print the second table, of one plot."""
+    method = f"report-{asked.traits[2]}"
+    print(f"| trait of `{method}` | error | range |\n|---|---|---|")
     for name, (changes, switched) in ROWS.items():
-        flights, truth = repeated(("3.5", "vertical", "gicp"), changes, asked.repeats)
-        found = [ours("report-gicp", each, switched) for each in flights]
+        flights, truth = repeated(tuple(asked.traits), changes, asked.repeats)
+        found = [ours(method, each, switched) for each in flights]
         print(f"| {name} | {told(errors(found, truth))} |", flush=True)
 
 
@@ -129,9 +121,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--figures", nargs="+", default=["3.5", "3.6"])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--traits", action="store_true", help="the second table instead of the first")
+    parser.add_argument("--traits", nargs=3, metavar=("FIGURE", "TRAJECTORY", "METHOD"), help="the second table")
     asked = parser.parse_args()
-    print(f"{machine()}; {asked.repeats} repeats.\n")
+    print(f"{machine()}; {asked.repeats} repeats\n")
     (by_trait if asked.traits else by_program)(asked)
 
 
