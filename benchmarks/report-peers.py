@@ -1,84 +1,75 @@
-"""The report's programs as they were, ours beside PCL's own registrations in the same loop; and GICP trait by trait.
+"""The report's programs, ours beside PCL's own registrations, on the flights of its plots; and GICP trait by trait.
 
-Run: .venv/bin/python benchmarks/report-peers.py [--duration 60] [--repeats 3] [--traits] > benchmarks/report-peers.md
-Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and pkg-config. Both programs get the
-same scans and the same drifting poses. In each repeat other micrometres of noise are added to the points: PCL stops
-GICP where single precision hides the slope, so that such noise decides what it finds.
+    PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--traits 3.5 vertical gicp]
+
+Prints the tables of report-peers.md. Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and
+pkg-config. Both programs get the same scans and the same drifting poses. All repeats but the first add micrometres of
+noise to the points: PCL stops GICP where single precision hides the slope, so that such noise decides what it finds.
 """
 
 import argparse
-import itertools
 import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m
-from steelnb.odometry import make_odometry, run
+from steelnb.odometry import make_odometry, run_kept
 from steelnb.report.results import machine
 from steelnb.rng import stream
-from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight, Scan, Trajectory
 
-METHODS = ("report-icp", "report-icp-3dof", "report-gicp")
-JITTER_M = 1e-6
-NOISE = {"tof.sigma_floor_m": 0.01}
-"""The report's: 1 cm."""
-Row = tuple[dict[str, float], tuple[str, ...]]
-ROWS: dict[str, Row] = {
-    "as it was": (NOISE, ()),
-    "floor removed": (NOISE, ("floor",)),
-    "scan thinned": (NOISE, ("thinning",)),
-    "no step refused": (NOISE, ("gates",)),
-    "right order of composition": (NOISE, ("order",)),
-    "covariances as they are": (NOISE, ("covariances",)),
-    "our solver and stopping rule": (NOISE, ("solver",)),
-    "mount of the sensor known": (NOISE, ("mount",)),
+ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "as it was": ({}, ()),
+    "floor removed": ({}, ("floor",)),
+    "scan thinned": ({}, ("thinning",)),
+    "no step refused": ({}, ("gates",)),
+    "right order of composition": ({}, ("order",)),
+    "covariances as they are": ({}, ("covariances",)),
+    "our solver and stopping rule": ({}, ("solver",)),
+    "mount of the sensor known": ({}, ("mount",)),
     "noise of 4 cm": ({"tof.sigma_floor_m": 0.04}, ()),
+    "noise along the ray": ({"tof.noise_on": "range"}, ()),
+    "noise of 4 cm along the ray, floor removed": ({"tof.sigma_floor_m": 0.04, "tof.noise_on": "range"}, ("floor",)),
+    "every scan of the sensor": ({"tof.rate_hz": 1 / 0.208}, ()),
+    "round members": ({"tower.section": "round"}, ()),
 }
-"""Rows of the second table: overrides of the sensor, where noise along the ray or across the image belongs, too, and
-the traits that are switched."""
+"""Rows of the second table: changes of the world, traits switched."""
 
 
-def simulated(
-    trajectory: TrajectoryName, noise: str, asked: argparse.Namespace, sensor: dict[str, float] = NOISE
-) -> tuple[Flight, Truth]:
-    """The flight of a row."""
-    given = (trajectory, noise, "report-gicp", asked.sensor, asked.seed, asked.duration, sensor)
-    return experiment.simulate(ExperimentSettings.preset(*given))
+def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int) -> tuple[list[Flight], Truth]:
+    """The flight of a plot as it is, and with micrometres of noise."""
+    flight, truth = experiment.simulate(ExperimentSettings.report(*given, overrides=changes))
+    flights, noise = [flight], stream(0, "jitter")
+    for _ in range(1, repeats):
+        scans = [Scan(s.stamp_s, s.points + noise.normal(0, 1e-6, s.points.shape)) for s in flight.scans]
+        flights.append(replace(flight, scans=scans))
+    return flights, truth
 
 
-def jittered(flight: Flight, every: int, repeat: int) -> Flight:
-    """One scan in ``every``, its points moved by micrometres."""
-    noise, kept = stream(0, "jitter", repeat), range(0, len(flight), every)
-    scans = [
-        Scan(s.stamp_s, s.points + noise.normal(0, JITTER_M, s.points.shape)) for s in (flight.scans[k] for k in kept)
-    ]
-    return replace(flight, scans=scans, prior=Trajectory(flight.prior.stamp_s[kept], flight.prior.T_world_drone[kept]))
-
-
-def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> tuple[Trajectory, float]:
-    """Poses by our program, and its milliseconds a scan."""
+def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
+    """Poses by our program."""
     settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
-    found = run(flight, make_odometry(settings, flight.T_drone_sensor))
-    return found.corrected, 1e3 * float(found.update_s.mean())
+    return run_kept(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
 
 
-def peer(program: Path, method: str, flight: Flight) -> tuple[Trajectory, float]:
-    """Poses by PCL's, and its milliseconds a scan."""
+def peer(program: Path, method: str, flight: Flight) -> Trajectory:
+    """Poses by PCL's."""
     scans, poses = program.with_name("scans"), program.with_name("poses")
     with scans.open("wb") as file:
         file.write(np.uint32(len(flight)).tobytes())
         for scan, T in zip(flight.scans, flight.prior.T_world_drone, strict=True):
             points = scan.points[np.isfinite(scan.points).all(axis=-1)]
             file.write(np.uint32(len(points)).tobytes() + T.tobytes() + points.astype(np.float32).tobytes())
-    done = subprocess.run([program, method, scans, poses], check=True, capture_output=True, text=True)
+    subprocess.run([program, method, scans, poses], check=True, capture_output=True)
     correction = np.fromfile(poses).reshape(-1, 17)[:, :16].reshape(-1, 4, 4)
-    return Trajectory(flight.prior.stamp_s, correction @ flight.prior.T_world_drone), float(done.stdout)
+    return Trajectory(flight.prior.stamp_s, correction @ flight.prior.T_world_drone)
 
 
 def built(folder: str) -> Path:
@@ -92,8 +83,7 @@ def built(folder: str) -> Path:
 
 def errors(found: list[Trajectory], truth: Truth) -> Array:
     """Mean, largest and last error of each trajectory ``(R, 3)``, metres."""
-    error = [position_error_m(trajectory, truth.trajectory) for trajectory in found]
-    return np.array([[e.mean(), e.max(), e[-1]] for e in error])
+    return np.array([[e.mean(), e.max(), e[-1]] for e in (position_error_m(each, truth.trajectory) for each in found)])
 
 
 def told(error: Array) -> str:
@@ -104,46 +94,36 @@ def told(error: Array) -> str:
 
 def by_program(asked: argparse.Namespace) -> None:
     """Print the first table."""
-    print("| flight | program | PCL | range | ours | range | ours / PCL | ms a scan, PCL | ours |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("| plot | program | PCL | range | ours | range | ours / PCL |\n|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         program = built(folder)
-        for trajectory, noise in itertools.product(asked.trajectories, asked.noises):
-            flight, truth = simulated(trajectory, noise, asked)
-            for method in METHODS:
-                flights = [jittered(flight, asked.every if "gicp" in method else 1, k) for k in range(asked.repeats)]
-                sides = [peer(program, method, moved) for moved in flights], [ours(method, moved) for moved in flights]
-                theirs, mine = (errors([found for found, _ in side], truth) for side in sides)
-                ms = [np.mean([cost for _, cost in side]) for side in sides]
-                print(f"| {trajectory}, {noise} | {method} | {told(theirs)} | {told(mine)} ", end="")
-                print(f"| {mine[:, 0].mean() / theirs[:, 0].mean():.2f} | {ms[0]:.0f} | {ms[1]:.0f} |", flush=True)
+        for plot in (each for each in read_report_plots() if each.figure in asked.figures):
+            method, given = f"report-{plot.method}", (plot.figure, plot.trajectory, plot.method)
+            flights, truth = repeated(given, {}, asked.repeats)
+            theirs = errors([peer(program, method, each) for each in flights], truth)
+            mine = errors([ours(method, each) for each in flights], truth)
+            ratio = mine[:, 0].mean() / theirs[:, 0].mean()
+            row = f"{plot.figure} {plot.trajectory} | {method} | {told(theirs)} | {told(mine)} | {ratio:.2f}"
+            print(f"| {row} |", flush=True)
 
 
 def by_trait(asked: argparse.Namespace) -> None:
-    """Print the second table."""
-    print("| flight | trait of `report-gicp` | error | range |\n|---|---|---|---|")
-    for trajectory, noise in itertools.product(asked.trajectories, asked.noises):
-        for name, (sensor, switched) in ROWS.items():
-            flight, truth = simulated(trajectory, noise, asked, sensor)
-            flights = [jittered(flight, asked.every, k) for k in range(asked.repeats)]
-            found = [ours("report-gicp", moved, switched)[0] for moved in flights]
-            print(f"| {trajectory}, {noise} | {name} | {told(errors(found, truth))} |", flush=True)
+    """Print the second table, of one plot."""
+    method = f"report-{asked.traits[2]}"
+    print(f"| trait of `{method}` | error | range |\n|---|---|---|")
+    for name, (changes, switched) in ROWS.items():
+        flights, truth = repeated(tuple(asked.traits), changes, asked.repeats)
+        found = [ours(method, each, switched) for each in flights]
+        print(f"| {name} | {told(errors(found, truth))} |", flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trajectories", nargs="+", default=["orbit", "vertical"])
-    parser.add_argument("--noises", nargs="+", default=["random-walk", "constant-drift"])
-    parser.add_argument("--sensor", default="report")
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--duration", type=float, default=60.0, help="seconds")
-    parser.add_argument("--every", type=int, default=1, help="GICP takes one scan in so many")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--figures", nargs="+", default=["3.5", "3.6"])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--traits", action="store_true", help="the second table instead of the first")
+    parser.add_argument("--traits", nargs=3, metavar=("FIGURE", "TRAJECTORY", "METHOD"), help="the second table")
     asked = parser.parse_args()
-    given = f"seed {asked.seed}, {asked.duration:g} s, GICP takes one scan in {asked.every}, {asked.repeats} repeats"
-    print(f"{machine()}; {given}.\nErrors in metres: mean / largest / last, each the mean over the repeats, and the")
-    print("range of the mean.\n")
+    print(f"{machine()}; {asked.repeats} repeats\n")
     (by_trait if asked.traits else by_program)(asked)
 
 

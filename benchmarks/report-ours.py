@@ -1,0 +1,78 @@
+"""Our methods on the report's tower beside the tapered one: position errors, and the structure from smoothed poses.
+
+    PYTHONPATH=. .venv/bin/python benchmarks/report-ours.py [--seeds 21 22] [--flights vertical orbit]
+        [--sections angle] [--sensors report starling2] [--values report-4cm starling2]
+
+Flights of 200 s with random walk, from the start on. `--values`: whose settings the methods have; those of `report-4cm`
+were chosen with four times the noise, those of `starling2` are the methods' own. Prints a table of report.md. With
+STEELNB_CACHE set to a folder, flights and estimates are kept between calls.
+"""
+
+import argparse
+import itertools
+from typing import Any
+
+from steelnb import experiment
+from steelnb.fusion.reconstruct import reconstruct
+from steelnb.metrics.reconstruction import reference, score_structure
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings
+
+METHODS = ("best", "faces", "smoothed")
+VALUES: dict[str, dict[str, Any]] = {
+    "report-4cm": {"prior_sigma": (0.05, 0.005), "clouds.sigma_filter_px": 1, "clouds.bars_weight": 0.0},
+    "starling2": {
+        "prior_sigma": (0.05, 0.02),
+        "clouds.sigma_filter_px": 0,
+        "clouds.bars_weight": 1.0,
+        "segments.robust_scale_m": 0.03,
+    },
+    "starling2, no bars": {"prior_sigma": (0.05, 0.02), "clouds.sigma_filter_px": 0, "clouds.bars_weight": 0.0},
+}
+"""What differs between the sensors' presets; `best` has no bars in either."""
+OF_BARS = ("clouds.bars_weight", "segments.robust_scale_m")
+SHOWN = ("recall", "precision", "edge_recall", "edge_precision", "offset_median_m", "joint_error_median_m")
+
+
+def row(given: tuple[str, ...], section: str, seed: int, values: str | None) -> str:
+    """Errors in millimetres and the structure's numbers."""
+    trajectory, sensor = given
+    settings = ExperimentSettings.preset(trajectory, sensor=sensor, seed=seed, duration_s=200.0)  # type: ignore[arg-type]
+    settings = settings.override({"tower.section": section})
+    flight, truth = experiment.simulate(settings)
+    told, found = [], None
+    for method in METHODS:
+        odometry = ExperimentSettings.preset(trajectory, sensor=sensor, method=method).odometry  # type: ignore[arg-type]
+        for name, value in VALUES[values].items() if values else ():
+            if method != "best" or name not in OF_BARS:
+                odometry = odometry.override({name: value})
+        found = experiment.estimate(settings.replace(odometry=odometry), flight, truth)
+        told.append(f"{1e3 * found.metrics['ate_rmse_m']:.1f}" + (" !" if found.unsmoothed else ""))
+    assert found is not None
+    structure = reconstruct(flight.scans, found.corrected.T_world_drone, flight.T_drone_sensor)
+    score = score_structure(structure, reference(truth.tower, truth.visibility)).metrics
+    told += [f"{1e3 * score[name]:.1f}" if name.endswith("_m") else f"{score[name]:.2f}" for name in SHOWN]
+    drift = 1e3 * found.metrics["raw_ate_rmse_m"]
+    case = f"{trajectory} | {section} | {sensor} | {values or 'its own'} | {seed} | {drift:.0f}"
+    return f"| {case} | {' | '.join(told)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[21, 22])
+    parser.add_argument("--flights", nargs="+", default=["vertical", "orbit"])
+    parser.add_argument("--sections", nargs="+", default=["angle", "round"])
+    parser.add_argument("--sensors", nargs="+", default=["report", "starling2"])
+    parser.add_argument("--values", nargs="+", choices=VALUES, help="default: those of the sensor's preset")
+    asked = parser.parse_args()
+    print(f"{machine()}\n")
+    head = ("flight", "section", "sensor", "values", "seed", "drift", *METHODS, "recall", "precision", "edge recall",
+            "edge precision", "offset", "joint error")  # fmt: skip
+    print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
+    for seed, section, values in itertools.product(asked.seeds, asked.sections, asked.values or [None]):
+        for given in itertools.product(asked.flights, asked.sensors):
+            print(row(given, section, seed, values), flush=True)
+
+
+if __name__ == "__main__":
+    main()
