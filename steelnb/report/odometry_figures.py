@@ -160,7 +160,7 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
         panels[0].set_ylabel("z (m)")
         shown = REPORT_FIGURES.get(result.settings.noise_name, {}).get(method)
         frame.suptitle(LABELS[method] + (f" (report's {shown})" if shown else ""), fontsize=12)
-    gather_legend(figure, ncols=len(clouds) + 1)
+    gather_legend(figure, ncols=3)
     return figure
 
 

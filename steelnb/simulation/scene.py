@@ -193,16 +193,16 @@ def _measure(
     ray = np.empty(6)
     missed, count = np.empty(len(left), np.int64), 0
     for m in range(len(left)):
-        i, t = left[m], min(np.int64(named[m]), len(corner))
-        if t == len(corner):
-            range_m[i], member[i], triangle[i] = np.inf, -1, t
+        i, t = left[m], np.int64(named[m])
+        if t >= len(corner):
+            range_m[i], member[i], triangle[i] = np.inf, -1, len(corner)
             normal[i, 0] = normal[i, 1] = normal[i, 2] = 0.0
             continue
         for k in range(6):
             ray[k] = rays[i, k]
         distance = _distance(ray, corner[t], plane[t])
         x, y, z = ray[0] + distance * ray[3], ray[1] + distance * ray[4], ray[2] + distance * ray[5]
-        found, s, own = -1, begin[t], False
+        found, s, own = np.int64(-1), begin[t], False
         while s < begin[t + 1] and found < 0:
             u = touching[s]
             if u < t and not own:
