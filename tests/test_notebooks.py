@@ -104,8 +104,7 @@ def test_the_world_notebook_finds_the_drift_of_the_model(smoke):
 
 
 def test_the_segmentation_notebook_corrects_the_drift(smoke):
-    folder = smoke / "segmentation-odometry"
-    table = pd.read_csv(folder / "table.csv")
+    table = of_sensors(smoke, "segmentation-odometry")
     assert len(table) == 2 * 2 * 4
     assert set(table["method"]) == {"none", "report-segments", "average", "least_squares"}
     assert set(table["sensor"]) == {"report", "starling2"}
@@ -115,11 +114,11 @@ def test_the_segmentation_notebook_corrects_the_drift(smoke):
     # The first scan is off by 0.12 m, as is the map from there on.
     assert (final[["average", "least_squares"]].max(axis=1) < 0.85 * final["none"]).all()
     assert (final["least_squares"] < final["average"]).all()
-    names = {path.name for path in folder.glob("fig_*.png")}
-    for part, figure in {"vertical": "3_2", "orbit": "3_3"}.items():
-        for sensor in ("report", "starling2"):
+    for sensor, twin in SENSORS.items():
+        names = {path.name for path in (smoke / f"segmentation-odometry{twin}").glob("fig_*.png")}
+        for part, figure in {"vertical": "3_2", "orbit": "3_3"}.items():
             assert {f"fig_{figure}_{part}-{sensor}.png", f"fig_3_4_{part}-{sensor}.png"} <= names
-    timing = pd.read_csv(folder / "timing.csv")
+    timing = pd.read_csv(smoke / "segmentation-odometry" / "timing.csv")
     assert {"preprocess", "hough", "match", "map", "frame"} <= set(timing["stage"])
 
 

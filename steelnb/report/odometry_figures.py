@@ -217,6 +217,6 @@ def figure_bend(bends: Mapping[str, Bend], axis: Array, result: Result) -> Figur
     panels[1].set(xlabel="turn about the vertical (°)")
     panels[1].set_xscale("symlog", linthresh=0.1)
     panels[2].set(xlabel="offset (m)", xscale="log")
-    gather_legend(figure, ncols=len(bends))
+    gather_legend(figure, ncols=4)
     figure.suptitle(caption([result]))
     return figure

@@ -69,7 +69,7 @@ def figure_waist(run: Result, pairs: pd.DataFrame, every: int = 5) -> Figure:
     top.plot(stamps, error, color=COLOURS[method], label=LABELS[method])
     if plot := plot_of(run.settings):
         top.plot(*report_curve(plot), color=COLOURS["report"], linewidth=1.0, label="the report's curve")
-    top.set(ylabel="error (m)", ylim=(0, None))
+    top.set(ylabel="error (m)", ylim=(0, 1.3 * error.max()))
     edges = np.arange(0.0, stamps[-1] + WINDOW_S, WINDOW_S)
     scans = np.histogram(stamps[::every], edges)[0]
     middle = 0.5 * (edges[1:] + edges[:-1])
