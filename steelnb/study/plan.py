@@ -19,7 +19,7 @@ from steelnb.settings.base import Duration, Seed
 
 RUNS_MAX = 100_000
 """Largest study: its plan and table fit into 2 GB."""
-CODE = ("steelnb.study.row",)
+CODE = ("steelnb.study.row", "steelnb.pins")
 """Modules that a run executes; those that they import count too, and reports on runs do not."""
 LIBRARIES = ("evo", "numba", "numpy", "open3d", "open3d-cpu", "pybullet", "scipy")
 """Libraries whose version can change a run's numbers."""
