@@ -70,7 +70,6 @@ def pairs(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterator[tuple[str, str]]:
     """Name and digest of everything computed from one flight, in the order in which it is computed."""
-
     start_s = settings["start_s"].get(trajectory, 0.0)
 
     def configured(method: str) -> ExperimentSettings:

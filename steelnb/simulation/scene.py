@@ -19,7 +19,7 @@ TOUCH_M = 1e-5
 MARGIN_M = 2e-5
 """By so much the edges of the triangles that Embree sees lie outside of the true ones."""
 STEP_M = np.float32(4e-6)
-"""From a triangle that a ray passes beside to where it goes on: twice what float32 rounds off, 16 m from the origin."""
+"""How far behind a triangle that it has passed beside a ray goes on: twice the rounding of float32 at 16 m."""
 
 
 class Pinhole(Protocol):
@@ -136,7 +136,7 @@ def _pierces(corner, plane, i, j):
 
 @njit(cache=True)
 def _height(plane, place):
-    """Of a place above a plane."""
+    """Height of a place above a plane."""
     return plane[0] * place[0] + plane[1] * place[1] + plane[2] * place[2] - plane[3]
 
 
