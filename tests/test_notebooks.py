@@ -144,15 +144,6 @@ def test_the_icp_notebook_flies_the_report_s_programs_beside_the_methods_as_they
         assert (folder / f"fig_{figures[noise]}_{noise}-{sensor}.png").is_file()
 
 
-def test_the_icp_notebook_measures_how_much_longer_gicp_takes(smoke):
-    times = of_sensors(smoke, "cloud-odometry", "timing.csv")
-    frames = times[times["stage"] == "frame"]
-    wide = frames.pivot_table(index=["trajectory", "noise", "sensor"], columns="method", values="median_ms")
-    ratio = wide["gicp"] / wide["icp"]
-    assert len(ratio) == 6
-    assert ratio.median() > 1.5, "distributions cost more than points"
-
-
 def test_the_comparison_notebook_measures_the_bend_of_each_cloud(smoke):
     table = of_sensors(smoke, "cloud-comparison")
     assert table.groupby(["sensor", "method"]).ngroups == 2 * 7

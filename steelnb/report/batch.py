@@ -208,7 +208,7 @@ def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
         plot, error = plot_of(result.settings), np.array([np.nan])
         if plot:
             time_s, error = report_curve(plot)
-            error = error[time_s <= result.corrected.stamp_s[-1] + 1 / plot.rate_hz]
+            error = error[time_s <= result.corrected.stamp_s[-1] + 2 / plot.rate_hz]
         numbers.append((error.mean(), error.max(), error[-1]))
     columns = ["report_mean_m", "report_max_m", "report_final_m"]
     return cloud_table(results).join(pd.DataFrame(numbers, columns=columns))
