@@ -25,7 +25,7 @@ ROUNDS: tuple[tuple[int, float, Stages], ...] = (
 """Of each round: how often sections are fitted; the least share of lines that look like bars, in a map that is to be
 sharpened and in one that was; then one in how many pixels, and how many steps: first few points, then all. Chosen on
 the zigzag of the development seed 11, where half of the pixels in the last steps, or sections fitted once in
-both rounds, make errors after alignment larger by a fifth and by half; see benchmarks/smoothing.md."""
+both rounds, make errors after alignment larger by a fifth and by half."""
 BARS_MIN = 3
 TILT_MIN_RAD = 0.001
 """Least standard deviation of the prior's roll and pitch where errors of the sensor are sought: the lean of a mount is
