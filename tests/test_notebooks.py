@@ -313,29 +313,6 @@ def test_the_notebook_of_the_structure_over_seeds_flies_towers_of_other_sections
     assert metrics["zigzag.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
 
 
-def test_the_notebook_of_the_limit_has_every_method_above_the_bound(smoke):
-    folder = smoke / "limit"
-    table = pd.read_csv(folder / "table.csv")
-    for (flight, sensor), rows in table.groupby(["trajectory", "sensor"]):
-        where, ate_mm = f"{flight}, {sensor}", rows.set_index("name")["ate_mm"]
-        assert rows.loc[rows["kind"] == "bound", "name"].tolist() == ["causal", "batch", "one scan"], where
-        assert rows.loc[rows["kind"] == "method", "name"].tolist() == [
-            "icp",
-            "gicp",
-            "best",
-            "combined",
-            "faces",
-            "smoothed",
-        ]
-        assert 0 < ate_mm["batch"] < ate_mm["causal"], where
-        assert ate_mm["causal"] < ate_mm[["icp", "gicp", "best", "combined"]].min(), where
-        noise_free_mm = rows.set_index("name")["noise_free_mm"].dropna()
-        assert noise_free_mm.index.tolist() == ["best"], where
-    assert set(table["trajectory"]) == {"zigzag", "loops"}
-    for flight in ("zigzag", "loops"):
-        assert coloured(folder / f"fig_limit_{flight}-starling2.png") > COLOURED_MIN
-
-
 def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(smoke):
     folder = smoke / "your-own-recording"
     metrics = json.loads((folder / "metrics.json").read_text())

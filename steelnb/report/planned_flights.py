@@ -1,7 +1,7 @@
-"""Notebook 16: flights that a planner steers beside those along waypoints: sight, information, error, coverage."""
+"""Notebook 16: flights that a planner steers beside those along waypoints: sight, error, and what was seen."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,6 @@ from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import SettingsError
 from steelnb.experiment import Result
 from steelnb.metrics import score_trajectory
-from steelnb.metrics.limit import gather, see
 from steelnb.report.batch import Progress, caption, case_of, share_of
 from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import (
@@ -30,7 +29,7 @@ from steelnb.report.style import (
 )
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.tower import Tower
-from steelnb.simulation.truth import SLICE_M
+from steelnb.simulation.truth import SLICE_M, Truth
 from steelnb.types import Array, Flight, Trajectory
 
 FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -60,13 +59,12 @@ STRIP = 6
 @dataclass(frozen=True)
 class Flown:
     """A flight and what came of it: ``returns (K,)`` from steel, ``seen (K,)`` the share of the steel's length seen so
-    far, ``sigma (K,)`` the bound of a scan's pose along its worst direction, metres."""
+    far."""
 
     flight: Flight
     result: Result
     returns: Array
     seen: Array
-    sigma: Array
 
 
 def make_flights(
@@ -91,26 +89,23 @@ def fly_all(cases: Mapping[str, ExperimentSettings], on_progress: Progress | Non
         flight, truth = experiment.simulate(settings, share_of(on_progress, 2 * k, 2 * len(cases)))
         within = share_of(on_progress, 2 * k + 1, 2 * len(cases))
         result = experiment.estimate(settings, flight, truth, within)
-        at = truth.trajectory.at(result.corrected.stamp_s).T_world_drone
-        found[name] = Flown(flight, result, *sight(truth.tower, at, settings))
+        found[name] = Flown(flight, result, *sight(flight, truth, settings.odometry.preprocess.floor_m))
     return found
 
 
-def sight(tower: Tower, T_world_drone: Array, settings: ExperimentSettings) -> tuple[Array, Array, Array]:
-    """Returns from steel, share of the steel seen so far, and the bound, of scans from true poses ``(K, 4, 4)``."""
-    tree = cKDTree(_slices(tower.axes))
+def sight(flight: Flight, truth: Truth, floor_m: float) -> tuple[Array, Array]:
+    """Of each scan, its returns higher than ``floor_m`` at the true pose, and the share of the steel seen so far."""
+    tree = cKDTree(_slices(truth.tower.axes))
     seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
-
-    def counted() -> Iterable[Any]:
-        for scan in see(tower, T_world_drone, settings.tof):
-            near = tree.query(scan.points[::EVERY], distance_upper_bound=STEEL_M)[1]
-            seen[near[near < tree.n]] = True
-            returns.append(len(scan.points))
-            shares.append(seen.mean())
-            yield scan
-
-    least = np.linalg.eigvalsh(gather(counted()).pose)[:, 0]
-    return np.array(returns), np.array(shares), 1 / np.sqrt(np.maximum(least, 1e-9))
+    T_world_sensor = truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor
+    for scan, T in zip(flight.scans, T_world_sensor, strict=True):
+        points = scan.points.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
+        points = points[points[:, 2] > floor_m]  # a pixel without a return is NaN
+        near = tree.query(points[::EVERY], distance_upper_bound=STEEL_M)[1]
+        seen[near[near < tree.n]] = True
+        returns.append(len(points))
+        shares.append(seen.mean())
+    return np.array(returns), np.array(shares)
 
 
 def _slices(axes: Array) -> Array:
@@ -124,9 +119,8 @@ def _slices(axes: Array) -> Array:
 
 def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
     """A row a flight; lengths in metres, ``few_share`` of the scans with fewer than `FEW` returns from steel,
-    ``no_pair_share`` of those without a pair, ``bound_ratio`` of the worst scan's bound to the median, ``recall`` of
-    the bars seen well enough, ``members_seen`` of all, ``clearance_m`` the least true distance from the middle of a
-    member."""
+    ``no_pair_share`` of those without a pair, ``recall`` of the bars seen well enough, ``members_seen`` of all,
+    ``clearance_m`` the least true distance from the middle of a member."""
     rows = []
     for name, each in flown.items():
         result, slices = each.result, cKDTree(_slices(each.result.truth.tower.axes))
@@ -139,8 +133,6 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
                 "no_pair_share": float((result.matches[1:] == 0).mean()),
                 "ate_rmse_m": result.metrics["ate_rmse_m"],
                 "raw_ate_rmse_m": result.metrics["raw_ate_rmse_m"],
-                "bound_median_m": float(np.median(each.sigma)),
-                "bound_ratio": float(each.sigma.max() / np.median(each.sigma)),
                 "seen_share": float(each.seen[-1]),
                 "members_seen": float(result.truth.visibility.observed().mean()),
                 "recall": result.metrics.get("segment_recall", 0.0),

@@ -28,12 +28,11 @@ def test_each_flight_is_of_its_kind(flown):
 def test_sight_is_that_of_the_true_poses(flown):
     for each in flown.values():
         count = len(each.result.corrected)
-        assert len(each.returns) == len(each.seen) == len(each.sigma) == count == 20
+        assert len(each.returns) == len(each.seen) == count == 20
         assert (np.diff(each.seen) >= 0).all()
         assert 0.0 < each.seen[-1] < 0.5
         assert (each.returns > 0).all()
         assert (each.returns <= 24 * 24).all()
-        assert (each.sigma > 1e-4).all()
 
 
 def test_what_was_seen_agrees_with_the_members_that_were(flown):
@@ -51,7 +50,6 @@ def test_the_table_has_a_row_a_flight(flown):
     assert table["flight"].tolist() == ["loops", "whole"]
     assert table.notna().all(axis=None)
     assert (table["clearance_m"] > 0.3).all()
-    assert (table["bound_ratio"] >= 1).all()
     assert table["few_share"].tolist() == [
         float((flown[name].returns < planned_flights.FEW).mean()) for name in ("loops", "whole")
     ]
