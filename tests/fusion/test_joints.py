@@ -179,14 +179,11 @@ def test_the_nearest_point_is_where_lines_cross(seed, n):
     assert 0 < held @ away < away @ away
 
 
-def test_the_graph_has_a_piece_of_bar_between_neighbouring_joints():
+def test_there_is_a_piece_of_bar_between_neighbouring_joints():
     # A post with three joints, given out of order, and a strut that meets its middle one.
     joint = [[0, 0, 4], [0, 0, 0], [0, 0, 2], [3, 0, 2]]
     tie = [[0, 0], [1, 0], [2, 0], [2, 1], [3, 1]]
-    graph = structure_of_bars([[[0, 0, 0], [0, 0, 4]], [[0, 0, 2], [3, 0, 2]]], joint, tie).graph()
-    assert {frozenset(edge) for edge in graph.edges} == {frozenset(e) for e in [(1, 2), (2, 0), (2, 3)]}
-    assert graph.edges[2, 3] == {"bar": 1, "length_m": pytest.approx(3.0)}
-    assert graph.nodes[3]["position"] == (3.0, 0.0, 2.0)
-    lonely = structure_of_bars([[[0, 0, 0], [0, 0, 1]]], [[0, 0, 0]], [[0, 0]]).graph()
-    assert (lonely.number_of_nodes(), lonely.number_of_edges()) == (1, 0)
-    assert len(Structure.empty()) == Structure.empty().graph().number_of_nodes() == 0
+    structure = structure_of_bars([[[0, 0, 0], [0, 0, 4]], [[0, 0, 2], [3, 0, 2]]], joint, tie)
+    assert structure.pieces().tolist() == [[1, 2, 0], [2, 0, 0], [2, 3, 1]]
+    assert structure_of_bars([[[0, 0, 0], [0, 0, 1]]], [[0, 0, 0]], [[0, 0]]).pieces().shape == (0, 3)
+    assert Structure.empty().pieces().shape == (0, 3)
