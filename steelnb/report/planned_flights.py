@@ -37,13 +37,11 @@ FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "wide loops": ("loops", {"flight.standoff_m": 2.4}),
     "loops": ("loops", {}),
     "planned": ("planned", {}),
-    "view only": ("planned", {"flight.planner.keep_information": False}),
-    "information only": ("planned", {"flight.planner.keep_view": False}),
-    "whole": ("planned", {"flight.planner.goal": "whole", "flight.height_max_m": 15.0}),
+    "up a face": ("planned", {"flight.planner.goal": "face", "flight.height_max_m": 15.0, "flight.speed_m_s": 0.18}),
 }
 """Name → trajectory and overrides. `wide loops` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
-the tower's axis; `planned` goes around as far, as high and as fast as `loops`; the next two are without one kind of
-barrier; `whole` flies from one viewpoint to the next, as high as `zigzag`."""
+the tower's axis; `planned` goes around as far, as high and as fast as `loops`; `up a face` as high and as fast as
+`zigzag`."""
 FEW = 300
 """Returns from steel below which a scan has lost sight."""
 STEEL_M = 0.15
@@ -145,7 +143,7 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
 @style()
 def figure_paths(flown: Mapping[str, Flown]) -> Figure:
     """The true path of each flight about the tower, from its start (dark) to its end (light)."""
-    columns = min(len(flown), 4 if len(flown) > 6 else 3)
+    columns = min(len(flown), 3)
     rows = -(-len(flown) // columns)
     figure = Figure(figsize=(3.6 * columns, 4.6 * rows))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -182,7 +180,7 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
     returns.set(ylabel="returns from steel", yscale="log")
     errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s", yscale="log")
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
-    gather_legend(figure, ncols=min(len(flown), 4 if len(flown) > 6 else 6), fontsize=11)
+    gather_legend(figure, ncols=min(len(flown), 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)
     return figure
 
@@ -213,8 +211,7 @@ def _caption(flown: Mapping[str, Flown]) -> str:
 
 
 def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:
-    """What a planned flight came to, in lines: how long, the planner's states, the error that it was steered by, and
-    what it saw."""
+    """What a planned flight came to, in lines: how long, the planner's states, and the error that it was steered by."""
     states = Counter(moment.decision.state for moment in pilot.moments)
     shares = ", ".join(f"{state} {count / len(pilot.moments):.0%}" for state, count in states.most_common())
     corrected, matches = pilot.estimate()
@@ -227,5 +224,4 @@ def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> lis
         f"planner   {shares}; a decision took {middle_ms:.1f} ms (median), {slow_ms:.1f} ms (99 %)",
         f"odometry  {pilot.settings.odometry.method}: {error_mm:.0f} mm off (ATE), {raw_mm:.0f} uncorrected; "
         f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
-        f"seen      {pilot.planner.coverage.summary()}",
     ]

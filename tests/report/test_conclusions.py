@@ -140,8 +140,10 @@ def test_faults_planned_flights_and_the_literature():
     said = conclusions.honest(faults, cost, wrong, found)
     for words in ("b 1.0, a 2.0 mm", "Mean ATE, honest: best 8.0 cm", "in 1 of 2 cases: mount. 1 of the 2 errors"):
         assert words in said
-    flown = pd.DataFrame({"flight": ["loops", "whole"], "few_share": [0.06, 0.0], "ate_rmse_m": 0.1, "seen_share": 1})
-    assert "lost sight: whole 0.0, loops 6.0 %." in conclusions.planned_flights(flown)
+    flown = pd.DataFrame(
+        {"flight": ["loops", "up a face"], "few_share": [0.06, 0.0], "ate_rmse_m": 0.1, "seen_share": 1}
+    )
+    assert "lost sight: up a face 0.0, loops 6.0 %." in conclusions.planned_flights(flown)
     runs = pd.concat(odometry_rows({"combined": 0.1, "loam": 0.2 + seed}, seed=seed) for seed in (1, 2))
     alone = odometry_rows({"combined": 9.0}, seed=3)  # a seed that no other flew
     said = conclusions.literature(pd.concat([runs, alone[alone["method"] == "loam"]]))
