@@ -32,6 +32,7 @@ INCIDENCE_MAX_RAD = np.radians(80.0)
 EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 NOISE, SENSOR, SEED, DURATION_S = "random-walk+yaw-random-walk", "starling2", 1, 200.0
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
+Information = tuple[Array, IntArray, IntArray, Array, Array]
 METHODS = ("icp", "gicp", "best", "combined", "faces", "smoothed")
 
 
@@ -67,7 +68,7 @@ def seen(tower: Tower, T_world_drone: Array, tof: TofSettings) -> Iterator[tuple
         yield gradient, np.ravel_multi_index((face[triangle[kept]], *cell.T), shape)
 
 
-def gather(scans: Iterator[tuple[Array, IntArray]]) -> tuple[Array, IntArray, IntArray, Array, Array]:
+def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
     """Fisher information of the returns of K scans about their poses ``(K, 4, 4)`` and the patches of the surface.
 
     Of the pairs of a patch and a scan that sees it, those of patch p are ``first[p]`` to ``first[p + 1] - 1``, by
@@ -87,7 +88,7 @@ def gather(scans: Iterator[tuple[Array, IntArray]]) -> tuple[Array, IntArray, In
     return np.array(poses), first, scan[order], total[order, :POSE].copy(), total[order, POSE].copy()
 
 
-def factor(information: tuple[Array, ...], stamp_s: Array) -> Array:
+def factor(information: Information, stamp_s: Array) -> Array:
     """Lower triangular Cholesky factor of the information about the poses but the first, which is known, from as many
     scans as there are stamps and the prior's increments, with the patches eliminated (Schur complement)."""
     step, poses = np.diff(np.eye(len(stamp_s)), axis=0), len(stamp_s)
@@ -120,8 +121,9 @@ def bounds_mm(truth: Truth, settings: ExperimentSettings, stamp_s: Array) -> dic
     variance is taken as linear between the poses at which it is worked out, and as no less than that of all scans.
     """
     information = gather(seen(truth.tower, truth.trajectory.at(stamp_s).T_world_drone, settings.tof))
-    last = len(stamp_s) - 1
-    some = np.unique([*np.minimum([1, 2, 4, 8, 16, 32], last), *np.linspace(0, last, 15).astype(int)])
+    some = np.unique(
+        np.minimum([1, 2, 4, 8, 16, 32, *np.linspace(0, len(stamp_s) - 1, 15)], len(stamp_s) - 1).astype(int)
+    )
     ends = [0.0]
     for k in some[1:]:
         block = factor(information, stamp_s[: k + 1])[-POSE:, -POSE:]
