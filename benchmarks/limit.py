@@ -25,10 +25,9 @@ from steelnb.types import Array, IntArray
 
 POSE = 4
 """x, y, z in the world, and yaw about the vertical through the drone."""
-PATCH_M = 0.1
-"""Edge of the cubes that cut the faces of the tower into patches, each of which lies at a place of its own."""
-INCIDENCE_MAX_RAD = np.radians(80.0)
-"""Returns from faces seen at more of a slant count as none: the spot of a pixel is no point there."""
+PATCH_M, INCIDENCE_MAX_RAD = 0.1, np.radians(80.0)
+"""Edge of the cubes that cut the faces of the tower into patches, each at a place of its own. Returns from faces
+seen at more of a slant count as none: the spot of a pixel is no point there."""
 EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 NOISE, SENSOR, SEED, DURATION_S = "random-walk+yaw-random-walk", "starling2", 1, 200.0
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
@@ -121,9 +120,8 @@ def bounds_mm(truth: Truth, settings: ExperimentSettings, stamp_s: Array) -> dic
     variance is taken as linear between the poses at which it is worked out, and as no less than that of all scans.
     """
     information = gather(seen(truth.tower, truth.trajectory.at(stamp_s).T_world_drone, settings.tof))
-    some = np.unique(
-        np.minimum([1, 2, 4, 8, 16, 32, *np.linspace(0, len(stamp_s) - 1, 15)], len(stamp_s) - 1).astype(int)
-    )
+    steps = [1, 2, 4, 8, 16, 32, *np.linspace(0, len(stamp_s) - 1, 15).astype(int)]
+    some = np.unique(np.minimum(steps, len(stamp_s) - 1))
     ends = [0.0]
     for k in some[1:]:
         block = factor(information, stamp_s[: k + 1])[-POSE:, -POSE:]
