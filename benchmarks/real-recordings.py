@@ -212,7 +212,7 @@ def bars(
         file = work / "part.xyz"
     points = read_cloud(file).points
     began = time.process_time()
-    report = segment_file(file, work / "bars", dx_m=dx_m, structure=False)
+    report = segment_file(file, work / "bars", dx_m=dx_m)
     ms = 1e3 * (time.process_time() - began)
     move = JITTER_TUBES * report.dx_m * rng.stream(1, "control").uniform(-1, 1, points.shape)
     found = report.segments.transformed(shift(-read_cloud(file).origin))

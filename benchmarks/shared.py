@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.points import VoxelMap
 from steelnb.types import Array
 
 
@@ -31,11 +30,6 @@ def peak_bytes() -> int:
     """Peak memory of this process. Not that of getrusage, which a process inherits from the one that started it."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])
-
-
-def map_mb(voxels: VoxelMap) -> float:
-    """Memory of a map: of its arrays, with the room that they keep, MB."""
-    return sum(array.nbytes for array in vars(voxels).values() if isinstance(array, np.ndarray)) / 1e6
 
 
 def aligned_m(found: Array, true: Array) -> Array:

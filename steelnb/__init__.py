@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.changes import Changes, find_changes
-    from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
+    from steelnb.fusion.reconstruct import reconstruct
     from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
     from steelnb.hough import detect_lines, detect_segments
@@ -44,7 +44,7 @@ _MODULES = {
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.changes": ("Changes", "find_changes"),
-    "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
+    "fusion.reconstruct": ("reconstruct",),
     "fusion.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
@@ -74,7 +74,7 @@ __all__ = [
     "MissingExtraError", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry", "RegistrationResult",
     "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
     "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
-    "read_flight", "read_structure", "read_truth", "reconstruct", "reconstruct_cloud", "register", "run", "smooth",
+    "read_flight", "read_structure", "read_truth", "reconstruct", "register", "run", "smooth",
     "write_flight", "write_structure",
 ]  # fmt: skip
 

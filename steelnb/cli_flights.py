@@ -78,7 +78,7 @@ def record(
 @app.command(
     epilog=examples(
         "steelnb fly around.mcap",
-        "steelnb fly tower.mcap --planner whole --duration 300 --set flight.height_max_m=15",
+        "steelnb fly up.mcap --planner face --set flight.speed_m_s=0.2",
         "steelnb run around.mcap --odometry combined",
     )
 )

@@ -20,7 +20,7 @@ PRESETS = Path(__file__).parent / "presets"
 METHODS = (*_tables("methods"), "segments")
 TRAJECTORIES = _tables("flights")
 CAMERAS = _tables("cameras")
-GOALS = ("around", "face", "whole")
+GOALS = ("around", "face")
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 NOISES = ("none", "random-walk", "constant-drift", "constant-drift-per-axis", "yaw-random-walk", "tilt")
 

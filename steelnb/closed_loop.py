@@ -12,7 +12,7 @@ import numpy as np
 
 from steelnb.noise import drift_errors, drifted
 from steelnb.odometry import make_odometry
-from steelnb.planning import Camera, Decision, Planner
+from steelnb.planning import Decision, Planner
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.flight import STEP_S, Command
@@ -20,16 +20,6 @@ from steelnb.simulation.imu import AttitudeFilter, ImuErrors
 from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
-
-
-def camera_of(settings: ExperimentSettings) -> Camera:
-    """What the planner knows of its camera."""
-    t = settings.tof
-    reach_m = min(t.range_max_m, settings.odometry.preprocess.crop_m)
-    return Camera(
-        float(np.tan(t.fov_horizontal_rad / 2)), float(np.tan(t.fov_vertical_rad / 2)), t.rows * t.columns, reach_m,
-        t.sigma_floor_m, t.sigma_relative, t.T_drone_sensor,
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,7 +54,8 @@ class OnboardPilot:
         self._imu_errors = ImuErrors(stamp_s, settings.imu, settings.seed) if settings.imu else None
         self._filter: AttitudeFilter | None = None
         self.odometry = make_odometry(settings.odometry, settings.tof.T_drone_sensor, self._imu)
-        self.planner = Planner(settings.flight, camera_of(settings))
+        reach_m = min(settings.tof.range_max_m, settings.odometry.preprocess.crop_m)
+        self.planner = Planner(settings.flight, settings.tof.fov_horizontal_rad, reach_m)
         self.steps: list[OdometryStep] = []
         self.moments: list[Moment] = []
 
@@ -118,9 +109,5 @@ class OnboardPilot:
         scan = self._camera.scan(len(self.steps), float(stamp_s[step]), around)
         self.steps.append(self.odometry.update(scan, self._prior[step]))
         T = self.steps[-1].T_world_drone
-        mount, preprocess = self.settings.tof.T_drone_sensor, self.settings.odometry.preprocess
-        points = preprocess_scan(scan, T, mount, preprocess)
-        at = T @ mount
-        height = scan.points @ at[2, :3] + at[2, 3]
-        near = np.linalg.norm(scan.points, axis=-1) <= preprocess.crop_m
-        self.planner.see(points, T, self.odometry.map_segments(), int((near & (height > preprocess.floor_m)).sum()))
+        points = preprocess_scan(scan, T, self.settings.tof.T_drone_sensor, self.settings.odometry.preprocess)
+        self.planner.see(points, T, self.odometry.map_segments())

@@ -1,6 +1,10 @@
 """Made-up lattices and clouds of them."""
 
+import itertools
+
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 
@@ -37,3 +41,10 @@ def thinned(points: np.ndarray, apart: float) -> np.ndarray:
             keep.append(i)
             gone[tree.query_ball_point(points[i], apart)] = True
     return points[keep]
+
+
+def pieces_of(tower) -> tuple[np.ndarray, int]:
+    """Pairs of joints ``(P, 2)`` that a piece of a member ties, each once, and how many parts hang together."""
+    ends = [sorted(ends) for member in tower.members for ends in itertools.pairwise(member.joints)]
+    pieces, size = np.unique(ends, axis=0), len(tower.joints)
+    return pieces, connected_components(coo_array((np.ones(len(pieces)), pieces.T), shape=(size, size)))[0]

@@ -31,10 +31,10 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"steelnb {steelnb.__version__}\n"
     assert cli.main([]) == 0
     shown = capsys.readouterr().out
-    assert all(command in shown for command in ("study", "structure", "segment"))
+    assert all(command in shown for command in ("study", "segment"))
 
 
-@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment", "structure"])
+@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment"])
 def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -157,7 +157,7 @@ def test_installed_command(project: Path) -> None:
     assert shown.stderr.splitlines()[-1].startswith("steelnb: error: nothing.ply")
 
 
-@pytest.mark.parametrize("name", ["segments.csv", "structure.json"])
+@pytest.mark.parametrize("name", ["segments.csv", "segments.png"])
 def test_a_folder_in_the_place_of_an_output_of_segment_keeps_the_earlier_ones(project: Path, name: str) -> None:
     write_ply(project / "tower.ply", scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01))
     (project / "out" / name / "mine").mkdir(parents=True)

@@ -232,13 +232,13 @@ def test_a_run_overwrites_only_where_it_is_told_to_and_leaves_no_file_of_an_earl
 
 
 def test_a_flight_that_is_steered_is_recorded_for_run(place, capfd):
-    shown = said(capfd, ["fly", "a.mcap", *SMALL, "--sensor", "report-4cm", "--planner", "whole"]).splitlines()
+    shown = said(capfd, ["fly", "a.mcap", *SMALL, "--sensor", "report-4cm", "--planner", "face"]).splitlines()
     assert shown[0].startswith("flown     ")
     assert shown[-1].startswith("a.mcap written: ")
     assert sorted(file.name for file in place.iterdir()) == ["a.mcap", "a.truth.tum"]
     assert said(capfd, ["info", "a.mcap"])
     assert "exists already" in said(capfd, ["fly", "a.mcap", *SMALL], 2)
-    assert "did you mean 'whole'" in said(capfd, ["fly", "b.mcap", "--planner", "hole"], 2)
+    assert "did you mean 'face'" in said(capfd, ["fly", "b.mcap", "--planner", "fac"], 2)
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "folder"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.closed_loop import OnboardPilot, camera_of
+from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import CollisionError, SettingsError
 from steelnb.odometry import make_odometry, run
 from steelnb.planning import Planner
@@ -116,6 +116,6 @@ def test_a_planner_belongs_to_planned_flights_alone():
     with pytest.raises(SettingsError, match="goal = 'home'"):
         ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
     with pytest.raises(SettingsError, match="trajectory 'loops': expected 'planned'"):
-        Planner(FlightSettings.preset("loops"), camera_of(ExperimentSettings.preset()))
+        Planner(FlightSettings.preset("loops"), 1.5, 6.0)
     chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
     assert chosen.flight.planner.goal == "face"

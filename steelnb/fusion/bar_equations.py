@@ -20,7 +20,7 @@ BAR = 6
 """Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
 LAST = BAR + RANGE
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
-"""A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.scales.Scales`."""
+"""A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.proposals.TUBE_M`."""
 MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 

@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from steelnb.fusion.scales import Scales
 from steelnb.fusion.structure import Structure
 from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
 """Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where.
-Chosen with `fusion.scales.Scales`."""
+Chosen with `fusion.proposals.TUBE_M`, as the lengths below."""
+SLACK_M, REACH_M, LEAD_MAX_M, SAME_M = 0.02, 0.2, 0.8, 0.15
+BEND_M, BEND_GAP_M = 1.2, 0.1
+"""Metres; see `find_joints` and `trim_bends`."""
 
 
 def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
@@ -30,24 +32,22 @@ def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
     return np.asarray(np.linalg.solve(matrix, (across @ axes[:, 0, :, None]).sum(axis=0)[:, 0] + share * about))
 
 
-def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, IntArray, Segments]:
+def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segments]:
     """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends moved to the joints; metres.
 
-    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``slack_m``. Points
-    within ``reach_m`` of another bar are easily taken for that; so either bar may be extended by ``reach_m`` over
-    the sine of the angle between them, at most by ``lead_max_m``, but only to the first bar that it meets. Bars
-    that continue each other at a small angle meet at the bend, up to ``bend_m`` from their ends. Meetings on one
-    bar that are less than ``same_m`` apart are one joint: the point nearest to all axes that it ties; bars that do
+    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``SLACK_M``. Points
+    within ``REACH_M`` of another bar are easily taken for that; so either bar may be extended by ``REACH_M`` over
+    the sine of the angle between them, at most by ``LEAD_MAX_M``, but only to the first bar that it meets. Bars
+    that continue each other at a small angle meet at the bend, up to ``BEND_M`` from their ends. Meetings on one
+    bar that are less than ``SAME_M`` apart are one joint: the point nearest to all axes that it ties; bars that do
     not reach it are not tied. Ends near a bar's first and last joint move there.
     """
-    same_m = scales.same_m
     pair, at, point, lead = _meetings(
-        bars.start, bars.direction, bars.length, width_m, scales.slack_m, scales.reach_m, scales.lead_max_m,
-        scales.bend_m, BEND_MIN, BEND_MAX,
-    )  # fmt: skip
-    keep = _first_ones(pair, at, bars.length, same_m)
+        bars.start, bars.direction, bars.length, width_m, SLACK_M, REACH_M, LEAD_MAX_M, BEND_M, BEND_MIN, BEND_MAX
+    )
+    keep = _first_ones(pair, at, bars.length)
     pair, at, point, lead = pair[keep], at[keep], point[keep], lead[keep]
-    group = _groups(pair, at, point, same_m)
+    group = _groups(pair, at, point)
     names = np.unique(group)
     joint, ties, leads = np.zeros((len(names), 3)), [], []
     for j, name in enumerate(names):
@@ -60,59 +60,58 @@ def find_joints(bars: Segments, width_m: Array, scales: Scales) -> tuple[Array, 
     tie, lead = np.array(ties, dtype=np.int64).reshape(-1, 2), np.array(leads)
     # Where bars that meet at an acute angle are extended far, their nearest point may lie farther still.
     along = ((joint[tie[:, 0]] - bars.start[tie[:, 1]]) * bars.direction[tie[:, 1]]).sum(axis=1)
-    reached = (along >= -lead - same_m) & (along <= bars.length[tie[:, 1]] + lead + same_m)
+    reached = (along >= -lead - SAME_M) & (along <= bars.length[tie[:, 1]] + lead + SAME_M)
     reached &= np.bincount(tie[reached, 0], minlength=len(joint))[tie[:, 0]] >= 2
     left, place = np.unique(tie[reached, 0], return_inverse=True)
     tie, lead = np.column_stack([place, tie[reached, 1]]), lead[reached]
-    return joint[left], tie, _led(bars, joint[left], tie, lead, same_m)
+    return joint[left], tie, _led(bars, joint[left], tie, lead)
 
 
-def between_joints(structure: Structure, weak: NDArray[np.bool_], same_m: float) -> Segments:
+def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
     """The bars of a structure, the ``weak (B,)`` ones from joint to joint, if they are tied at both ends.
 
     The points of a strut of half a metre, without those near its ends, which may be its neighbours', tell its direction
     to some degrees. Its joints lie on the axes of longer bars, to some millimetres across these. So where the direction
-    is weakly told, the axis runs through the first and the last joint that tie the bar, if each lies within ``same_m``
-    metres of an end of it.
+    is weakly told, the axis runs through the first and the last joint that tie the bar, if each lies within ``SAME_M``
+    of an end of it.
     """
     bars = structure.segments
     start, end = bars.start.copy(), bars.end.copy()
     for bar in np.flatnonzero(weak):
         joint = structure.joint[structure.tie[structure.tie[:, 1] == bar, 0]]
         along = (joint - bars.start[bar]) @ bars.direction[bar]
-        if len(joint) >= 2 and along.min() <= same_m and along.max() >= bars.length[bar] - same_m:
+        if len(joint) >= 2 and along.min() <= SAME_M and along.max() >= bars.length[bar] - SAME_M:
             start[bar], end[bar] = joint[along.argmin()], joint[along.argmax()]
     return Segments(start, end, bars.count, bars.radius)
 
 
-def trim_bends(bars: Segments, scales: Scales) -> Segments:
+def trim_bends(bars: Segments) -> Segments:
     """Bars cut at bends, where two continue each other at a small angle and each had grown into the other.
 
-    Their axes come closer than ``bend_gap_m``, up to ``bend_m`` from their ends.
+    Their axes come closer than ``BEND_GAP_M``, up to ``BEND_M`` from their ends.
     """
-    bend_m, none = scales.bend_m, np.zeros(len(bars))
+    none = np.zeros(len(bars))
     pair, at, _, lead = _meetings(
-        bars.start, bars.direction, bars.length, none, scales.bend_gap_m, 0.0, scales.lead_max_m,
-        bend_m, BEND_MIN, BEND_MAX,
-    )  # fmt: skip
+        bars.start, bars.direction, bars.length, none, BEND_GAP_M, 0.0, LEAD_MAX_M, BEND_M, BEND_MIN, BEND_MAX
+    )
     start, end, length = bars.start.copy(), bars.end.copy(), bars.length
-    for k in np.flatnonzero(lead >= bend_m):
+    for k in np.flatnonzero(lead >= BEND_M):
         for bar, place in zip(pair[k], at[k], strict=True):
             position = bars.start[bar] + place * bars.direction[bar]
             (start if place < length[bar] / 2 else end)[bar] = position
     return Segments(start, end, bars.count, bars.radius)
 
 
-def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array, same_m: float) -> Segments:
+def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segments:
     start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
     for bar in np.unique(tie[:, 1]):
         mine = tie[:, 1] == bar
         along = (joint[tie[mine, 0]] - bars.start[bar]) @ direction[bar]
         first, last = int(along.argmin()), int(along.argmax())
-        low, high, slack = along[first], along[last], lead[mine] + same_m
-        if -slack[first] <= low <= max(same_m, slack[first] - same_m) and low < length[bar] / 2:
+        low, high, slack = along[first], along[last], lead[mine] + SAME_M
+        if -slack[first] <= low <= max(SAME_M, slack[first] - SAME_M) and low < length[bar] / 2:
             start[bar] = bars.start[bar] + low * direction[bar]
-        if -max(same_m, slack[last] - same_m) <= high - length[bar] <= slack[last] and high > length[bar] / 2:
+        if -max(SAME_M, slack[last] - SAME_M) <= high - length[bar] <= slack[last] and high > length[bar] / 2:
             end[bar] = bars.start[bar] + high * direction[bar]
     return Segments(start, end, bars.count, bars.radius)
 
@@ -161,7 +160,7 @@ def _meetings(start, direction, length, width, slack, reach, lead_max, bend, ben
     return np.array(pairs)[1:], np.array(places)[1:], np.array(points)[1:], np.array(leads)[1:]
 
 
-def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.ndarray:
+def _first_ones(pair: IntArray, at: Array, length: Array) -> np.ndarray:
     """Mask of the meetings ``(P,)`` that stay: not those for which a bar would be extended past another one."""
     keep = np.ones(len(pair), dtype=bool)
     for _ in range(2):  # dropping one for the sake of one bar may free another; the second round settles it
@@ -169,20 +168,20 @@ def _first_ones(pair: IntArray, at: Array, length: Array, same_m: float) -> np.n
         for beyond in (-at, at - length[pair]):
             first = np.full(len(length), np.inf)
             for k in range(2):
-                out = before & (beyond[:, k] > -same_m)
+                out = before & (beyond[:, k] > -SAME_M)
                 np.minimum.at(first, pair[out, k], np.maximum(beyond[out, k], 0.0))
             for k in range(2):
-                keep &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + same_m))
+                keep &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + SAME_M))
     return keep
 
 
-def _groups(pair: IntArray, at: Array, point: Array, same_m: float) -> IntArray:
-    """The joint of each meeting ``(P,)``: neighbours along a bar that are less than ``same_m`` apart are one."""
+def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
+    """The joint of each meeting ``(P,)``: neighbours along a bar that are less than ``SAME_M`` apart are one."""
     which = np.concatenate([np.arange(len(pair))] * 2)
     bar, place = pair.T.ravel(), at.T.ravel()
     order = np.lexsort((place, bar))
     first, second = order[:-1], order[1:]
-    near = (bar[first] == bar[second]) & (place[second] - place[first] < same_m)
+    near = (bar[first] == bar[second]) & (place[second] - place[first] < SAME_M)
     edges = list(zip(which[first[near]].tolist(), which[second[near]].tolist(), strict=True))
     # Two straight bars meet once: joints that share two bars are one. Bars that meet at an acute angle and do not lie
     # in one plane come nearest to each other well beside the joint that a third bar makes with either.
@@ -195,7 +194,7 @@ def _groups(pair: IntArray, at: Array, point: Array, same_m: float) -> IntArray:
         for name in middle:
             for two in itertools.combinations(np.unique(pair[group == name]).tolist(), 2):
                 other = owner.setdefault(two, name)
-                if other != name and np.linalg.norm(middle[other] - middle[name]) < 2 * same_m:
+                if other != name and np.linalg.norm(middle[other] - middle[name]) < 2 * SAME_M:
                     edges.append((int(np.argmax(group == other)), int(np.argmax(group == name))))
         if len(edges) == known:
             return group.astype(np.int64)

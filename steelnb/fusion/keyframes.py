@@ -9,8 +9,8 @@ from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
+from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans
-from steelnb.fusion.scales import Scales
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
@@ -41,7 +41,7 @@ class Keyframes:
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
         self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
         self.readings: Readings | None = None
-        self.voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
+        self.voxels = VoxelMap(VOXEL_M)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
         self._ratio: float | None = None  # range noise as a multiple of that in `points.ranges`

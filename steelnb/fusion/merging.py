@@ -11,7 +11,11 @@ IN_LINE_RAD = math.radians(4)
 COPY_RAD = math.radians(15)
 COPY_SHARE = 0.6
 SAMPLES = 9
-"""Bounds of pieces in line and of copies, chosen with `fusion.scales.Scales`; points along a bar that are compared."""
+"""Bounds of pieces in line and of copies, chosen with `fusion.proposals.TUBE_M`; points along a bar that are
+compared."""
+GAP_MAX_M, COPY_M = 0.3, 0.2
+"""Largest gap between pieces of one bar; what mostly runs within the second of a stronger bar, and hardly rises across
+that, is a copy of it."""
 
 
 def merge_pieces(

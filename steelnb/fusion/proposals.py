@@ -4,85 +4,60 @@ import math
 
 import numpy as np
 
-from steelnb.fusion.merging import merge_pieces
-from steelnb.fusion.regions import is_lattice, linear_share
+from steelnb.fusion.joints import REACH_M
+from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
 from steelnb.fusion.ridges import ridge_points
-from steelnb.fusion.scales import Scales
-from steelnb.hough.blocks import SHADOW, segment_structure, within
-from steelnb.hough.long_bars import long_bars
+from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.settings import StructureSettings
 from steelnb.types import Segments
 
-RIDGE_SHARE = 0.2
-"""Least weight of a voxel on a ridge, as a share of the largest around it. Chosen with `fusion.scales.Scales`."""
-LINEAR_SHARE_MIN, BLURRED_SHARE_MIN = 0.5, 0.25
-"""Least share of the length of all lines outside planar and volumetric regions (`regions.linear_share`: at most 0.02 in
-shapes without bars, at least 0.75 on towers scanned closely); and that of a map which an adjustment is to sharpen: with
-all errors of a sensor that calibration seeks, 0.48 in the first map of a flight, the least of seeds 11 to 14."""
+TUBE_M, VOXEL_M = 0.06, 0.04
+"""Radius of the tube about a bar that holds its points, and edge of the voxels that accumulate the scans. These and the
+other lengths and shares of reconstruction were chosen together on simulated flights of the preset ``starling2`` with
+the development seeds 11 and 12, ``zigzag`` and ``loops``, over the tower ``tapered`` and one with wider legs (flanges
+of 160 mm)."""
+RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
+"""A voxel stays if its weight is at least this share of the largest within the radius, and contracts to the mean within
+the last."""
+LENGTH_MIN_M = 0.3
+"""Shortest bar."""
+STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
+"""Struts, short bars between two others, have a tube, a least length and a contraction of their own, and lie further
+than ``STRUT_HIDE_M`` from all bars."""
 GRIDS = 4
 """Grids of blocks in which bars are proposed. On flights eight find no more."""
 
 
-def find_bars(
-    voxels: VoxelMap,
-    settings: StructureSettings,
-    grids: int = GRIDS,
-    coarse: bool = False,
-    rise_m: float = math.inf,
-    linear_min: float = LINEAR_SHARE_MIN,
-) -> tuple[Segments, str]:
+def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
     """Bars of a voxel map, their axes in the middle of their points, strongest first; or none, and the reason.
 
-    ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``coarse``: bars may be only a few tubes apart.
-    ``rise_m``: bars that rise by more across a stronger one are no copies of it (`fusion.merging`). ``linear_min``:
-    least share of lines outside planar and volumetric regions.
+    ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``rise_m``: bars that rise by more across a stronger one
+    are no copies of it (`fusion.merging`).
     """
-    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
-    points = voxel_grid(ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.contract_m), tube / math.sqrt(3))
-    if len(points) < votes or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * s.length_min_m:
+    points = voxel_grid(ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M), TUBE_M / math.sqrt(3))
+    if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    lines = segment_structure(points, tube, votes, s.length_min_m / tube, grids)
-    bars = _with_struts(voxels, lines, settings, grids, rise_m)
-    # A bar inside a lattice looks volumetric, but not most of a structure; unless the cloud is so coarse that all its
-    # bars are near others: then braces claim the points of the legs, unless long bars come first.
-    if len(bars) and linear_share(points, bars, 2 * tube) < linear_min:
-        if not (coarse and is_lattice(points, lines, tube, votes, s.length_min_m / tube)):
-            return Segments.empty(), f"most of {len(bars)} lines lie in planar or volumetric regions"
-        long = long_bars(voxels.means(), tube, votes)
-        left = points[~within(points, long, SHADOW * tube)]
-        lines = segment_structure(left, tube, votes, s.length_min_m / tube, grids) if len(left) else Segments.empty()
-        lines = Segments.joined((long, lines))
-        bars = _with_struts(voxels, lines, settings, grids, rise_m)
-    return bars, "" if len(bars) else f"none of {len(points)} points on ridges lie along a line"
-
-
-def _with_struts(voxels: VoxelMap, lines: Segments, settings: StructureSettings, grids: int, rise_m: float) -> Segments:
-    """Bars of the lines of a voxel map, and the short ones between them."""
-    gap_m, tube = Scales.at(settings.tube_m).gap_max_m, settings.tube_m
-    bars = merge_pieces(lines, gap_m, settings.copy_distance_m, tube, rise_m=rise_m)
+    lines = segment_structure(points, TUBE_M, MIN_VOTES, LENGTH_MIN_M / TUBE_M, grids)
+    bars = merge_pieces(lines, GAP_MAX_M, COPY_M, TUBE_M, rise_m=rise_m)
     if not len(bars):
-        return bars
-    more = find_struts(voxels, bars, settings, Scales.at(tube).strut_hide_m, grids)
-    return merge_pieces(Segments.joined((bars, more)), gap_m, settings.copy_distance_m, tube, rise_m=rise_m)
+        return bars, f"none of {len(points)} points on ridges lie along a line"
+    more = find_struts(voxels, bars, STRUT_HIDE_M, grids)
+    return merge_pieces(Segments.joined((bars, more)), GAP_MAX_M, COPY_M, TUBE_M, rise_m=rise_m), ""
 
 
-def find_struts(
-    voxels: VoxelMap, bars: Segments, settings: StructureSettings, hide_m: float, grids: int = GRIDS
-) -> Segments:
+def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
     """Short bars between the ``bars`` of a voxel map.
 
     A short bar between long ones is weak beside them, and its ends lie within their tubes: it is found in what they
     leave, the voxels further than ``hide_m`` from all of them.
     """
-    tube, votes, s = settings.tube_m, settings.min_votes, Scales.at(settings.tube_m)
     hidden = within(voxels.means(), bars, hide_m)
-    left = ridge_points(voxels, s.ridge_radius_m, RIDGE_SHARE, s.strut_contract_m, hidden)
-    left = voxel_grid(left, s.strut_tube_m / math.sqrt(3))
-    if len(left) < votes:
+    left = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
+    left = voxel_grid(left, STRUT_TUBE_M / math.sqrt(3))
+    if len(left) < MIN_VOTES:
         return Segments.empty()
-    more = segment_structure(left, s.strut_tube_m, votes, s.strut_length_min_m / s.strut_tube_m, grids)
-    return more.take(_between_bars(more, bars, s.reach_m, tube))
+    more = segment_structure(left, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
+    return more.take(_between_bars(more, bars, REACH_M, TUBE_M))
 
 
 def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:

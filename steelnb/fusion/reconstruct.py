@@ -1,4 +1,4 @@
-"""The final reconstruction: all scans of a flight with corrected poses, or a plain cloud → `Structure`."""
+"""The final reconstruction: all scans of a flight with corrected poses → `Structure`."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,16 +12,14 @@ from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.bar_voxels import BarVoxels
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
-from steelnb.fusion.merging import merge_pieces
+from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.proposals import LINEAR_SHARE_MIN, find_bars, find_struts
+from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts
 from steelnb.fusion.round_fit import fit_rounds
-from steelnb.fusion.scales import Scales
 from steelnb.fusion.section_fit import fit_sections
 from steelnb.fusion.structure import Structure
-from steelnb.hough.blocks import SHIFTS
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
@@ -30,9 +28,7 @@ END_TUBES = 1.2
 """Points within this many tubes of the ends of a bar are left out of the fit of its section."""
 TILT_TOLD_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first is not turned by the fit of its section, and runs from
-joint to joint in the end; above the second it is left out. Chosen on the development seed 11; see
-benchmarks/structure.md."""
-CHUNK = 1 << 17
+joint to joint in the end; above the second it is left out. Chosen on the development seed 11."""
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly further."""
@@ -66,26 +62,25 @@ def reconstruct(
     """
     settings = settings or StructureSettings()
     T_world_sensor = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
-    scales = Scales.at(settings.tube_m)
     # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
         flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
         if fitted is not None:
             T_world_sensor = flight.adjusted(fitted)
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
-    bars, reason = find_bars(flight.voxels, settings, rise_m=settings.tube_m)
+    bars, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(bars):
         return Structure.empty(reason)
     bars = flight.refine_closely(bars)
     # Short bars that the first axes hid, through the middles of their points, show between those of fitted sections.
-    more = find_struts(flight.voxels, bars, settings, settings.tube_m)
-    bars = flight.refine_closely(flight.merged(Segments.joined((bars, more))))
-    fitted = flight.fit(trim_bends(bars, scales), every=1)
+    more = find_struts(flight.voxels, bars, TUBE_M)
+    bars = flight.refine_closely(merged(Segments.joined((bars, more))))
+    fitted = flight.fit(trim_bends(bars), every=1)
     fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # not NaN: too few points to tell a section
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
-    structure = _tied(fitted, scales)
-    return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_TOLD_RAD, scales.same_m))
+    structure = _tied(fitted)
+    return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_TOLD_RAD))
 
 
 def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
@@ -105,7 +100,7 @@ def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureS
     Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, in half the voxels.
     Raises `EmptyCloudError` where no return is left above the floor.
     """
-    voxels = VoxelMap(Scales.at(settings.tube_m).voxel_m)
+    voxels = VoxelMap(VOXEL_M)
     for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
         image = scan.points
         points = _flat(smooth_ranges(image))
@@ -113,37 +108,6 @@ def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureS
     if not len(voxels):
         raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
     return voxels
-
-
-def reconstruct_cloud(points: Array, settings: StructureSettings | None = None) -> Structure:
-    """Bars and joints from a plain cloud ``(N, 3)``, metres, finite, in its own frame with z up.
-
-    The viewing directions are not known, so the axis of a bar runs in the middle of its points; a cloud taken from all
-    around has them around its bars. Returns an empty structure with a reason for a cloud without lines. Raises
-    `EmptyCloudError` for an empty cloud or coordinates that are not finite, `SettingsError` for another shape.
-    """
-    settings = settings or StructureSettings(floor_m=-1e6)
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise SettingsError(f"points of shape {points.shape}: expected (N, 3)")
-    bad = np.count_nonzero(~np.isfinite(points).all(axis=1))
-    if bad or not len(points):
-        raise EmptyCloudError(f"cloud of {len(points)} points, {bad} of them not finite: expected some, all finite")
-    scales = Scales.at(settings.tube_m)
-    voxels = VoxelMap(scales.voxel_m)
-    for first in range(0, len(points), CHUNK):  # the map makes room for all points of a call
-        some = points[first : first + CHUNK]
-        voxels.insert(some[some[:, 2] >= settings.floor_m])
-    if not len(voxels):
-        raise EmptyCloudError(f"cloud without a point above the floor at {settings.floor_m} m")
-    bars, reason = find_bars(voxels, settings, len(SHIFTS), coarse=True)
-    if not len(bars):
-        return Structure.empty(reason)
-    none = np.full(len(bars), np.nan)
-    sigma = bars.radius / np.sqrt(np.maximum(bars.count, 1))
-    return _tied(
-        FittedBars(bars, sections.frames(bars.direction), none, none, sigma, none, np.ones_like(bars.count)), scales
-    )
 
 
 @dataclass(frozen=True)
@@ -177,8 +141,7 @@ class MappedScans:
 
     def around(self, bars: Segments) -> BarVoxels:
         """The voxels around bars, in which their points are looked up."""
-        tube_m = self.settings.tube_m
-        return BarVoxels.around(bars, REACH_TUBES * tube_m, MARGIN_TUBES * tube_m, self.voxels.voxel_m)
+        return BarVoxels.around(bars, REACH_TUBES * TUBE_M, MARGIN_TUBES * TUBE_M, self.voxels.voxel_m)
 
     def bar_points(self, voxels: BarVoxels, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
         """For one in ``every`` scans, of one in ``pixels`` of its points: the number of the scan, the points on bars in
@@ -198,7 +161,7 @@ class MappedScans:
             yield from self.bar_points(voxels, 1, pixels)
             return
         corner, sigmas = sections.outlines(bars.turn, bars.flange), FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
-        most_m = FACE_MAX_TUBES * self.settings.tube_m
+        most_m = FACE_MAX_TUBES * TUBE_M
         for k, points, bar in self.bar_points(voxels, 1, pixels):
             T = self.T_world_sensor[k]
             whole = voxels.whole(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
@@ -222,7 +185,7 @@ class MappedScans:
             sightings += np.bincount(bar, minlength=n) >= 10 // pixels
             sections.accumulate(
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
-                END_TUBES * self.settings.tube_m, histogram,
+                END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
         fitted = fit_sections(histogram, bars.length)
         fit_rounds(histogram, bars.length, fitted)
@@ -236,32 +199,22 @@ class MappedScans:
     def refine(self, bars: Segments, every: int = 5) -> tuple[FittedBars, Segments]:
         """Fit bars cut at bends to one in ``every`` scans; and those bars tied at joints, their pieces and copies
         merged."""
-        s, scales = self.settings, Scales.at(self.settings.tube_m)
-        fitted = self.fit(trim_bends(bars, scales), every)
-        tied = _tied(fitted, scales).segments
-        return fitted, merge_pieces(tied, scales.gap_max_m, s.copy_distance_m, s.tube_m, fitted.width)
+        fitted = self.fit(trim_bends(bars), every)
+        return fitted, merge_pieces(_tied(fitted).segments, GAP_MAX_M, COPY_M, TUBE_M, fitted.width)
 
     def refine_closely(self, bars: Segments) -> Segments:
         """As `refine` for the last passes: a fit that does not tell the direction of a bar does not turn it, and braces
         at an acute angle to their chord are no copies of it (`merged`)."""
-        scales = Scales.at(self.settings.tube_m)
-        bars = trim_bends(bars, scales)
+        bars = trim_bends(bars)
         fitted = self.fit(bars, every=5)
         told = (fitted.tilt <= TILT_TOLD_RAD)[:, None]
         start, end = np.where(told, fitted.bars.start, bars.start), np.where(told, fitted.bars.end, bars.end)
         fitted = replace(fitted, bars=Segments(start, end, bars.count, bars.radius))
-        return self.merged(_tied(fitted, scales).segments, fitted.width)
+        return merged(_tied(fitted).segments, fitted.width)
 
-    def merged(self, bars: Segments, width_m: Array | None = None) -> Segments:
-        """Pieces and copies merged; a bar that rises by more than a tube across a stronger one is no copy of it."""
-        s = self.settings
-        return merge_pieces(bars, Scales.at(s.tube_m).gap_max_m, s.copy_distance_m, s.tube_m, width_m, s.tube_m)
-
-    def find_and_fit(
-        self, fits: int, every: int = 5, linear_min: float = LINEAR_SHARE_MIN
-    ) -> tuple[FittedBars | None, str]:
+    def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason."""
-        bars, reason = find_bars(self.voxels, self.settings, grids=1, linear_min=linear_min)
+        bars, reason = find_bars(self.voxels, grids=1)
         fitted = None
         for _ in range(fits if len(bars) else 0):
             # Bars extended to their joints have more points, so a second fit is more exact.
@@ -274,18 +227,22 @@ def map_and_fit(
     T_world_sensor: Array,
     settings: StructureSettings,
     fits: int = 2,
-    linear_min: float = LINEAR_SHARE_MIN,
 ) -> tuple[MappedScans, FittedBars | None, str]:
     """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
-    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. ``linear_min`` as for
-    `find_bars`. Raises `EmptyCloudError` as `map_scans`."""
+    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `EmptyCloudError` as
+    `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
-    return flight, *flight.find_and_fit(fits, linear_min=linear_min)
+    return flight, *flight.find_and_fit(fits)
 
 
-def _tied(fitted: FittedBars, scales: Scales) -> Structure:
+def merged(bars: Segments, width_m: Array | None = None) -> Segments:
+    """Pieces and copies merged; a bar that rises by more than a tube across a stronger one is no copy of it."""
+    return merge_pieces(bars, GAP_MAX_M, COPY_M, TUBE_M, width_m, TUBE_M)
+
+
+def _tied(fitted: FittedBars) -> Structure:
     width = np.where(np.isfinite(fitted.width), fitted.width, 2 * fitted.bars.radius)
-    joint, tie, bars = find_joints(fitted.bars, width, scales)
+    joint, tie, bars = find_joints(fitted.bars, width)
     angle = fitted.turn + math.pi / 4  # the flanges are alike, so their bisector tells the turn of a section
     opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], fitted.across)
     tube = np.isfinite(fitted.width) & np.isnan(fitted.turn)

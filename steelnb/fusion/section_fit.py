@@ -21,7 +21,7 @@ FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0
 ROBUST_M = 0.03
 OUTLINE_WEIGHT = 0.5
 """Weight of an edge of the outline against all depths from its direction. As `ROBUST_M` and `TELL_APART_M` chosen on
-simulated ``starling2`` flights with the development seeds 11 and 12 (`fusion.scales`)."""
+simulated ``starling2`` flights with the development seeds 11 and 12 (`fusion.proposals.TUBE_M`)."""
 TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less than this are equally likely and are averaged."""
 

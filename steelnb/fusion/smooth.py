@@ -11,7 +11,6 @@ from steelnb.fusion import bundle, uncertainty
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
 from steelnb.fusion.observations import Observations
-from steelnb.fusion.proposals import BLURRED_SHARE_MIN, LINEAR_SHARE_MIN
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.fusion.sensor_errors import RANGE, true_flight, true_poses, unknown_errors
 from steelnb.points.ranges import true_points
@@ -19,13 +18,10 @@ from steelnb.settings import CalibrationSettings, ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
 Stages = tuple[tuple[int, int], ...]
-ROUNDS: tuple[tuple[int, float, Stages], ...] = (
-    (1, BLURRED_SHARE_MIN, ((8, 2),)), (2, LINEAR_SHARE_MIN, ((8, 2), (1, 2)))
-)  # fmt: skip
-"""Of each round: how often sections are fitted; the least share of lines that look like bars, in a map that is to be
-sharpened and in one that was; then one in how many pixels, and how many steps: first few points, then all. Chosen on
-the zigzag of the development seed 11, where half of the pixels in the last steps, or sections fitted once in
-both rounds, make errors after alignment larger by a fifth and by half; see benchmarks/smoothing.md."""
+ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
+"""Of each round: how often sections are fitted; then one in how many pixels, and how many steps: first few points, then
+all. Chosen on the zigzag of the development seed 11, where half of the pixels in the last steps, or sections fitted
+once in both rounds, make errors after alignment larger by a fifth and by half."""
 BARS_MIN = 3
 TILT_MIN_RAD = 0.001
 """Least standard deviation of the prior's roll and pitch where errors of the sensor are sought: the lean of a mount is
@@ -61,9 +57,9 @@ def smooth(
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     if calibration is not None:
         errors, tilt_sigma_rad = unknown_errors(calibration), max(tilt_sigma_rad, TILT_MIN_RAD)
-    for fits, linear_min, stages in ROUNDS:
+    for fits, stages in ROUNDS:
         try:
-            scans, fitted, reason = map_and_fit(true_flight(flight, errors).scans, T, settings, fits, linear_min)
+            scans, fitted, reason = map_and_fit(true_flight(flight, errors).scans, T, settings, fits)
         except EmptyCloudError as fault:
             return replace(estimate, unsmoothed=str(fault))
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:

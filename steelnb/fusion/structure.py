@@ -1,16 +1,12 @@
-"""The result of a reconstruction: bars, the joints that tie them, and the graph of both."""
+"""The result of a reconstruction: bars, and the joints that tie them."""
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.types import Array, IntArray, Segments
-
-if TYPE_CHECKING:
-    import networkx as nx
 
 
 @dataclass(frozen=True)
@@ -53,18 +49,12 @@ class Structure:
         """The same structure with ``by (3,)``, metres, added to its coordinates."""
         return replace(self, segments=self.segments.moved(by), joint=self.joint + by)
 
-    def graph(self) -> "nx.Graph":
-        """Joints as nodes (``position``), pieces of bars between neighbouring joints as edges (``bar``, ``length_m``).
-
-        A bar with fewer than two joints gives no edge.
-        """
-        import networkx as nx  # half a second, and seldom wanted
-
-        graph = nx.Graph()
-        graph.add_nodes_from((j, {"position": tuple(position)}) for j, position in enumerate(self.joint.tolist()))
+    def pieces(self) -> IntArray:
+        """Pieces of bars between neighbouring joints ``(P, 3)``: (joint, joint, bar). A bar with fewer than two joints
+        has none."""
+        found: list[tuple[int, int, int]] = []
         for bar in range(len(self)):
             tied = self.tie[self.tie[:, 1] == bar, 0]
             along = (self.joint[tied] - self.segments.start[bar]) @ self.segments.direction[bar]
-            for a, b in itertools.pairwise(tied[np.argsort(along, kind="stable")].tolist()):
-                graph.add_edge(a, b, bar=bar, length_m=float(np.linalg.norm(self.joint[b] - self.joint[a])))
-        return graph
+            found += [(a, b, bar) for a, b in itertools.pairwise(tied[np.argsort(along, kind="stable")].tolist())]
+        return np.array(found, dtype=np.int64).reshape(-1, 3)

@@ -24,8 +24,8 @@ from steelnb.types import Array, IntArray, Segments
 
 SHARED_SIGMA_M = 0.001
 """Standard deviation, an axis, of the displacement that all points of a bar in a scan share, at the range noise of
-`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds 11 to 15;
-see benchmarks/uncertainty.md."""
+`points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds
+11 to 15."""
 END_SIGMA_M = 0.006
 """Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section that
 is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.

@@ -1,8 +1,7 @@
 """Points → `Lines` → `Segments`: the iterative 3D Hough transform and the sorting of its lines."""
 
 from steelnb.hough.directions import directions
-from steelnb.hough.dx import suggest_dx
 from steelnb.hough.lines import detect_lines
 from steelnb.hough.segments import cut_and_sort, detect_segments, detect_segments_with
 
-__all__ = ["cut_and_sort", "detect_lines", "detect_segments", "detect_segments_with", "directions", "suggest_dx"]
+__all__ = ["cut_and_sort", "detect_lines", "detect_segments", "detect_segments_with", "directions"]

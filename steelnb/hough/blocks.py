@@ -31,6 +31,8 @@ RING_WEIGHT = 0.75
 """Weight of a point between dx and 2 dx. A sheet of points holds as many there as within dx, so 1 would tell bars from
 sheets, but bars whose points scatter by dx leave some there too: on ten surveyed towers, 1 loses up to 60 % of the
 points that 0.75 explains. At 0.5 a third of a tower jittered by 1 m passes for bars, at 0.75 a twentieth."""
+MIN_VOTES = 8
+"""Fewest points of a bar."""
 SHADOW = 1.25
 """Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
 SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
@@ -40,7 +42,7 @@ GROUP = 256
 
 
 def segment_structure(
-    points: Array, dx: float, min_votes: int = 8, length_min: float = LENGTH, grids: int = len(SHIFTS)
+    points: Array, dx: float, min_votes: int = MIN_VOTES, length_min: float = LENGTH, grids: int = len(SHIFTS)
 ) -> Segments:
     """Find the bars in the cloud of a whole structure.
 

@@ -1,45 +1,29 @@
-"""The cell width dx of the Hough transform, from the widths of the bars and the spacing of the points in a cloud."""
-
-import math
+"""The default cell width dx of the Hough transform, and the check of its points."""
 
 import numpy as np
-from numba import njit
+from scipy.spatial import cKDTree
 
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
 from steelnb.points.inputs import checked_cloud
-from steelnb.points.moments import NO_MOMENTS, add_moments, add_point, covariance, principal_axis, store
 from steelnb.types import Array
 
-PROBES = 60
-RADII = 2.0 * 1.25 ** np.arange(13)
-"""Radii of the balls around a probe, in point spacings: 2 to 29."""
-LINEARITY = 0.8
-"""Least share of the variance in a ball that lies along its axis: a ball of a bar, not of clutter."""
-SPREADS, SPACINGS = 1.4, 1.2
-"""dx in root mean square distances to the axis, and in point spacings. Chosen on the development seeds 11 to 16."""
+DX_MIN_M, SPACINGS, PROBES = 0.07, 1.2, 5000
 
 
-def suggest_dx(points: Array) -> float:
-    """Radius in metres of a tube that holds the points of one bar: the default ``dx`` of lines and segments.
-
-    The larger of 1.4 times the root mean square distance of points to the axis of their bar, which covers section
-    width and range noise, and 1.2 times the point spacing. The first is the median over balls around 60 points, each
-    of the radius at which its points are most linear: smaller balls see the section as a blob, larger ones see other
-    bars. Source: Demantké et al., "Dimensionality based scale selection in 3D lidar point clouds", ISPRS 2011.
+def default_dx(points: Array) -> float:
+    """The default ``dx`` of lines and segments, metres: 1.2 times the median spacing of the points, at least 7 cm,
+    which holds a bar of a tower with its noise, and at most half the diagonal of the cloud.
 
     ``points (N, 3)`` finite, in metres. Raises `EmptyCloudError`, `DegenerateCloudError`, `SettingsError`.
     """
     points, low, high = distinct_points(points)
-    diagonal = float(np.linalg.norm(high - low))
-    points = points[np.argsort(points[:, 2], kind="stable")]  # so that the points near a probe are one slice
-    px, py, pz = np.ascontiguousarray(points.T)
-    probes = np.linspace(0, len(points) - 1, min(PROBES, len(points))).astype(np.int64)
-    spacing = float(np.median(_nearest(px, py, pz, probes)))
-    spread = _spread(px, py, pz, probes, np.minimum(RADII * spacing, diagonal))
-    like_a_line = spread[:, 0] >= LINEARITY
-    # A cloud without a line: the spacing alone decides.
-    width = SPREADS * float(np.median(spread[like_a_line, 1])) if like_a_line.any() else 0.0
-    return min(max(width, SPACINGS * spacing, 1e-6 * diagonal), diagonal / 2)
+    return min(max(SPACINGS * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
+
+
+def spacing(points: Array) -> float:
+    """Median distance of a point of ``(N, 3)`` to the nearest other one, metres; of many points, of some thousands."""
+    asked = points[np.linspace(0, len(points) - 1, min(len(points), PROBES)).astype(int)]
+    return float(np.median(cKDTree(points).query(asked, k=min(2, len(points)))[0][:, -1]))
 
 
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
@@ -61,55 +45,3 @@ def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     if (low == high).all():
         raise DegenerateCloudError(f"cloud of {len(points)} points: all identical, expected two distinct points")
     return points, low, high
-
-
-@njit(cache=True)
-def _nearest(px, py, pz, probes):
-    """Distance of each probe to the nearest point that is not at the same place."""
-    result = np.zeros(len(probes))
-    for k in range(len(probes)):
-        i = probes[k]
-        least = np.inf
-        for step in (-1, 1):
-            j = i + step
-            while 0 <= j < len(px):
-                z = pz[j] - pz[i]
-                if z * z >= least:
-                    break
-                x, y = px[j] - px[i], py[j] - py[i]
-                squared = x * x + y * y + z * z
-                if 0.0 < squared < least:
-                    least = squared
-                j += step
-        result[k] = math.sqrt(least)
-    return result
-
-
-@njit(cache=True)
-def _spread(px, py, pz, probes, radii):
-    """Share of the variance along the axis, and root mean square distance to the axis in metres, ``(probes, 2)``: of
-    the ball around each probe in which the first is largest."""
-    result = np.zeros((len(probes), 2))
-    shells = len(radii)
-    limit = radii * radii
-    for k in range(len(probes)):
-        i = probes[k]
-        m = np.zeros((shells, 10))
-        first = np.searchsorted(pz, pz[i] - radii[-1])
-        for j in range(first, np.searchsorted(pz, pz[i] + radii[-1])):
-            x, y, z = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]
-            squared = x * x + y * y + z * z
-            if squared <= limit[-1]:
-                s = 0
-                while squared > limit[s]:
-                    s += 1
-                store(add_point(m[s], 1.0, x, y, z), m[s])
-        total = NO_MOMENTS
-        for s in range(shells):
-            total = add_moments(total, m[s], 0.0, 0.0, 0.0)
-            if total[0] >= 10:
-                xx, xy, xz, yy, yz, zz = covariance(total)
-                along, across, _, _, _ = principal_axis(xx, xy, xz, yy, yz, zz)
-                if along > result[k, 0] * (along + across):
-                    result[k, 0], result[k, 1] = along / (along + across), math.sqrt(across)
-    return result

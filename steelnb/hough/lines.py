@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.errors import SettingsError
 from steelnb.hough.directions import directions
-from steelnb.hough.dx import distinct_points, suggest_dx
+from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.transform import iterate
 from steelnb.types import Array, Lines
 
@@ -31,7 +31,7 @@ def detect_lines(
     Parameters
     ----------
     points: ``(N, 3)`` in metres, any frame, finite.
-    dx: cell width of the vote image and radius of a line, metres; by default `suggest_dx`, as in `detect_segments`. The
+    dx: cell width of the vote image and radius of a line, metres; by default `default_dx`, as in `detect_segments`. The
         published program takes 1/64 of the diagonal of the bounding box.
     min_votes: fewest points of a line. A weaker one ends the search, as in the published program, or is left out with
         its points where ``skip_weak``.
@@ -51,7 +51,7 @@ def detect_lines(
     """
     points, low, high = distinct_points(points)
     diagonal = float(np.linalg.norm(high - low))
-    dx = suggest_dx(points) if dx is None else dx
+    dx = default_dx(points) if dx is None else dx
     if not 0 < dx < diagonal:
         raise SettingsError(f"dx = {dx}: expected a length above 0 and below the cloud's diagonal, {diagonal:.3g} m")
     if granularity not in range(7):

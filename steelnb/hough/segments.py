@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from steelnb.hough.dx import suggest_dx
+from steelnb.hough.dx import default_dx
 from steelnb.hough.lines import detect_lines
 from steelnb.hough.pieces import cut, merge, sort
 from steelnb.settings import HoughSettings
@@ -47,7 +47,7 @@ def detect_segments(
     >>> detect_segments(np.concatenate(two), dx=0.1, min_votes=20).length.round(3).tolist()
     [2.0, 1.0]
     """
-    dx = suggest_dx(points) if dx is None else dx
+    dx = default_dx(points) if dx is None else dx
     lines = detect_lines(points, dx, min_votes, max_lines, granularity, skip_weak)
     return cut_and_sort(
         np.asarray(points, dtype=np.float64), lines, GAP * dx if gap_max is None else gap_max, min_votes, pca_ratio_min,

@@ -1,15 +1,16 @@
 """The tree of frames that a bag's tf messages hold: extrinsics from fixed transforms, poses from moving ones."""
 
+import itertools
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from itertools import pairwise
 from pathlib import Path
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from steelnb.io.calibration import T_OPTICAL_SENSOR
 from steelnb.io.clouds import FARTHEST_M
@@ -59,7 +60,6 @@ class Transforms:
         self._first: dict[tuple[str, str], Array] = {}
         self._moving: set[tuple[str, str]] = set()
         self._all: dict[tuple[str, str], array[float]] = {}
-        self._frames: nx.Graph[str] = nx.Graph()
 
     def add(self, parent: str, child: str, stamp_s: float, pose: Sequence[float]) -> bool:
         """Take ``T_parent_child`` as x, y, z and a quaternion xyzw; False where it is no transform."""
@@ -73,10 +73,7 @@ class Transforms:
             return False
         numbers[4:] /= length
         edge = (parent, child)
-        first = self._first.setdefault(edge, numbers)
-        if first is numbers:
-            self._frames.add_edge(parent, child)
-        if _moved(first, numbers):
+        if _moved(self._first.setdefault(edge, numbers), numbers):
             self._moving.add(edge)
         if self._series:
             self._all.setdefault(edge, array("d")).extend(numbers.tolist())
@@ -122,12 +119,17 @@ class Transforms:
 
     def _path(self, start: str, goal: str, moving: bool) -> list[tuple[tuple[str, str], bool]] | None:
         """Shortest way from a frame to another: transforms, and whether each is passed from parent to child."""
-        self._frames.add_nodes_from((start, goal))
-        usable = nx.subgraph_view(
-            self._frames, filter_edge=lambda a, b: moving or self._edge(a, b)[0] not in self._moving
-        )
-        way = nx.single_source_shortest_path(usable, start).get(goal)
-        return None if way is None else [self._edge(here, there) for here, there in pairwise(way)]
+        usable = [edge for edge in self._first if moving or self._edge(*edge)[0] not in self._moving]
+        names = list(dict.fromkeys((start, goal, *itertools.chain.from_iterable(usable))))
+        ends = np.array([[names.index(name) for name in edge] for edge in usable], dtype=np.int64).reshape(-1, 2)
+        links = coo_array((np.ones(len(ends)), ends.T), shape=(len(names), len(names)))
+        before = breadth_first_order(links.tocsr(), 0, directed=False)[1]
+        way = [names.index(goal)]
+        while way[-1] != 0:
+            if before[way[-1]] < 0:
+                return None
+            way.append(int(before[way[-1]]))
+        return [self._edge(names[here], names[there]) for here, there in itertools.pairwise(way[::-1])]
 
     def _edge(self, here: str, there: str) -> tuple[tuple[str, str], bool]:
         """The transform between two neighbours, and whether it is passed from parent to child."""

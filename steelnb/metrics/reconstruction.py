@@ -140,7 +140,8 @@ def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:
         for i, j in itertools.combinations(range(len(joints)), 2):
             if not any(truth.joint_observed[between] for between in joints[i + 1 : j]):
                 allowed.add((min(joints[i], joints[j]), max(joints[i], joints[j])))
-    edges = [tuple(sorted((int(pair[a]), int(pair[b])))) for a, b in structure.graph().edges]
+    pieces = np.unique(np.sort(structure.pieces()[:, :2], axis=1), axis=0)
+    edges = [(min(a, b), max(a, b)) for a, b in pair[pieces].tolist()]
     right = np.array([edge in allowed for edge in edges], dtype=bool)
     return {
         "joints": float(len(structure.joint)),

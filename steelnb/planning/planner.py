@@ -1,8 +1,9 @@
-"""A pilot that follows a reference along a structure, and keeps the structure in view.
+"""A pilot that follows a reference along a structure at a distance, and keeps the structure in view.
 
-At each command it knows the map so far, an estimate of the pose, and its camera. A reference wishes for a velocity and
-a turn; barriers (`steelnb.planning.barriers`) change them as little as keeps the drone off the structure, the structure
-in view, and the information of the coming scan from falling far below what is usual.
+At each command it knows the map so far, an estimate of the pose, and how far and wide its camera sees. The goal
+``around`` goes round the structure and up, with the camera on its middle; ``face`` to and fro before it with one
+heading, a level up at each edge. A velocity towards what is known of the structure is taken back to what keeps the
+drone off it. Where sight is lost, it stops, turns to where the map is, and goes back along its path.
 """
 
 from dataclasses import dataclass, field
@@ -11,114 +12,81 @@ import numpy as np
 
 from steelnb.errors import SettingsError
 from steelnb.fusion.poses import yaw_of
-from steelnb.planning.barriers import Barrier, nearest_command
 from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
-from steelnb.planning.coverage import Coverage
-from steelnb.planning.outlook import ARM_M, STEP, Camera, Outlook, around, outlook
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.points.covariances import normals
 from steelnb.settings import FlightSettings
 from steelnb.types import Array, Segments
 
 VOXEL_M = 0.1
-AREA_M2 = VOXEL_M**2 / 3
-"""Steel in a voxel, until scans have told: bars are narrower than voxels and lie across several."""
-AREA_GAIN = 0.2
-"""Share of what a scan tells about that area."""
-VOXELS_MAX = 600
-"""Voxels of an outlook; of more, every second, third, … is taken."""
 CLEARANCE_M = 0.45
 """Least distance of the drone's middle from steel: half its diagonal is 0.18 m, and it swings in gusts."""
 HIDDEN_M = 0.5
 """A mapped bar may go on behind the edge of the map by this much."""
 BEARING_SHARE = 0.5
-"""Largest bearing of the middle of the structure in sight, as a share of half the field of view."""
+"""Up a face the drone turns back where the structure's middle is this share of half the field of view aside."""
 SIGHT_MIN = 60
 """Voxels of a scan below which sight is lost."""
-SHARE_MIN = 0.5
-"""Expected returns, and the inverse of the coming pose's standard deviation, stay above this share of their medians so
-far."""
-USUAL_MIN = 10
-"""Decisions before there is a median."""
-WEIGHT = {"structure": 1e4, "height": 1e3, "sight": 30.0, "information": 30.0}
-"""Of not keeping a barrier, beside 1 of a velocity that differs by 1 m/s from the wish."""
 GAIN_1_S = {"turn": 1.5, "distance": 0.8, "height": 0.5}
 """From an error to the wished rate."""
-COST = {goal: np.array([1.0, 1.0, 1.0, turn]) for goal, turn in (("around", 0.3), ("whole", 0.3), ("face", 30.0))}
-"""Of changing the wished velocity and yaw rate: up a face the heading stays."""
-TURN_MAX_RAD_S = 1.0
-BRAKE_M = 0.5
-"""Way around the structure that is left to a viewpoint below which the drone slows down."""
-SEARCH_RAD_S = 0.5
+TURN_MAX_RAD_S, SEARCH_RAD_S = 1.0, 0.5
 SEARCH_STOP_S, SEARCH_TURN_S = 1.0, 4.0
 """After sight is lost: stop, then turn to where the map is, then go back along the path."""
+BLOCKED_S, BLOCKED_SHARE = 1.0, 0.3
+"""A way aside is blocked if for so long less than this share of the wished velocity is left."""
+ROUNDS = 20
+"""Rounds over the obstacles in which a velocity is taken back."""
 
 
 @dataclass(frozen=True)
 class Decision:
     """``velocity (3,)`` along the axes of the level drone, m/s, and ``yaw_rate``, rad/s; ``state`` is "wait", "follow",
-    "stop", "turn", "return", "search" or "end", ``reason`` why; ``returns`` and ``sigma`` are the outlook's from here.
-    """
+    "stop", "turn", "return", "search" or "end", ``reason`` why."""
 
     velocity: Array
     yaw_rate: float
     state: str
     reason: str = ""
-    returns: float = np.nan
-    sigma: float = np.nan
 
 
 @dataclass
 class Planner:
     """Decides ten times a second; `see` adds a scan to its map.
 
-    ``flight``: what to fly, with a table ``planner``; raises `SettingsError` for one that none steers. ``camera``: what
-    its sensor sees. All poses are estimates, in the world frame of the map.
+    ``flight``: what to fly, with a table ``planner``; raises `SettingsError` for one that none steers. Its camera sees
+    ``fov_rad`` wide, ``range_max_m`` far. All poses are estimates, in the world frame of the map.
     """
 
     flight: FlightSettings
-    camera: Camera
+    fov_rad: float
+    range_max_m: float
     map: VoxelMap = field(default_factory=lambda: VoxelMap(VOXEL_M))
     bars: Segments = field(default_factory=Segments.empty)
 
     def __post_init__(self) -> None:
         if self.flight.planner is None:
             raise SettingsError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
-        self.task = self.flight.planner
-        self._near = np.zeros((0, 3))  # the last scan, world frame
-        self._in_sight, self._area_m2 = 0, AREA_M2
-        self._scans = 0
+        self.goal = self.flight.planner.goal
+        self._scans, self._near = 0, np.zeros((0, 3))  # the last scan, world frame
         self._lost_s: float | None = None
         self._begun: tuple[float, float] | None = None  # time and heading of the first decision
-        self._turned = 0.0
-        self._last_s = 0.0
-        self._sigmas: list[float] = []
-        self._returns: list[float] = []
+        self._turned = self._last_s = 0.0
         self._path: list[Array] = []  # poses from which the structure was seen well
         self._side, self._blocked_s, self._climb_to = 1.0, 0.0, self.flight.height_min_m
-        f = self.flight
-        self.coverage = Coverage(self.camera, f.standoff_m, f.speed_m_s, (f.height_min_m, f.height_max_m))
 
-    def see(self, points: Array, T_world_drone: Array, bars: Segments, returns: int) -> None:
+    def see(self, points: Array, T_world_drone: Array, bars: Segments) -> None:
         """Add the preprocessed points ``(N, 3)`` of a scan, drone frame, at its corrected pose; ``bars`` are those
-        mapped so far, world frame; ``returns`` counts the scan's returns before they were thinned."""
+        mapped so far, world frame."""
         self._scans += 1
         world = points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
-        self._near = voxel_grid(world, VOXEL_M) if len(world) else world
-        self._in_sight, self.bars = len(self._near), bars
-        if self._in_sight >= SIGHT_MIN:
-            slots = self.map.insert(world)
-            self.map.update_shapes(slots)
-            self.coverage.add(self.map, slots, T_world_drone[:3, 3])
-            foretold = outlook(*self._around(T_world_drone[:3, 3]), T_world_drone[None], self.camera).returns[0]
-            if foretold > 0 and returns > 0:
-                self._area_m2 *= float(np.clip(returns / foretold, 0.2, 5.0)) ** AREA_GAIN
+        self._near, self.bars = voxel_grid(world, VOXEL_M) if len(world) else world, bars
+        if len(self._near) >= SIGHT_MIN:
+            self.map.insert(world)
             if not self._path or np.linalg.norm(self._path[-1][:3, 3] - T_world_drone[:3, 3]) > 0.2:
                 self._path.append(T_world_drone.copy())
 
     def decide(self, stamp_s: float, T_world_drone: Array) -> Decision:
         """The command for the next tenth of a second from an estimate ``(4, 4)`` of the pose."""
-        yaw = float(yaw_of(T_world_drone[:3, :3]))
+        position, yaw = T_world_drone[:3, 3], float(yaw_of(T_world_drone[:3, :3]))
         self._begun = self._begun or (stamp_s, yaw)
         passed_s, self._last_s = stamp_s - self._last_s, stamp_s
         if not self._scans:
@@ -128,142 +96,95 @@ class Planner:
             if self._turned > 2 * np.pi:
                 return Decision(np.zeros(3), 0.0, "end", "no bar seen in a full turn")
             return Decision(np.zeros(3), SEARCH_RAD_S, "search", "no structure in sight")
-        if self._in_sight >= SIGHT_MIN:
+        if len(self._near) >= SIGHT_MIN:
             self._lost_s = None
         elif self._lost_s is None:
             self._lost_s = stamp_s
-        position = T_world_drone[:3, 3]
-        points, normal, area_m2 = self._around(position)
-        seen = outlook(points, normal, area_m2, around(T_world_drone), self.camera)
-        if self.task.goal == "whole" and self._lost_s is None and not self.coverage.update(stamp_s, self.map, position):
-            return Decision(np.zeros(3), 0.0, "end", self.coverage.summary())
-        wished, state = self._wish(stamp_s, position, yaw, points)
-        barriers = [*self._structure(position), *self._heights(position)]
-        if state == "follow":
-            if np.isfinite(seen.sigma[0]):
-                self._sigmas.append(float(seen.sigma[0]))
-                self._returns.append(float(seen.returns[0]))
-            barriers += self._sight(position, yaw, points, seen)
-        u = nearest_command(wished, COST[self.task.goal], barriers)
-        speed = np.linalg.norm(u[:3])
-        u[:3] *= min(1.0, 1.5 * self.flight.speed_m_s / max(float(speed), 1e-9))
-        self._advance(u, wished, passed_s, float(position[2]))
+        points = self.map.means(self.map.near(position, self.range_max_m))
+        if self._lost_s is not None:
+            wished, turn, state = self._recover(stamp_s - self._lost_s, position, yaw, points)
+        else:
+            follow = self._face if self.goal == "face" else self._around
+            (wished, turn), state = follow(stamp_s - self._begun[0], position, yaw, points), "follow"
+        u = self._kept_off(wished, position)
+        u = u * min(1.0, 1.5 * self.flight.speed_m_s / max(float(np.linalg.norm(u)), 1e-9))
+        blocked = u[:2] @ wished[:2] < BLOCKED_SHARE * (wished[:2] @ wished[:2])
+        self._blocked_s = self._blocked_s + passed_s if blocked else 0.0
         c, s = np.cos(yaw), np.sin(yaw)
         velocity = np.array([c * u[0] + s * u[1], -s * u[0] + c * u[1], u[2]])
-        turn = float(np.clip(u[3], -TURN_MAX_RAD_S, TURN_MAX_RAD_S))
-        return Decision(velocity, turn, state, "", float(seen.returns[0]), float(seen.sigma[0]))
+        return Decision(velocity, float(np.clip(turn, -TURN_MAX_RAD_S, TURN_MAX_RAD_S)), state)
 
-    def _around(self, position: Array) -> tuple[Array, Array, float]:
-        """Voxels of the map within the camera's range, thinned, and their normals, ``(M, 3)`` each; and the area that
-        each stands for."""
-        chosen = self.map.near(position, self.camera.range_max_m)
-        every = 1 + len(chosen) // VOXELS_MAX
-        chosen = chosen[::every]
-        return self.map.means(chosen), normals(self.map.shapes(chosen)), every * self._area_m2
+    def _around(self, flown_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, float]:
+        """Velocity (world axes) and yaw rate along the tangent of the nearest steel, rising slowly."""
+        flight, facing = self.flight, towards_nearest(points, position)
+        climb = (flight.height_max_m - flight.height_min_m) / flight.duration_s
+        up = climb + GAIN_1_S["height"] * (flight.height_min_m + climb * flown_s - position[2])
+        along = flight.speed_m_s * np.array([facing[1], -facing[0]])
+        return self._at_distance(along, facing, up, position, points), self._turn_to_middle(position, yaw, points)
 
-    def _wish(self, stamp_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, str]:
-        """Velocity (world axes) and yaw rate of the reference, and what it is doing."""
-        if self._lost_s is not None:
-            return self._recover(stamp_s - self._lost_s, position, yaw, points)
+    def _face(self, flown_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, float]:
+        """Velocity (world axes) and yaw rate to and fro with the first heading, a level up at each edge."""
         assert self._begun is not None
-        flight, (begun_s, first_yaw) = self.flight, self._begun
-        target = self.coverage.target
-        if self.task.goal == "face":
-            facing = np.array([np.cos(first_yaw), np.sin(first_yaw)])
-            along = self._side * np.array([facing[1], -facing[0]])
-            up, rate = GAIN_1_S["height"] * (self._climb_to - position[2]), GAIN_1_S["turn"] * turn_to(first_yaw - yaw)
-        else:
-            climb = (flight.height_max_m - flight.height_min_m) / flight.duration_s
-            round_by, height = 1.0, flight.height_min_m + climb * (stamp_s - begun_s)
-            if target:
-                left_m = target.turn(position) * float(np.hypot(*(position[:2] - target.middle)))
-                round_by, climb, height = float(np.clip(left_m / BRAKE_M, -1, 1)), 0.0, target.position[2]
-            facing, middle = towards_nearest(points, position), middle_of(points, position)
-            along = round_by * np.array([facing[1], -facing[0]])
-            rate = GAIN_1_S["turn"] * turn_to(np.arctan2(middle[1], middle[0]) - yaw)
-            up = climb + GAIN_1_S["height"] * (height - position[2])
-        up = float(np.clip(up, -flight.speed_m_s, flight.speed_m_s))
-        distance = distance_ahead(points, position, facing)
-        inward = float(np.clip(GAIN_1_S["distance"] * (distance - flight.standoff_m), -0.5, 0.5))
-        level = flight.speed_m_s * along + inward * facing
-        return np.array([*level, up, rate]), "follow"
+        flight, first = self.flight, self._begun[1]
+        middle = middle_of(points, position)
+        bearing = turn_to(float(np.arctan2(middle[1], middle[0])) - first)
+        at_edge = self._side * bearing > BEARING_SHARE * self.fov_rad / 2 or self._blocked_s > BLOCKED_S
+        if at_edge and position[2] > self._climb_to - 0.2:
+            rise = (flight.height_max_m - flight.height_min_m) / (flight.levels - 1)
+            self._climb_to = min(self._climb_to + rise, flight.height_max_m)
+            self._side, self._blocked_s, at_edge = -self._side, 0.0, False
+        facing = np.array([np.cos(first), np.sin(first)])
+        along = (0.0 if at_edge else flight.speed_m_s) * self._side * np.array([facing[1], -facing[0]])
+        up = GAIN_1_S["height"] * (self._climb_to - position[2])
+        return self._at_distance(along, facing, up, position, points), GAIN_1_S["turn"] * turn_to(first - yaw)
 
-    def _recover(self, lost_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, str]:
+    def _at_distance(self, along: Array, facing: Array, up: float, position: Array, points: Array) -> Array:
+        """A velocity ``along (2,)`` and up that also leads to the standoff from what is ahead."""
+        distance, speed = distance_ahead(points, position, facing), self.flight.speed_m_s
+        inward = float(np.clip(GAIN_1_S["distance"] * (distance - self.flight.standoff_m), -0.5, 0.5))
+        return np.append(along + inward * facing, np.clip(up, -speed, speed))
+
+    def _turn_to_middle(self, position: Array, yaw: float, points: Array) -> float:
+        middle = middle_of(points, position)
+        return GAIN_1_S["turn"] * turn_to(float(np.arctan2(middle[1], middle[0])) - yaw)
+
+    def _recover(self, lost_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, float, str]:
+        """Velocity, yaw rate and state so long after sight was lost."""
         if lost_s < SEARCH_STOP_S or not self._path:
-            return np.zeros(4), "stop"
+            return np.zeros(3), 0.0, "stop"
         if lost_s < SEARCH_STOP_S + SEARCH_TURN_S and len(points):
-            middle = middle_of(points, position)
-            return np.array([0, 0, 0, GAIN_1_S["turn"] * turn_to(np.arctan2(middle[1], middle[0]) - yaw)]), "turn"
+            return np.zeros(3), self._turn_to_middle(position, yaw, points), "turn"
         while len(self._path) > 1 and np.linalg.norm(self._path[-1][:3, 3] - position) < 0.2:
             self._path.pop()
         back = self._path[-1]
         way = back[:3, 3] - position
         way *= min(1.0, 0.5 * self.flight.speed_m_s / max(float(np.linalg.norm(way)), 1e-9) + 0.2)
-        return np.array([*way, GAIN_1_S["turn"] * turn_to(float(yaw_of(back[:3, :3])) - yaw)]), "return"
+        return way, GAIN_1_S["turn"] * turn_to(float(yaw_of(back[:3, :3])) - yaw), "return"
 
-    def _structure(self, position: Array) -> list[Barrier]:
-        """The nearest obstacle in each of 26 directions: voxels of the map, returns of the last scan, and what bars may
-        be beyond their mapped ends."""
+    def _kept_off(self, wished: Array, position: Array) -> Array:
+        """The wished velocity without what leads to the nearest obstacle in each of 26 directions faster than 1/s times
+        its distance beyond the clearance, or so out of the heights of the flight.
+
+        Obstacles are voxels of the map, returns of the last scan, and what bars may be beyond their mapped ends. The
+        velocity is projected on one half-space after the other, the nearest obstacle's last, until it is in all.
+        """
         beyond = HIDDEN_M * self.bars.direction
         obstacles = np.concatenate([
             self.map.means(self.map.near(position, 2.0)), self._near, self.bars.start - beyond, self.bars.end + beyond,
         ])  # fmt: skip
         away = position - obstacles
         distance = np.linalg.norm(away, axis=1)
-        near = np.flatnonzero(distance < 2.0)
+        near = np.flatnonzero((distance < 2.0) & (distance > 1e-6))
         near = near[np.argsort(distance[near])]
         sector = (np.round(away[near] / distance[near, None] * 1.2).astype(int) + 1) @ [9, 3, 1]
-        first = near[np.unique(sector, return_index=True)[1]]
-        return [
-            Barrier(np.append(away[k] / distance[k], 0.0), distance[k] - CLEARANCE_M, 1.0, WEIGHT["structure"])
-            for k in first
-        ]
-
-    def _heights(self, position: Array) -> list[Barrier]:
-        up = np.array([0.0, 0.0, 1.0, 0.0])
-        low, high = position[2] - self.flight.height_min_m + 0.2, self.flight.height_max_m + 0.2 - position[2]
-        return [Barrier(up, low, 1.0, WEIGHT["height"]), Barrier(-up, high, 1.0, WEIGHT["height"])]
-
-    def _sight(self, position: Array, yaw: float, points: Array, seen: Outlook) -> list[Barrier]:
-        """Bearing of the structure, expected returns, and the information of the coming scan."""
-        found = []
-        if self.task.keep_view:
-            middle = middle_of(points, position)
-            level = max(float(np.hypot(*middle[:2])), 0.3)
-            bearing = turn_to(np.arctan2(middle[1], middle[0]) - yaw)
-            # By a step (dx, dy) of the drone the azimuth of the middle turns by (m_y dx − m_x dy) / |m|².
-            rate = np.array([middle[1] / level**2, -middle[0] / level**2, 0.0, -1.0])
-            most = BEARING_SHARE * np.arctan(self.camera.tan_horizontal)
-            found = [
-                Barrier(rate, bearing + most, 1.0, WEIGHT["sight"]),
-                Barrier(-rate, most - bearing, 1.0, WEIGHT["sight"]),
-            ]
-        if len(self._sigmas) < USUAL_MIN:
-            return found
-        if self.task.keep_view:
-            log = np.log(np.maximum(seen.returns, 1.0))
-            least = np.log(max(SHARE_MIN * float(np.median(self._returns)), 1.0))
-            found.append(Barrier(_slope(log), log[0] - least, 1.0, WEIGHT["sight"]))
-        if self.task.keep_information and np.isfinite(seen.sigma).all():
-            log = -np.log(seen.sigma)
-            least = np.log(SHARE_MIN / np.median(self._sigmas))
-            found.append(Barrier(_slope(log), log[0] - least, 1.0, WEIGHT["information"]))
-        return found
-
-    def _advance(self, u: Array, wished: Array, passed_s: float, height_m: float) -> None:
-        """Of a flight up a face: at the edge of the structure go up a level, and back."""
-        if self.task.goal != "face" or not np.hypot(*wished[:2]) > 0:
-            return
-        share = float(u[:2] @ wished[:2] / (wished[:2] @ wished[:2]))
-        self._blocked_s = self._blocked_s + passed_s if share < 0.3 else 0.0
-        if self._blocked_s > 1.0 and height_m > self._climb_to - 0.2:
-            rise = (self.flight.height_max_m - self.flight.height_min_m) / (self.flight.levels - 1)
-            self._climb_to = min(self._climb_to + rise, self.flight.height_max_m)
-            self._side, self._blocked_s = -self._side, 0.0
-
-
-def _slope(value: Array) -> Array:
-    """Derivatives by velocity and yaw rate of what `around` was evaluated at."""
-    by = (value[1:] - value[0]) / STEP
-    by[3] *= ARM_M
-    return np.asarray(by)
+        chosen = near[np.sort(np.unique(sector, return_index=True)[1])][::-1]
+        low, high = self.flight.height_min_m - 0.2, self.flight.height_max_m + 0.2
+        normal = np.concatenate([[[0, 0, 1], [0, 0, -1]], away[chosen] / distance[chosen, None]])
+        least = np.concatenate([[low - position[2], position[2] - high], CLEARANCE_M - distance[chosen]])
+        u = wished
+        for _ in range(ROUNDS):
+            for n, slowest in zip(normal, least, strict=True):
+                u = u + max(float(slowest - n @ u), 0.0) * n
+            if (normal @ u >= least - 1e-6).all():
+                break
+        return u

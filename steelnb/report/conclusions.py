@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from steelnb.report.batch import ranking
@@ -244,19 +243,6 @@ def accuracy(runs: pd.DataFrame, other: pd.DataFrame, goal_m: float) -> str:
     means = runs[~runs["case"].str.endswith("blind")].groupby(["case", "method"])["ate_rmse_m"].mean()
     goal = f"{(means <= goal_m).sum()} of {len(means)} means without gaps reach the goal of {100 * goal_m:g} cm."
     return bullets([*ranked(runs, "case"), goal, *ranked(other, "world")])
-
-
-def limit(table: pd.DataFrame) -> str:
-    """On `limit.limit_table`: the bounds, the methods as multiples of them, and what is left without range noise."""
-    error = table.set_index("name")
-    bounds = error.loc[error["kind"] == "bound", "ate_mm"].replace(np.inf, np.nan)
-    return bullets(
-        [
-            f"Bounds of the error over many flights: {ascending(bounds, unit='mm')}.",
-            f"Errors in multiples of the bound: {ascending(error['times_bound'])}.",
-            f"Without range noise, where all that is left is bias: {ascending(error['noise_free_mm'], unit='mm')}.",
-        ]
-    )
 
 
 def honest(faults: pd.DataFrame, table: pd.DataFrame, wrong: pd.DataFrame, found: pd.DataFrame) -> str:

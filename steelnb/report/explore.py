@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from steelnb import experiment
-from steelnb.hough.blocks import segment_structure
-from steelnb.hough.tube import MIN_VOTES, tube_radius
+from steelnb.hough.blocks import MIN_VOTES, segment_structure
+from steelnb.hough.dx import default_dx
 from steelnb.metrics import position_error_m
 from steelnb.report.batch import caption
 from steelnb.report.style import (
@@ -92,7 +92,7 @@ def fly(
     cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
     segments = result.segments
     if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
-        segments = segment_structure(result.points, tube_radius(result.points), MIN_VOTES)
+        segments = segment_structure(result.points, default_dx(result.points))
     return View(result, cloud, segments, time.perf_counter() - began)
 
 

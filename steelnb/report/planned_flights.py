@@ -1,7 +1,7 @@
-"""Notebook 16: flights that a planner steers beside those along waypoints: sight, information, error, coverage."""
+"""Notebook 16: flights that a planner steers beside those along waypoints: sight, error, and what was seen."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,6 @@ from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import SettingsError
 from steelnb.experiment import Result
 from steelnb.metrics import score_trajectory
-from steelnb.metrics.limit import gather, see
 from steelnb.report.batch import Progress, caption, case_of, share_of
 from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import (
@@ -30,7 +29,7 @@ from steelnb.report.style import (
 )
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.tower import Tower
-from steelnb.simulation.truth import SLICE_M
+from steelnb.simulation.truth import SLICE_M, Truth
 from steelnb.types import Array, Flight, Trajectory
 
 FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -38,13 +37,11 @@ FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "wide loops": ("loops", {"flight.standoff_m": 2.4}),
     "loops": ("loops", {}),
     "planned": ("planned", {}),
-    "view only": ("planned", {"flight.planner.keep_information": False}),
-    "information only": ("planned", {"flight.planner.keep_view": False}),
-    "whole": ("planned", {"flight.planner.goal": "whole", "flight.height_max_m": 15.0}),
+    "up a face": ("planned", {"flight.planner.goal": "face", "flight.height_max_m": 15.0, "flight.speed_m_s": 0.18}),
 }
 """Name → trajectory and overrides. `wide loops` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
-the tower's axis; `planned` goes around as far, as high and as fast as `loops`; the next two are without one kind of
-barrier; `whole` flies from one viewpoint to the next, as high as `zigzag`."""
+the tower's axis; `planned` goes around as far, as high and as fast as `loops`; `up a face` as high and as fast as
+`zigzag`."""
 FEW = 300
 """Returns from steel below which a scan has lost sight."""
 STEEL_M = 0.15
@@ -60,13 +57,12 @@ STRIP = 6
 @dataclass(frozen=True)
 class Flown:
     """A flight and what came of it: ``returns (K,)`` from steel, ``seen (K,)`` the share of the steel's length seen so
-    far, ``sigma (K,)`` the bound of a scan's pose along its worst direction, metres."""
+    far."""
 
     flight: Flight
     result: Result
     returns: Array
     seen: Array
-    sigma: Array
 
 
 def make_flights(
@@ -91,26 +87,23 @@ def fly_all(cases: Mapping[str, ExperimentSettings], on_progress: Progress | Non
         flight, truth = experiment.simulate(settings, share_of(on_progress, 2 * k, 2 * len(cases)))
         within = share_of(on_progress, 2 * k + 1, 2 * len(cases))
         result = experiment.estimate(settings, flight, truth, within)
-        at = truth.trajectory.at(result.corrected.stamp_s).T_world_drone
-        found[name] = Flown(flight, result, *sight(truth.tower, at, settings))
+        found[name] = Flown(flight, result, *sight(flight, truth, settings.odometry.preprocess.floor_m))
     return found
 
 
-def sight(tower: Tower, T_world_drone: Array, settings: ExperimentSettings) -> tuple[Array, Array, Array]:
-    """Returns from steel, share of the steel seen so far, and the bound, of scans from true poses ``(K, 4, 4)``."""
-    tree = cKDTree(_slices(tower.axes))
+def sight(flight: Flight, truth: Truth, floor_m: float) -> tuple[Array, Array]:
+    """Of each scan, its returns higher than ``floor_m`` at the true pose, and the share of the steel seen so far."""
+    tree = cKDTree(_slices(truth.tower.axes))
     seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
-
-    def counted() -> Iterable[Any]:
-        for scan in see(tower, T_world_drone, settings.tof):
-            near = tree.query(scan.points[::EVERY], distance_upper_bound=STEEL_M)[1]
-            seen[near[near < tree.n]] = True
-            returns.append(len(scan.points))
-            shares.append(seen.mean())
-            yield scan
-
-    least = np.linalg.eigvalsh(gather(counted()).pose)[:, 0]
-    return np.array(returns), np.array(shares), 1 / np.sqrt(np.maximum(least, 1e-9))
+    T_world_sensor = truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor
+    for scan, T in zip(flight.scans, T_world_sensor, strict=True):
+        points = scan.points.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
+        points = points[points[:, 2] > floor_m]  # a pixel without a return is NaN
+        near = tree.query(points[::EVERY], distance_upper_bound=STEEL_M)[1]
+        seen[near[near < tree.n]] = True
+        returns.append(len(points))
+        shares.append(seen.mean())
+    return np.array(returns), np.array(shares)
 
 
 def _slices(axes: Array) -> Array:
@@ -124,9 +117,8 @@ def _slices(axes: Array) -> Array:
 
 def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
     """A row a flight; lengths in metres, ``few_share`` of the scans with fewer than `FEW` returns from steel,
-    ``no_pair_share`` of those without a pair, ``bound_ratio`` of the worst scan's bound to the median, ``recall`` of
-    the bars seen well enough, ``members_seen`` of all, ``clearance_m`` the least true distance from the middle of a
-    member."""
+    ``no_pair_share`` of those without a pair, ``recall`` of the bars seen well enough, ``members_seen`` of all,
+    ``clearance_m`` the least true distance from the middle of a member."""
     rows = []
     for name, each in flown.items():
         result, slices = each.result, cKDTree(_slices(each.result.truth.tower.axes))
@@ -139,8 +131,6 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
                 "no_pair_share": float((result.matches[1:] == 0).mean()),
                 "ate_rmse_m": result.metrics["ate_rmse_m"],
                 "raw_ate_rmse_m": result.metrics["raw_ate_rmse_m"],
-                "bound_median_m": float(np.median(each.sigma)),
-                "bound_ratio": float(each.sigma.max() / np.median(each.sigma)),
                 "seen_share": float(each.seen[-1]),
                 "members_seen": float(result.truth.visibility.observed().mean()),
                 "recall": result.metrics.get("segment_recall", 0.0),
@@ -153,7 +143,7 @@ def flight_table(flown: Mapping[str, Flown]) -> pd.DataFrame:
 @style()
 def figure_paths(flown: Mapping[str, Flown]) -> Figure:
     """The true path of each flight about the tower, from its start (dark) to its end (light)."""
-    columns = min(len(flown), 4 if len(flown) > 6 else 3)
+    columns = min(len(flown), 3)
     rows = -(-len(flown) // columns)
     figure = Figure(figsize=(3.6 * columns, 4.6 * rows))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -190,7 +180,7 @@ def figure_time(flown: Mapping[str, Flown]) -> Figure:
     returns.set(ylabel="returns from steel", yscale="log")
     errors.set(ylabel=f"error of the position (mm),\nRMS over {SMOOTHED_S:g} s", yscale="log")
     seen.set(xlabel="time (s)", ylabel="steel seen so far (%)", ylim=(0, 101), xlim=(0, None))
-    gather_legend(figure, ncols=min(len(flown), 4 if len(flown) > 6 else 6), fontsize=11)
+    gather_legend(figure, ncols=min(len(flown), 6), fontsize=11)
     figure.suptitle(_caption(flown), fontsize=12)
     return figure
 
@@ -221,8 +211,7 @@ def _caption(flown: Mapping[str, Flown]) -> str:
 
 
 def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:
-    """What a planned flight came to, in lines: how long, the planner's states, the error that it was steered by, and
-    what it saw."""
+    """What a planned flight came to, in lines: how long, the planner's states, and the error that it was steered by."""
     states = Counter(moment.decision.state for moment in pilot.moments)
     shares = ", ".join(f"{state} {count / len(pilot.moments):.0%}" for state, count in states.most_common())
     corrected, matches = pilot.estimate()
@@ -235,5 +224,4 @@ def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> lis
         f"planner   {shares}; a decision took {middle_ms:.1f} ms (median), {slow_ms:.1f} ms (99 %)",
         f"odometry  {pilot.settings.odometry.method}: {error_mm:.0f} mm off (ATE), {raw_mm:.0f} uncorrected; "
         f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
-        f"seen      {pilot.planner.coverage.summary()}",
     ]

@@ -13,7 +13,7 @@ import pandas as pd
 
 from steelnb import rng
 from steelnb.errors import FileMissingError
-from steelnb.hough import suggest_dx
+from steelnb.hough.dx import default_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.report.batch import flat
@@ -36,7 +36,7 @@ ANGLE_MAX_RAD = math.radians(10)
 """A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
 LEAN_SIGMA_RAD = math.radians(2)
 FIXED, CHOSEN, REFERENCE = "fixed", "from the points", "diagonal/64"
-"""Origin of a dx of `tuning_map`: given, `steelnb.hough.suggest_dx`, or the reference program's default."""
+"""Origin of a dx of `tuning_map`: given, `steelnb.hough.dx.default_dx`, or the reference program's default."""
 Options = Mapping[str, Mapping[str, Any]]
 """Method → its options."""
 
@@ -265,5 +265,5 @@ def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min
 
 def _dx(rule: str, width: float, points: Array) -> float:
     if rule == CHOSEN:
-        return suggest_dx(points)
+        return default_dx(points)
     return width if rule == FIXED else float(np.linalg.norm(np.ptp(points, axis=0))) / 64

@@ -19,7 +19,6 @@ from steelnb.fusion import SegmentMap
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import map_scans, reconstruct
-from steelnb.fusion.scales import Scales
 from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
@@ -158,7 +157,7 @@ def structure_of(bars: SegmentMap) -> Structure:
     segments, sightings = bars.segments.take(seen), bars.sightings[seen]
     if not len(segments):
         return Structure.empty(f"none of {len(bars)} bars was seen {SIGHTINGS_MIN} times")
-    joint, tie, led = find_joints(segments, 2 * segments.radius, Scales())
+    joint, tie, led = find_joints(segments, 2 * segments.radius)
     return Structure(led, np.full(len(led), np.nan), sightings, segments.radius / np.sqrt(sightings), joint, tie)
 
 
@@ -239,7 +238,7 @@ def near_side(run: Rebuilt) -> pd.DataFrame:
     """
     source, s = run.source, StructureSettings()
     T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor
-    middles = find_bars(map_scans(source.flight.scans, T_world_sensor, s), s)[0]
+    middles = find_bars(map_scans(source.flight.scans, T_world_sensor, s))[0]
     unknown = np.full(len(middles), np.nan)
     blank = Structure(middles, unknown, middles.count, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
     members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)

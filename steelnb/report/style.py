@@ -65,7 +65,7 @@ KINDS = {
     "leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "secondary": GREEN, "zigzag": WINE, "loops": ORANGE,
 }  # fmt: skip
 """Members of the tower, and the flights around it."""
-PLANNED = {"planned": BLUE, "whole": GREEN, "view only": SKY, "information only": PINK, "wide loops": OLIVE}
+PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
 """Flights that a planner steers and those beside them, which no figure shows beside odometries."""
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,

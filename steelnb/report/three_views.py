@@ -1,13 +1,10 @@
-"""Front, side and perspective of bars: the pictures of `steelnb segment`, `steelnb run` and `steelnb structure A B`."""
+"""Front, side and perspective of bars: the pictures of `steelnb segment` and `steelnb run`."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steelnb.fusion.differences import Comparison
-from steelnb.fusion.structure import Structure
-from steelnb.io.segments import orientation
 from steelnb.report.style import (
     COLOURS,
     INDIGO,
@@ -30,12 +27,10 @@ GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near
 LOOKS: dict[str, dict[str, Any]] = {
     "same": {"color": LIGHT_GREY, "lw": 1.0}, "not seen": {"color": LIGHT_GREY, "lw": 1.0, "ls": ":"},
     "moved": {"color": PINK, "lw": 2.4}, "bent": {"color": INDIGO, "lw": 2.4},
-    "missing": {"color": COLOURS["wrong"], "lw": 2.4}, "extra": {"color": COLOURS["right"], "lw": 2.4},
-    "new": {"color": COLOURS["right"], "lw": 2.4},
+    "missing": {"color": COLOURS["wrong"], "lw": 2.4}, "new": {"color": COLOURS["right"], "lw": 2.4},
 }  # fmt: skip
 CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
 """Kinds of `Changes` in the order in which they are drawn: nothing that has changed may lie below what has not."""
-JOINT: dict[str, Any] = {"color": INDIGO, "marker": "o", "ls": "", "ms": 2.5, "mew": 0.8}
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
 
@@ -44,14 +39,6 @@ Layer = tuple[str, dict[str, Any], Array]
 def figure_segments(points: Array, segments: Segments, groups: Sequence[str], title: str) -> Figure:
     """Points ``(N, 3)`` in grey, segments coloured by their class of orientation."""
     return figure_layers(layers_by_group(segments, groups), title, thinned(points, POINTS_MAX))
-
-
-@style()
-def figure_structure(points: Array, structure: Structure, title: str) -> Figure:
-    """Points ``(N, 3)`` in grey, bars coloured by their class of orientation, joints as dots."""
-    layers = layers_by_group(structure.segments, orientation(structure.segments))
-    layers.append((f"joints ({len(structure.joint)})", JOINT, structure.joint))
-    return figure_layers(layers, title, thinned(points, POINTS_MAX))
 
 
 def layers_by_group(segments: Segments, groups: Sequence[str]) -> list[Layer]:
@@ -64,26 +51,6 @@ def layers_by_group(segments: Segments, groups: Sequence[str]) -> list[Layer]:
 
 
 @style()
-def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str) -> Figure:
-    """Both structures, with the missing, extra and moved parts in colour; joints are rings, and of bars that have moved
-    the place in ``a`` is dashed."""
-    moved, moved_joint = found.bar_moved, found.joint_moved | found.joint_retied
-    before, after = end_points(a.segments), end_points(b.segments)
-    parts = {
-        "same": (after[found.bar[~moved, 1]], b.joint[found.joint[~moved_joint, 1]]),
-        "moved": (after[found.bar[moved, 1]], b.joint[found.joint[moved_joint, 1]]),
-        "missing": (before[found.bar_missing], a.joint[found.joint_missing]),
-        "extra": (after[found.bar_extra], b.joint[found.joint_extra]),
-    }
-    layers: list[Layer] = [("", LOOKS["moved"] | {"ls": "--", "lw": 1.2}, before[found.bar[moved, 0]])]
-    for kind, (bars, joints) in parts.items():
-        layers.append((f"{kind}: {len(bars)} bars, {len(joints)} joints", LOOKS[kind], bars))
-        if kind != "same":
-            layers.append(("", LOOKS[kind], joints))
-    return figure_layers([layers[1], layers[0], *layers[2:]], title)
-
-
-@style()
 def figure_changes(changes: "Changes", title: str) -> Figure:
     """The bars of a map and the new ones, coloured by kind."""
     ends = end_points(changes.segments)
@@ -93,8 +60,7 @@ def figure_changes(changes: "Changes", title: str) -> Figure:
 
 def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = None) -> Figure:
     """Bars from the front, from the side and in perspective at one scale, one layer over the other, above points
-    ``(N, 3)`` in grey: the label of each layer, its look, and its bars ``(M, 2, 3)`` or the places ``(M, 3)`` of its
-    joints.
+    ``(N, 3)`` in grey: the label of each layer, its look, and its bars ``(M, 2, 3)``.
 
     The front is the widest view: the structure is turned about z until the box around it is smallest, its wider side
     first. Lengths are metres from the middle of that box and from the lowest point. Towers stand side by side, long
@@ -127,11 +93,7 @@ def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = Non
         panel.plot(*project(cloud, name).T, "o", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
         for _, look, shapes in layers:
             drawn = project(shapes, name)
-            if shapes.ndim == 3:
-                draw_lines(panel, drawn, colors=look["color"], linewidths=look["lw"], linestyles=look.get("ls", "-"))
-            else:
-                ring = {"ms": look.get("ms", 6), "mew": look.get("mew", 1.5)}
-                panel.plot(*drawn.T, "o", mfc="none", mec=look["color"], **ring)
+            draw_lines(panel, drawn, colors=look["color"], linewidths=look["lw"], linestyles=look.get("ls", "-"))
         middle = (flat[name].min(axis=0) + flat[name].max(axis=0)) / 2
         (left, right), (bottom, top) = np.stack([middle - size / 2, middle + size / 2], axis=1)
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", title=name, xlabel="(m)", ylabel="height (m)")

@@ -85,21 +85,16 @@ class TowerSettings(Settings):
         return cls.preset(preset_table("flights", "trajectory", trajectory)["tower"])
 
 
-PlannerGoal = Literal["face", "around", "whole"]
+PlannerGoal = Literal["face", "around"]
 
 
 class PlannerSettings(Settings):
     """A flight that `steelnb.planning` steers by what it sees.
 
-    ``goal``: up the ``face`` before which it starts, in levels; ``around`` the structure in a helix; or the ``whole``
-    of it, from one viewpoint to the next until all has been seen from two sides. ``keep_view``: the structure stays in
-    the middle of the image, and scans keep enough returns; ``keep_information``: scans keep telling the pose in all
-    directions.
+    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
     """
 
     goal: PlannerGoal = "around"
-    keep_view: bool = True
-    keep_information: bool = True
 
 
 class FlightSettings(Settings):

@@ -5,15 +5,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from steelnb.fusion import Structure
+from steelnb.fusion import Structure, joints
 from steelnb.fusion.joints import between_joints, find_joints, nearest_point, trim_bends
 from steelnb.fusion.merging import merge_pieces
-from steelnb.fusion.scales import Scales
 from steelnb.types import Segments
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, structure_of_bars, turned
 
 SEEDS = st.integers(0, 10_000)
-SCALES = Scales()
 
 
 @settings(max_examples=60, deadline=None)
@@ -92,29 +90,30 @@ def test_a_line_from_flange_to_flange_of_a_wide_leg_is_a_copy():
 def test_a_bar_of_weak_direction_runs_from_joint_to_joint_if_it_is_tied_at_both_ends():
     posts = [[0, 0, 0], [0, 0, 2]], [[0.5, 0, 0], [0.5, 0, 2]]
     strut, loose = [[0.03, 0.02, 1], [0.45, -0.03, 1.04]], [[0.02, 0, 1.6], [0.3, 0, 1.6]]
-    joint, tie, led = find_joints(bars_of(*posts, strut, loose), np.full(4, 0.06), SCALES)
+    joint, tie, led = find_joints(bars_of(*posts, strut, loose), np.full(4, 0.06))
     structure = structure_of_bars(np.stack([led.start, led.end], axis=1), joint, tie)
     weak = np.array([True, False, True, True])
-    straight = between_joints(structure, weak, SCALES.same_m)
+    straight = between_joints(structure, weak)
     own = joint[tie[tie[:, 1] == 2, 0]]
     assert len(own) == 2
     np.testing.assert_allclose(np.sort([straight.start[2], straight.end[2]], axis=0), np.sort(own, axis=0))
     for bar in (0, 1, 3):
         np.testing.assert_array_equal(straight.start[bar], led.start[bar])
         np.testing.assert_array_equal(straight.end[bar], led.end[bar])
-    told = between_joints(structure, np.zeros(4, dtype=bool), SCALES.same_m)
+    told = between_joints(structure, np.zeros(4, dtype=bool))
     np.testing.assert_array_equal(told.end, led.end)
 
 
-def test_bars_are_extended_to_the_first_that_they_meet():
+def test_bars_are_extended_to_the_first_that_they_meet(monkeypatch):
     post, strut = [[0, 0, 0], [0, 0, 4]], [[0.15, 0, 1], [2, 0, 1]]
     beyond = [[-0.1, -1, 1.0], [-0.1, 1, 1.0]]  # the strut would reach this one behind the post, but for the post
-    joint, tie, led = find_joints(bars_of(post, strut, beyond), np.full(3, 0.01), SCALES)
+    joint, tie, led = find_joints(bars_of(post, strut, beyond), np.full(3, 0.01))
     assert joint == pytest.approx(np.array([[0, 0, 1]]), abs=1e-6)
     assert sorted(map(tuple, tie.tolist())) == [(0, 0), (0, 1)]
     assert led.start[1] == pytest.approx([0, 0, 1], abs=1e-6)
     assert led.end[0] == pytest.approx([0, 0, 4])
-    assert len(find_joints(bars_of(strut, beyond), np.full(2, 0.01), Scales(slack_m=0.0))[0]) == 0
+    monkeypatch.setattr(joints, "SLACK_M", 0.0)
+    assert len(find_joints(bars_of(strut, beyond), np.full(2, 0.01))[0]) == 0
 
 
 def test_bars_whose_axes_cross_far_beyond_their_ends_are_not_tied():
@@ -122,7 +121,7 @@ def test_bars_whose_axes_cross_far_beyond_their_ends_are_not_tied():
     tip, up = np.zeros(3), np.radians([-5.5, 5.5])
     bars = bars_of(*[[tip + 1.2 * u, tip + 3.2 * u] for u in np.column_stack([np.cos(up), 0 * up, np.sin(up)])])
     assert bars.start[1, 2] - bars.start[0, 2] < 0.3
-    joint, tie, led = find_joints(bars, np.full(2, 0.1), SCALES)
+    joint, tie, led = find_joints(bars, np.full(2, 0.1))
     assert len(joint) == len(tie) == 0
     np.testing.assert_array_equal(led.start, bars.start)
 
@@ -130,7 +129,7 @@ def test_bars_whose_axes_cross_far_beyond_their_ends_are_not_tied():
 def test_bars_that_continue_each_other_end_at_the_bend():
     # Two bars at 6° to each other, each of which has grown 30 cm past the bend at the origin, or stops short of it.
     up = np.array([np.sin(np.radians(6)), 0, np.cos(np.radians(6))])
-    bars = trim_bends(bars_of([[0, 0, -3], [0, 0, 0.3]], [0.2 * up, 3 * up]), SCALES)
+    bars = trim_bends(bars_of([[0, 0, -3], [0, 0, 0.3]], [0.2 * up, 3 * up]))
     assert bars.end[0] == pytest.approx([0, 0, 0], abs=1e-9)
     assert bars.start[1] == pytest.approx([0, 0, 0], abs=1e-9)
 
@@ -145,24 +144,24 @@ def test_joints_lie_on_their_bars_in_any_frame(seed, n):
     ends = np.stack([bars.middle, bars.middle[some]], axis=1) + rng.normal(scale=0.005, size=(n, 2, 3))
     bars = Segments.joined((bars, bars_of(*ends[some != np.arange(n)])))
     width = np.full(len(bars), 0.06)
-    joint, tie, led = find_joints(bars, width, SCALES)
+    joint, tie, led = find_joints(bars, width)
     axes = np.stack([bars.start, bars.end], axis=1)
     assume(len(joint))
-    # Every joint ties two bars at least. That of two lies between them; of more, which met less than `same_m` apart,
+    # Every joint ties two bars at least. That of two lies between them; of more, which met less than `SAME_M` apart,
     # not further from each than that for every bar.
     ties = np.bincount(tie[:, 0], minlength=len(joint))[tie[:, 0]]
     assert (ties >= 2).all()
     apart = np.array([distance_to_lines(joint[j : j + 1], axes[b : b + 1])[0, 0] for j, b in tie])
-    assert (apart <= np.where(ties == 2, 0.5 * (SCALES.slack_m + 0.06) + 1e-9, SCALES.same_m * ties)).all()
+    assert (apart <= np.where(ties == 2, 0.5 * (joints.SLACK_M + 0.06) + 1e-9, joints.SAME_M * ties)).all()
     along = ((joint[tie[:, 0]] - led.start[tie[:, 1]]) * led.direction[tie[:, 1]]).sum(axis=1)
     assert ((along >= -1e-9) & (along <= led.length[tie[:, 1]] + 1e-9)).all()
-    reach = SCALES.lead_max_m + 2 * SCALES.same_m
+    reach = joints.LEAD_MAX_M + 2 * joints.SAME_M
     # Bars are extended or cut along their axes, and only by so much.
     np.testing.assert_allclose(np.diag(distance_to_lines(led.start, axes)), 0, atol=1e-9)
     np.testing.assert_allclose(np.diag(distance_to_lines(led.end, axes)), 0, atol=1e-9)
     assert np.abs(led.length - bars.length).max() <= 2 * reach
     T = rigid(seed)
-    moved, tie_too, _ = find_joints(bars.transformed(T), width, SCALES)
+    moved, tie_too, _ = find_joints(bars.transformed(T), width)
     np.testing.assert_array_equal(tie_too, tie)
     np.testing.assert_allclose(moved, joint @ T[:3, :3].T + T[:3, 3], atol=1e-6)
 
@@ -180,14 +179,11 @@ def test_the_nearest_point_is_where_lines_cross(seed, n):
     assert 0 < held @ away < away @ away
 
 
-def test_the_graph_has_a_piece_of_bar_between_neighbouring_joints():
+def test_there_is_a_piece_of_bar_between_neighbouring_joints():
     # A post with three joints, given out of order, and a strut that meets its middle one.
     joint = [[0, 0, 4], [0, 0, 0], [0, 0, 2], [3, 0, 2]]
     tie = [[0, 0], [1, 0], [2, 0], [2, 1], [3, 1]]
-    graph = structure_of_bars([[[0, 0, 0], [0, 0, 4]], [[0, 0, 2], [3, 0, 2]]], joint, tie).graph()
-    assert {frozenset(edge) for edge in graph.edges} == {frozenset(e) for e in [(1, 2), (2, 0), (2, 3)]}
-    assert graph.edges[2, 3] == {"bar": 1, "length_m": pytest.approx(3.0)}
-    assert graph.nodes[3]["position"] == (3.0, 0.0, 2.0)
-    lonely = structure_of_bars([[[0, 0, 0], [0, 0, 1]]], [[0, 0, 0]], [[0, 0]]).graph()
-    assert (lonely.number_of_nodes(), lonely.number_of_edges()) == (1, 0)
-    assert len(Structure.empty()) == Structure.empty().graph().number_of_nodes() == 0
+    structure = structure_of_bars([[[0, 0, 0], [0, 0, 4]], [[0, 0, 2], [3, 0, 2]]], joint, tie)
+    assert structure.pieces().tolist() == [[1, 2, 0], [2, 0, 0], [2, 3, 1]]
+    assert structure_of_bars([[[0, 0, 0], [0, 0, 1]]], [[0, 0, 0]], [[0, 0]]).pieces().shape == (0, 3)
+    assert Structure.empty().pieces().shape == (0, 3)

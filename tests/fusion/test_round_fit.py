@@ -37,7 +37,7 @@ def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
     tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
     flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     T = flight.prior.T_world_drone
-    plain, _ = find_bars(map_scans(flight.scans, T, settings), settings)
+    plain, _ = find_bars(map_scans(flight.scans, T, settings))
     assert np.nanmedian(offsets(plain, tower)) > 0.2 * radius_m  # the bias to the near side
     found = reconstruct(flight.scans, T, settings=settings)
     off = offsets(found.segments, tower)

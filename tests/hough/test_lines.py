@@ -9,8 +9,9 @@ from numba import config
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
-from steelnb.hough import detect_lines, detect_segments, directions, suggest_dx, transform
+from steelnb.hough import detect_lines, detect_segments, directions, transform
 from steelnb.hough import votes as image_votes
+from steelnb.hough.dx import default_dx
 from steelnb.hough.lines import MAX_CELLS
 from tests import naive
 
@@ -186,7 +187,7 @@ def test_a_value_that_is_not_finite_is_refused_wherever_it_stands(seed, n, value
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(n, 3))
     points[rng.integers(n), rng.integers(3)] = value
-    for find in (detect_lines, detect_segments, suggest_dx):
+    for find in (detect_lines, detect_segments, default_dx):
         with pytest.raises(EmptyCloudError, match=f"1 of {n} points not finite"):
             find(points)
 
@@ -210,7 +211,7 @@ def test_a_value_that_is_not_finite_is_refused_wherever_it_stands(seed, n, value
     ],
 )
 def test_bad_input_says_what_was_wrong(points, arguments, error, says):
-    for find in [detect_lines] if arguments else [detect_lines, detect_segments, suggest_dx]:
+    for find in [detect_lines] if arguments else [detect_lines, detect_segments, default_dx]:
         with pytest.raises(error, match=says):
             find(points, **arguments)
 

@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.hough import cut_and_sort, detect_lines, detect_segments, suggest_dx
+from steelnb.hough import cut_and_sort, detect_lines, detect_segments
+from steelnb.hough.dx import default_dx
 from steelnb.hough.pieces import merge
 from tests import naive
 
@@ -125,37 +126,18 @@ def test_merging_loses_no_point_and_moves_no_end_outwards_but_by_the_turn_of_the
     assert together.length.max(initial=0) <= apart.length.sum() + 0.2 * len(apart) + 1e-9
 
 
-@pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.04])
-def test_dx_follows_width_and_noise(noise_m):
-    narrow, wide = (suggest_dx(strip(w, noise_m=noise_m, n=4000)) for w in (0.02, 0.10))
-    assert wide > narrow
-    # Of 1.4 times the root mean square distance to the axis; balls around points at the ends have less.
-    for dx, w in ((narrow, 0.02), (wide, 0.10)):
-        assert dx == pytest.approx(1.4 * np.sqrt(w**2 / 12 + 2 * noise_m**2), rel=0.25)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 1000), turn=st.tuples(*[st.floats(-3, 3)] * 3), scale=st.floats(0.01, 100))
-def test_dx_turns_and_grows_with_the_cloud(seed, turn, scale):
-    points = np.concatenate([strip(0.05, 300, seed=seed), strip(0.05, 300, seed=seed + 1)[:, [2, 0, 1]]])
-    R = Rotation.from_rotvec(turn).as_matrix()
-    # Not exact: a turn changes the order of the points, and with it those that are looked at.
-    assert suggest_dx(scale * points @ R.T) == pytest.approx(scale * suggest_dx(points), rel=0.3)
-    assert suggest_dx(scale * points) == pytest.approx(scale * suggest_dx(points), rel=1e-6)
-
-
-@pytest.mark.kernels
-def test_dx_of_a_voxel_filtered_cloud_is_no_less_than_its_spacing():
-    grid = 0.05 * np.stack(np.meshgrid(*[np.arange(8)] * 3), axis=-1).reshape(-1, 3)
-    assert suggest_dx(grid) >= 0.05
-    assert suggest_dx(np.array([[0.0, 0, 0], [1, 0, 0]])) == pytest.approx(0.5, rel=0.01)
+@pytest.mark.parametrize(("spacing_m", "dx"), [(0.01, 0.07), (0.05, 0.07), (0.25, 0.3)])
+def test_dx_is_that_of_the_spacing_but_holds_a_bar(spacing_m, dx):
+    grid = spacing_m * np.stack(np.meshgrid(*[np.arange(20)] * 3), axis=-1).reshape(-1, 3)
+    assert default_dx(grid) == pytest.approx(dx)
+    assert default_dx(np.array([[0.0, 0, 0], [0.1, 0, 0]])) == pytest.approx(0.05)  # no more than half the cloud
 
 
 def test_lines_and_segments_choose_the_same_dx_from_the_points():
     points = np.concatenate([strip(0.05), strip(0.05, seed=1)[:, [2, 0, 1]] + np.array([0, 0, 3])])
-    chosen, given_dx = detect_segments(points, min_votes=30), detect_segments(points, suggest_dx(points), min_votes=30)
+    chosen, given_dx = detect_segments(points, min_votes=30), detect_segments(points, default_dx(points), min_votes=30)
     np.testing.assert_array_equal(chosen.start, given_dx.start)
-    np.testing.assert_array_equal(detect_lines(points).label, detect_lines(points, suggest_dx(points)).label)
+    np.testing.assert_array_equal(detect_lines(points).label, detect_lines(points, default_dx(points)).label)
 
 
 @settings(max_examples=15, deadline=None)

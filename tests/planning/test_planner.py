@@ -3,15 +3,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.planning import Camera, Planner
+from steelnb.planning import Planner
 from steelnb.planning.planner import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S
 from steelnb.settings import FlightSettings
 from steelnb.types import Segments
 
-CAMERA = Camera(0.93, 1.32, 40_000, 6.0, 0.01, 0.01, np.eye(4))
+TAN_HORIZONTAL, TAN_VERTICAL, RANGE_M = 0.93, 1.32, 6.0
 AROUND = FlightSettings.preset("planned")
 FACE = AROUND.replace(planner={"goal": "face"}, standoff_m=1.2, speed_m_s=0.5, levels=4)
 PERIOD_S = 0.1
+
+
+def planner_of(flight: FlightSettings) -> Planner:
+    return Planner(flight, 2 * np.arctan(TAN_HORIZONTAL), RANGE_M)
 
 
 def pose(x: float, y: float, z: float, yaw: float) -> np.ndarray:
@@ -46,8 +50,8 @@ def visible(steel: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Points of the steel that the camera sees, drone frame."""
     seen = (steel - T[:3, 3]) @ T[:3, :3]
     ahead = np.maximum(seen[:, 0], 1e-6)
-    inside = (np.abs(seen[:, 1]) < CAMERA.tan_horizontal * ahead) & (np.abs(seen[:, 2]) < CAMERA.tan_vertical * ahead)
-    return seen[inside & (np.linalg.norm(seen, axis=1) < CAMERA.range_max_m)]
+    inside = (np.abs(seen[:, 1]) < TAN_HORIZONTAL * ahead) & (np.abs(seen[:, 2]) < TAN_VERTICAL * ahead)
+    return seen[inside & (np.linalg.norm(seen, axis=1) < RANGE_M)]
 
 
 def fly(planner: Planner, steel: np.ndarray, T: np.ndarray, seconds: float, blind=lambda stamp_s: False):
@@ -56,7 +60,7 @@ def fly(planner: Planner, steel: np.ndarray, T: np.ndarray, seconds: float, blin
     for k in range(round(seconds / PERIOD_S)):
         if k % 2 == 0:
             seen = np.zeros((0, 3)) if blind(k * PERIOD_S) else visible(steel, T)
-            planner.see(seen, T, Segments.empty(), len(seen))
+            planner.see(seen, T, Segments.empty())
         decision = planner.decide(k * PERIOD_S, T)
         yaw = np.arctan2(T[1, 0], T[0, 0]) + decision.yaw_rate * PERIOD_S
         T = pose(*(T[:3, 3] + T[:3, :3] @ decision.velocity * PERIOD_S), yaw)
@@ -73,7 +77,7 @@ def clearance(poses: np.ndarray, steel: np.ndarray) -> float:
 
 def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
     steel = tower(half_m=1.0)
-    poses, decisions = fly(Planner(AROUND, CAMERA), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
+    poses, decisions = fly(planner_of(AROUND), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
     position = poses[:, :3, 3]
     azimuth = np.unwrap(np.arctan2(position[:, 1], position[:, 0]))
     assert azimuth[-1] - azimuth[0] > 2.2 * np.pi
@@ -87,7 +91,7 @@ def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
 
 def test_up_a_face_it_turns_back_at_both_edges_and_climbs():
     steel = tower(half_m=1.5)
-    poses, _ = fly(Planner(FACE, CAMERA), steel, pose(0, -2.7, 0.7, np.pi / 2), 90.0)
+    poses, _ = fly(planner_of(FACE), steel, pose(0, -2.7, 0.7, np.pi / 2), 90.0)
     position = poses[:, :3, 3]
     assert position[:, 0].min() < -0.5
     assert position[:, 0].max() > 0.5
@@ -105,7 +109,7 @@ def test_it_hits_nothing_that_it_has_seen(seed):
     start = pose(*random.uniform(-5, 5, 2), 1.0, random.uniform(-np.pi, np.pi))
     if clearance(start[None], steel) < 1.0:
         return
-    planner, nearest = Planner(AROUND, CAMERA), []
+    planner, nearest = planner_of(AROUND), []
     decide = planner.decide
 
     def watched(stamp_s, T):
@@ -123,17 +127,17 @@ def test_it_hits_nothing_that_it_has_seen(seed):
 
 
 def test_what_a_scan_shows_for_the_first_time_counts_at_once():
-    planner, T = Planner(AROUND, CAMERA), pose(0, -2.4, 1.0, np.pi / 2)
+    planner, T = planner_of(AROUND), pose(0, -2.4, 1.0, np.pi / 2)
     steel = tower(half_m=1.0)
     fly(planner, steel, T, 1.0)
     obstacle = np.array([[0.3, -0.2, 0.0]])  # nearer than the clearance, too little to be mapped
-    planner.see(obstacle, T, Segments.empty(), 1)
+    planner.see(obstacle, T, Segments.empty())
     decision = planner.decide(1.1, T)
     assert decision.velocity @ obstacle[0] < 0
 
 
 def test_with_nothing_in_sight_it_turns_once_and_ends():
-    poses, decisions = fly(Planner(AROUND, CAMERA), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
+    poses, decisions = fly(planner_of(AROUND), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
     assert decisions[-1].state == "end"
     assert decisions[-1].reason == "no bar seen in a full turn"
     assert {each.state for each in decisions[:-1]} == {"search"}
@@ -142,7 +146,7 @@ def test_with_nothing_in_sight_it_turns_once_and_ends():
 
 
 def test_before_the_first_scan_it_waits():
-    decision = Planner(AROUND, CAMERA).decide(0.0, pose(0, 0, 1, 0))
+    decision = planner_of(AROUND).decide(0.0, pose(0, 0, 1, 0))
     assert decision.state == "wait"
     assert not decision.velocity.any()
     assert decision.yaw_rate == 0
@@ -150,14 +154,14 @@ def test_before_the_first_scan_it_waits():
 
 def test_a_structure_behind_it_is_found_by_turning():
     steel = tower(half_m=1.0)
-    _, decisions = fly(Planner(AROUND, CAMERA), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
+    _, decisions = fly(planner_of(AROUND), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
     states = [each.state for each in decisions]
     assert states[0] == "search"
     assert states[-1] == "follow"
 
 
 def test_when_sight_is_lost_it_stops_turns_and_goes_back_until_it_sees_again():
-    steel, planner = tower(half_m=1.0), Planner(AROUND, CAMERA)
+    steel, planner = tower(half_m=1.0), planner_of(AROUND)
     end = 5.0 + SEARCH_STOP_S + SEARCH_TURN_S + 3.0
     poses, decisions = fly(
         planner, steel, pose(0, -2.4, 0.7, np.pi / 2), end + 2.0, blind=lambda stamp_s: 5.0 <= stamp_s < end

@@ -7,25 +7,23 @@ import numpy as np
 import open3d
 import pandas as pd
 import pytest
-from scipy.spatial import cKDTree
 
 from steelnb import cli
 from steelnb.errors import SettingsError, SteelnbError
 from steelnb.hough.blocks import segment_structure, within
-from steelnb.hough.tube import point_spacing, tube_radius
+from steelnb.hough.dx import default_dx
 from steelnb.io import clouds, point_files
-from steelnb.io.structures import read_structure
 from steelnb.points import voxel_grid
 from steelnb.report.cloud import segment_file
 from steelnb.types import Segments
 from tests.lattice import lattice, scanned, thinned
 
-FILES = {f"segments.{ending}" for ending in ("csv", "json", "obj", "ply", "png")} | {"structure.json", "structure.png"}
+FILES = {f"segments.{ending}" for ending in ("csv", "json", "obj", "ply", "png")}
 UTM = np.array([299100.0, 2801400.0, 1900.0])
 
 
 def segments_of(points: np.ndarray) -> tuple[Segments, float]:
-    dx = tube_radius(points)
+    dx = default_dx(points)
     return segment_structure(voxel_grid(points, dx / np.sqrt(3)), dx), dx
 
 
@@ -83,20 +81,10 @@ def test_noise_holds_few_bars(survey: np.ndarray) -> None:
     rng = np.random.default_rng(1)
     uniform = rng.uniform(survey.min(axis=0), survey.max(axis=0), survey.shape)
     jittered = survey + rng.uniform(-1, 1, survey.shape)  # the tower's faces, without its bars
-    dx = tube_radius(survey)
+    dx = default_dx(survey)
     for cloud in (uniform, jittered):
         found = segment_structure(voxel_grid(cloud, dx / np.sqrt(3)), dx)
         assert within(cloud, found, dx).mean() < 0.08
-
-
-def test_the_tube_follows_the_spacing_of_thin_bars_and_the_width_of_wide_ones() -> None:
-    thin = np.column_stack([np.arange(0, 50, 0.1), np.zeros((500, 2))])
-    assert point_spacing(thin) == pytest.approx(0.2)
-    assert tube_radius(thin) == pytest.approx(0.2)
-    wide = [tube_radius(scanned(lattice(), per_m, 0.1, 0.01)) for per_m in (300, 1200)]
-    assert wide[0] == pytest.approx(wide[1], rel=0.15)  # not finer because there are more points
-    assert 0.06 < wide[0] < 0.15
-    assert tube_radius(10 * thin) == pytest.approx(10 * tube_radius(thin))
 
 
 def test_files_agree_with_the_report(saved: Path, tmp_path: Path) -> None:
@@ -147,9 +135,9 @@ def test_the_same_file_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None
 
 
 def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
-    given = ["-o", str(tmp_path / "cli"), "--voxel", "0.05", "--dx", "0.2", "--min-votes", "30", "--no-structure"]
+    given = ["-o", str(tmp_path / "cli"), "--voxel", "0.05", "--dx", "0.2", "--min-votes", "30"]
     assert cli.main(["segment", str(saved), *given]) == 0
-    assert {path.name for path in (tmp_path / "cli").iterdir()} == FILES - {"structure.json", "structure.png"}
+    assert {path.name for path in (tmp_path / "cli").iterdir()} == FILES
     found = json.loads((tmp_path / "cli" / "segments.json").read_text())
     assert found["settings"] == {"voxel_m": 0.05, "dx_m": 0.2, "min_votes": 30}
     assert min(segment["count"] for segment in found["segments"]) >= 30
@@ -209,47 +197,12 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
         report = segment_file(path, tmp_path / "out")
     except SteelnbError as fault:
         pytest.fail(str(fault))
-    undrawn = set() if report.structure else {"structure.png"}
-    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES - undrawn
+    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
     if shape in ("line", "upright"):
         assert report.segments.length.max() == pytest.approx(30, abs=0.2)
         assert report.explained == 1.0
     if shape in ("two", "scatter"):
         assert report.explained < 0.2
-
-
-def test_the_structure_of_a_cloud_ties_its_bars_at_joints_in_the_coordinates_of_the_file(tmp_path: Path) -> None:
-    bars = lattice() + UTM
-    path = tmp_path / "tower.csv"
-    np.savetxt(path, scanned(bars, 100, 0.07, 0.01), delimiter=",", fmt="%.3f")
-    report = segment_file(path, tmp_path / "out")
-    assert report.structure is not None
-    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
-    written = read_structure(tmp_path / "out" / "structure.json")
-    np.testing.assert_array_equal(written.joint, report.structure.joint)
-    right, seen = score(written.segments, bars, 0.1)
-    assert right > 0.95
-    assert seen > 0.95
-    # Corners of every level, and the crossings of the diagonals of each face and panel.
-    corners = np.unique(np.round(bars.reshape(-1, 3), 6), axis=0)
-    away = cKDTree(written.joint).query(corners)[0]
-    assert (away < 0.1).mean() > 0.9
-    assert any(line.startswith("structure ") and "joints" in line for line in report.summary)
-
-
-def test_a_cloud_without_bars_has_an_empty_structure_that_says_why(tmp_path: Path) -> None:
-    path = tmp_path / "noise.csv"
-    np.savetxt(path, np.random.default_rng(0).uniform(0, 9, (300, 3)), delimiter=",")
-    report = segment_file(path, tmp_path / "out")
-    assert report.structure is not None
-    assert len(report.structure) == len(read_structure(tmp_path / "out" / "structure.json")) == 0
-    assert not (tmp_path / "out" / "structure.png").exists()
-    assert f"structure empty: {report.structure.reason}" in report.summary
-    assert read_structure(tmp_path / "out" / "structure.json").reason == report.structure.reason != ""
-    assert segment_file(path, tmp_path / "fine", dx_m=1e-7, voxel_m=1e-7).structure is not None
-    plain = segment_file(path, tmp_path / "plain", structure=False)
-    assert plain.structure is None
-    assert not (tmp_path / "plain" / "structure.json").exists()
 
 
 def test_a_thinned_tower_has_the_bars_of_the_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,19 +217,6 @@ def test_a_thinned_tower_has_the_bars_of_the_whole_one(tmp_path: Path, monkeypat
     assert thin.dx_m == pytest.approx(whole.dx_m, rel=0.1)
     assert thin.explained == pytest.approx(whole.explained, abs=0.02)
     assert thin.segments.length.sum() == pytest.approx(whole.segments.length.sum(), rel=0.03)
-    assert thin.structure is not None
-    assert whole.structure is not None
-    for segments in (thin.segments, thin.structure.segments):
-        right, seen = score(segments, bars, 0.05)
-        assert right > 0.97
-        assert seen > 0.95
-    assert len(bars) <= len(thin.structure) < 1.1 * len(whole.structure)
-
-
-def test_the_width_of_bars_decides_the_tube_of_a_thinned_cloud() -> None:
-    close = lattice(6, 3.2, 1.6, 6)  # so close together that few places look straight
-    points = voxel_grid(scanned(close, 1000, 0.1, 0.01), 0.02)
-    assert tube_radius(points) < 0.03
-    assert 0.07 < tube_radius(points, thinned=True) < 0.2
-    noise = voxel_grid(np.random.default_rng(0).uniform(0, 3, (20_000, 3)), 0.05)
-    assert tube_radius(noise, thinned=True) == tube_radius(noise)
+    right, seen = score(thin.segments, bars, 0.05)
+    assert right > 0.97
+    assert seen > 0.95

@@ -12,15 +12,15 @@ SMALL = {"tof.rows": 24, "tof.columns": 24}
 
 @pytest.fixture(scope="module")
 def flown():
-    cases = planned_flights.make_flights(["loops", "whole"], "random-walk", "combined", "report-4cm", 3, 4.0, SMALL)
+    cases = planned_flights.make_flights(["loops", "up a face"], "random-walk", "combined", "report-4cm", 3, 4.0, SMALL)
     return planned_flights.fly_all(cases)
 
 
 def test_each_flight_is_of_its_kind(flown):
-    loops, whole = (flown[name].result.settings.flight for name in ("loops", "whole"))
+    loops, face = (flown[name].result.settings.flight for name in ("loops", "up a face"))
     assert (loops.trajectory, loops.planner) == ("loops", None)
-    assert whole.planner.goal == "whole"
-    assert whole.height_max_m == 15.0
+    assert face.planner.goal == "face"
+    assert face.height_max_m == 15.0
     with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'zigzag', 'wide loops'"):
         planned_flights.make_flights(["hole"], "none", "combined", "report-4cm", 1, 4.0)
 
@@ -28,12 +28,11 @@ def test_each_flight_is_of_its_kind(flown):
 def test_sight_is_that_of_the_true_poses(flown):
     for each in flown.values():
         count = len(each.result.corrected)
-        assert len(each.returns) == len(each.seen) == len(each.sigma) == count == 20
+        assert len(each.returns) == len(each.seen) == count == 20
         assert (np.diff(each.seen) >= 0).all()
         assert 0.0 < each.seen[-1] < 0.5
         assert (each.returns > 0).all()
         assert (each.returns <= 24 * 24).all()
-        assert (each.sigma > 1e-4).all()
 
 
 def test_what_was_seen_agrees_with_the_members_that_were(flown):
@@ -48,12 +47,11 @@ def test_what_was_seen_agrees_with_the_members_that_were(flown):
 
 def test_the_table_has_a_row_a_flight(flown):
     table = planned_flights.flight_table(flown)
-    assert table["flight"].tolist() == ["loops", "whole"]
+    assert table["flight"].tolist() == ["loops", "up a face"]
     assert table.notna().all(axis=None)
     assert (table["clearance_m"] > 0.3).all()
-    assert (table["bound_ratio"] >= 1).all()
     assert table["few_share"].tolist() == [
-        float((flown[name].returns < planned_flights.FEW).mean()) for name in ("loops", "whole")
+        float((flown[name].returns < planned_flights.FEW).mean()) for name in ("loops", "up a face")
     ]
 
 
@@ -61,21 +59,20 @@ def test_the_figures_show_every_flight(flown):
     for figure, panels in (
         (planned_flights.figure_paths(flown), 2),
         (planned_flights.figure_time(flown), 3),
-        (planned_flights.figure_strip("whole", flown["whole"]), 2 * planned_flights.STRIP + 1),
+        (planned_flights.figure_strip("up a face", flown["up a face"]), 2 * planned_flights.STRIP + 1),
     ):
         assert len(figure.axes) == panels
     errors = planned_flights.figure_time(flown).axes[1]
-    assert {line.get_label() for line in errors.get_lines()} == {"loops", "whole"}
+    assert {line.get_label() for line in errors.get_lines()} == {"loops", "up a face"}
 
 
 def test_a_pilot_tells_how_it_flew():
     cases = planned_flights.make_flights(["planned"], "random-walk", "combined", "report-4cm", 3, 2.0, SMALL)
     pilot = OnboardPilot(cases["planned"], build_tower(cases["planned"].tower))
     flight, truth = experiment.simulate_anew(cases["planned"], steering=pilot)
-    flown, planner, odometry, seen = planned_flights.pilot_summary(pilot, flight, truth)
+    flown, planner, odometry = planned_flights.pilot_summary(pilot, flight, truth)
     assert flown == "flown     2.0 of 2 s"
     assert "follow" in planner
     assert " ms (median), " in planner
     assert odometry.startswith("odometry  combined: ")
     assert "of 10 scans without a pair" in odometry
-    assert "seen from two sides" in seen

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.errors import SettingsError
-from steelnb.hough import cut_and_sort, suggest_dx
-from steelnb.hough.dx import distinct_points
+from steelnb.hough import cut_and_sort
+from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.pieces import merge, sort
 from steelnb.hough.transform import fit_line
 from steelnb.types import Array, IntArray, Lines, Segments
@@ -32,9 +32,9 @@ ROUNDS = 3
 
 
 def prepared(points: Array, dx: float | None, points_min: int) -> tuple[Array, float]:
-    """Checked points ``(N, 3)``, and dx in metres (default `suggest_dx`). Raises as `detect_lines`."""
+    """Checked points ``(N, 3)``, and dx in metres (default `default_dx`). Raises as `detect_lines`."""
     points, _, _ = distinct_points(points)
-    dx = suggest_dx(points) if dx is None else dx
+    dx = default_dx(points) if dx is None else dx
     if not 0 < dx < np.inf:
         raise SettingsError(f"dx = {dx}: expected a length above 0 m")
     if points_min < 2:

@@ -27,7 +27,7 @@ def segment_by_ransac_planes(
 ) -> Segments:
     """The plane with most points within ``dx``, its points taken out, again, up to ``planes_max`` times.
 
-    ``trials`` planes are tried each time. ``dx`` in metres is `suggest_dx` by default.
+    ``trials`` planes are tried each time. ``dx`` in metres is `default_dx` by default.
     """
     points, dx = prepared(points, dx, points_min)
     if trials < 1 or planes_max < 1:
@@ -57,7 +57,7 @@ def segment_by_dbscan(
 ) -> Segments:
     """Clusters of points with at least ``neighbours_min`` others within ``dx``, and the principal axis of each.
 
-    ``dx`` in metres is `suggest_dx` by default; ``seed`` is not used. Source: Ester et al., "A Density-Based Algorithm
+    ``dx`` in metres is `default_dx` by default; ``seed`` is not used. Source: Ester et al., "A Density-Based Algorithm
     for Discovering Clusters", KDD 1996, 226–231.
     """
     points, dx = prepared(points, dx, points_min)
@@ -81,7 +81,7 @@ def segment_by_gmm(
     axis of the points of each component.
 
     It is fitted to ``sample`` of the points and then assigns all. ``dx``, the distance of a bar's points to its axis in
-    metres, is `suggest_dx` by default.
+    metres, is `default_dx` by default.
     """
     points, dx = prepared(points, dx, points_min)
     if not components or min(components) < 1 or sample < 2:

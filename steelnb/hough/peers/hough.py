@@ -15,7 +15,7 @@ def segment_by_hough(
 ) -> Segments:
     """Hough lines with at least ``points_min`` votes, in two passes, then refined.
 
-    ``dx`` in metres is `suggest_dx` by default, ``granularity`` is that of `detect_lines`: the 8° between directions of
+    ``dx`` in metres is `default_dx` by default, ``granularity`` is that of `detect_lines`: the 8° between directions of
     the default are enough, since lines are fitted to their points. ``seed`` is not used.
     """
     points, dx = prepared(points, dx, points_min)

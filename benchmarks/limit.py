@@ -1,0 +1,150 @@
+"""The Cramér–Rao bound of the poses of a flight, beside what the methods reach with and without range noise.
+
+    .venv/bin/python benchmarks/limit.py
+
+From true poses and true surfaces: no unbiased estimator has smaller standard deviations (Van Trees, "Detection,
+Estimation, and Modulation Theory", 1968; for range finders Censi, "On achievable accuracy for range-finder
+localization", ICRA 2007). limit.md has the equations and what they take for granted. Prints the table of that page.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numba import njit
+from scipy.linalg import cholesky, lapack, solve_triangular
+
+from steelnb import experiment
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
+from steelnb.report.results import machine
+from steelnb.settings import ExperimentSettings, TofSettings, TrajectoryName
+from steelnb.simulation import Truth
+from steelnb.simulation.scene import cast_bundle, make_scene, rays
+from steelnb.simulation.tof import RANGE_MIN_M
+from steelnb.simulation.tower import Tower
+from steelnb.types import Array, IntArray
+
+POSE = 4
+"""x, y, z in the world, and yaw about the vertical through the drone."""
+PATCH_M, INCIDENCE_MAX_RAD = 0.1, np.radians(80.0)
+"""Edge of the cubes that cut the faces of the tower into patches, each at a place of its own. Returns from faces
+seen at more of a slant count as none: the spot of a pixel is no point there."""
+EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
+NOISE, SENSOR, SEED, DURATION_S = "random-walk+yaw-random-walk", "starling2", 1, 200.0
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
+Information = tuple[Array, IntArray, IntArray, Array, Array]
+METHODS = ("icp", "gicp", "best", "combined", "faces", "smoothed")
+
+
+def seen(tower: Tower, T_world_drone: Array, tof: TofSettings) -> Iterator[tuple[Array, IntArray]]:
+    """Of the scans of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 5)`` of the ranges by x,
+    y, z and yaw of the drone and by the shift of the face, over the range noise; and numbers ``(N,)`` of the patches.
+    """
+    scene, ray = make_scene(tower), rays(tof).reshape(-1, 3)
+    corner = tower.vertices[tower.triangles]
+    normal = np.cross(*np.diff(corner, axis=1).swapaxes(0, 1))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    level = np.round(np.column_stack([tower.triangle_member, normal, (normal * corner[:, 0]).sum(axis=1)]), 5)
+    face = np.unique(level, axis=0, return_inverse=True)[1].ravel()
+    low, high = tower.vertices.min(axis=0) - PATCH_M, tower.vertices.max(axis=0)
+    shape = (len(tower.triangles), *(np.ceil((high - low) / PATCH_M).astype(int) + 1))
+    bundle = np.empty((len(ray), 6), dtype=np.float32)
+    for drone in T_world_drone:
+        T = drone @ tof.T_drone_sensor
+        along = ray @ T[:3, :3].T
+        bundle[:, :3], bundle[:, 3:] = T[:3, 3], along
+        hit = cast_bundle(scene, bundle)
+        range_m, triangle = hit.range_m.astype(np.float64), hit.triangle
+        kept = np.flatnonzero((triangle < len(normal)) & (range_m >= RANGE_MIN_M) & (range_m <= tof.range_max_m))
+        slope = (normal[triangle[kept]] * along[kept]).sum(axis=1)
+        kept, slope = (each[np.abs(slope) > np.cos(INCIDENCE_MAX_RAD)] for each in (kept, slope))
+        n, distance = normal[triangle[kept]], range_m[kept]
+        points = T[:3, 3] + distance[:, None] * along[kept]
+        arm = points - drone[:3, 3]
+        turn = arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0]
+        sigma_m = np.maximum(tof.sigma_floor_m, tof.sigma_relative * distance)
+        gradient = np.column_stack([-n, -turn, np.ones(len(turn))]) / (slope * sigma_m)[:, None]
+        cell = ((points - low) / PATCH_M).astype(int)
+        yield gradient, np.ravel_multi_index((face[triangle[kept]], *cell.T), shape)
+
+
+def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
+    """Fisher information of the returns of K scans about their poses ``(K, 4, 4)`` and the patches of the surface.
+
+    Of the pairs of a patch and a scan that sees it, those of patch p are ``first[p]`` to ``first[p + 1] - 1``, by
+    ``scan (N,)``; ``cross (N, 4)`` between the pose and the shift of the patch; ``shift (N,)`` about that shift alone.
+    """
+    poses, patches, numbers, sums = [], [], [], []
+    for k, (g, patch_of) in enumerate(scans):
+        poses.append(g[:, :POSE].T @ g[:, :POSE])
+        patch, place = np.unique(patch_of, return_inverse=True)
+        weighed = g * g[:, POSE:]
+        sums.append(np.column_stack([np.bincount(place, column, len(patch)) for column in weighed.T]))
+        patches.append(patch)
+        numbers.append(np.full(len(patch), k))
+    patch, scan, total = (np.concatenate(parts) for parts in (patches, numbers, sums))
+    order = np.argsort(patch, kind="stable")
+    first = np.append(0, np.cumsum(np.unique(patch, return_counts=True)[1]))
+    return np.array(poses), first, scan[order], total[order, :POSE].copy(), total[order, POSE].copy()
+
+
+def factor(information: Information, stamp_s: Array) -> Array:
+    """Lower triangular Cholesky factor of the information about the poses but the first, which is known, from as many
+    scans as there are stamps and the prior's increments, with the patches eliminated (Schur complement)."""
+    step, poses = np.diff(np.eye(len(stamp_s)), axis=0), len(stamp_s)
+    matrix = np.kron((step.T * DRIFT_PERIOD_S / np.diff(stamp_s)) @ step, np.diag(DRIFT_SIGMA**-2.0))
+    matrix.reshape(poses, POSE, poses, POSE)[range(poses), :, range(poses)] += information[0][:poses]
+    eliminate(matrix, poses, *information[1:])
+    return np.asarray(cholesky(matrix[POSE:, POSE:], lower=True, overwrite_a=True, check_finite=False))
+
+
+@njit(cache=True, error_model="numpy")
+def eliminate(matrix, poses, first, scan, cross, shift):  # type: ignore[no-untyped-def]
+    """Subtract from the lower triangle of ``matrix`` what its poses know of each patch only together with its shift."""
+    for patch in range(len(first) - 1):
+        begin, end, total = first[patch], first[patch], 0.0
+        while end < first[patch + 1] and scan[end] < poses:
+            total += shift[end]
+            end += 1
+        for a in range(begin, end):
+            for b in range(begin, a + 1):
+                row, column = POSE * scan[a], POSE * scan[b]
+                for i in range(POSE):
+                    for j in range(POSE):
+                        matrix[row + i, column + j] -= cross[a, i] * cross[b, j] / total
+
+
+def bounds_mm(truth: Truth, settings: ExperimentSettings, stamp_s: Array) -> dict[str, float]:
+    """Root mean squares over the poses of the standard deviations of the position, each bound by its name.
+
+    Of the last pose of a factor the information is that of its last block, since it is eliminated last. The causal
+    variance is taken as linear between the poses at which it is worked out, and as no less than that of all scans.
+    """
+    information = gather(seen(truth.tower, truth.trajectory.at(stamp_s).T_world_drone, settings.tof))
+    steps = [1, 2, 4, 8, 16, 32, *np.linspace(0, len(stamp_s) - 1, 15).astype(int)]
+    some = np.unique(np.minimum(steps, len(stamp_s) - 1))
+    ends = [0.0]
+    for k in some[1:]:
+        block = factor(information, stamp_s[: k + 1])[-POSE:, -POSE:]
+        ends.append((solve_triangular(block, np.eye(POSE), lower=True)[:, :3] ** 2).sum())
+    inverse = lapack.dpotri(factor(information, stamp_s), lower=1)[0]
+    batch = np.append(0.0, np.diag(inverse).reshape(-1, POSE)[:, :3].sum(axis=1))
+    one = np.linalg.inv(information[0])[:, range(3), range(3)].sum(axis=1)
+    squares = {"causal": np.maximum(np.interp(stamp_s, stamp_s[some], ends), batch), "batch": batch, "one scan": one}
+    return {name: float(1e3 * np.sqrt(square.mean())) for name, square in squares.items()}
+
+
+def main() -> None:
+    print(f"{machine()}\n\n| flight | bound or method | ATE (mm) | without range noise |\n|---|---|---|---|")
+    for trajectory in FLIGHTS:
+        for method in METHODS:
+            settings = ExperimentSettings.preset(trajectory, NOISE, method, SENSOR, SEED, DURATION_S)
+            result = experiment.run(settings)
+            if method == METHODS[0]:
+                for name, ate_mm in bounds_mm(result.truth, settings, result.corrected.stamp_s).items():
+                    print(f"| {trajectory} | {name} | {ate_mm:.2f} | |", flush=True)
+            error_m, exact_m = (r.metrics["ate_rmse_m"] for r in (result, experiment.run(settings.override(EXACT))))
+            print(f"| {trajectory} | `{method}` | {1e3 * error_m:.1f} | {1e3 * exact_m:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
