@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
     from steelnb.odometry import (
-        CameraOdometry,
         CloudOdometry,
         CombinedOdometry,
         DeepVoOdometry,
@@ -50,7 +49,6 @@ _MODULES = {
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
     "odometry": (
-        "CameraOdometry",
         "CloudOdometry",
         "CombinedOdometry",
         "DeepVoOdometry",
@@ -69,7 +67,7 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CameraOdometry", "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
+    "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
     "ExperimentSettings", "FaceOdometry", "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry",
     "MissingExtraError", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry", "RegistrationResult",
     "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",

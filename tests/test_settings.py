@@ -22,7 +22,7 @@ from steelnb.settings import (
 from steelnb.settings.presets import PRESETS
 from steelnb.simulation.tof import scan_steps
 
-BOTH = ("combined", "combined-camera", "faces", "smoothed", "calibrated")
+BOTH = ("combined", "faces", "smoothed", "calibrated")
 """Methods by clouds and segments."""
 PEERS = ("kiss-icp", "small-gicp")
 REPORT_CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
@@ -220,13 +220,13 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    alone = ("orb", "orb-monocular", "deepvo", *PEERS, *REPORT_CLOUDS, "report-segments")
+    alone = ("orb", "deepvo", *PEERS, *REPORT_CLOUDS, "report-segments")
     assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, *alone))
     assert (settings.report_clouds is None) == (method not in REPORT_CLOUDS)
     assert (settings.report_segments is None) == (method != "report-segments")
     assert (settings.weights is None) == (method != "deepvo")
     assert (settings.library is None) == (method not in PEERS)
-    assert (settings.orb is None) == (method not in ("orb", "orb-monocular", "combined-camera"))
+    assert settings.orb == (method == "orb")
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.robust_scale_m" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):

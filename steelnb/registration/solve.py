@@ -12,7 +12,7 @@ from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
 from steelnb.registration.result import BLIND, Normal, RegistrationResult, judge, middle_and_length, scaled_basis
-from steelnb.registration.target import Target, VoxelTarget
+from steelnb.registration.target import Target
 from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
@@ -24,7 +24,7 @@ ROBUST = {
 DOFS = ("xyz", "xyz_yaw", "se3")
 
 
-AnyTarget = Target | VoxelTarget | FeatureTarget
+AnyTarget = Target | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
 """A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
 

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration import Target, align, free_directions, make_target, prior_term, register, solve, voxel_target
+from steelnb.registration import Target, align, free_directions, make_target, prior_term, register, solve
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration import target as target_module
 from tests import naive
@@ -129,25 +128,6 @@ def test_pairs_stay_exact_when_the_pose_jumps_to_and_fro(seed, limit):
         T = motion(20 * size, size, seed=int(rng.integers(1000)))
         pairs.update(T)
         np.testing.assert_array_equal(pairs.match, naive.pairs(moved(source, T), target.point, limit))
-
-
-@pytest.mark.kernels
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 10_000), voxel_m=st.floats(0.2, 0.5), share=st.floats(0.3, 2.0))
-def test_voxels_are_paired_as_by_their_slow_twin_while_the_pose_jumps(seed, voxel_m, share):
-    source, voxels, limit = corner(60, seed) - 1.5, VoxelMap(voxel_m), share * voxel_m
-    voxels.update_shapes(voxels.insert(corner(300, seed + 1) - 1.5))
-    pairs, means = voxel_target(voxels).pairs(source, limit), voxels.means()
-    cubes = np.floor(means / voxel_m)
-    rng = np.random.default_rng(seed)
-    for size in [0.0, *rng.choice([1e-9, 1e-3, 0.03, 0.2, 5.0], 8)]:
-        T = motion(20 * size, size, seed=int(rng.integers(1000)))
-        pairs.update(T)
-        for q, found in zip(moved(source, T), pairs.match, strict=True):
-            step = cubes - np.floor(q / voxel_m - 0.5)
-            eight = ((step == 0) | (step == 1)).all(axis=1)
-            distance = np.where(eight, np.linalg.norm(means - q, axis=1), np.inf)
-            assert found == (distance.argmin() if distance.min() <= limit else -1)
 
 
 def test_the_solver_ends_at_the_closed_form_of_its_own_pairs():
