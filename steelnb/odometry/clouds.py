@@ -154,7 +154,7 @@ class CloudOdometry(Odometry):
         terms = [*self._terms(points), *self.predictor.terms(T_init, points)]
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            "geman_mcclure" if s.robust_scale else "none", s.robust_scale or 1.0, s.iterations_max,
+            s.robust_scale or np.inf, s.iterations_max,
             rotation_epsilon_rad, translation_epsilon_m, s.fast, terms,
             NORMALS_MIN if known and whole and s.error == "gicp" else 0.0,
         )  # fmt: skip

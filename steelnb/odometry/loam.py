@@ -82,7 +82,7 @@ class LoamOdometry(CloudOdometry):
         target = FeatureTarget.of(edges, planes, seen.plane[sharp], SIGMA_M)
         s, zero = self.clouds, np.zeros((int(sharp.sum()), 6))
         result = align(
-            seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero, "geman_mcclure",
+            seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
             s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
         )  # fmt: skip
         moved_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])

@@ -9,7 +9,7 @@ from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solve import ROBUST, align, free_directions, pairs_needed
+from steelnb.registration.solve import align, free_directions, pairs_needed
 from steelnb.registration.target import Target, finite, make_target
 from steelnb.types import Array
 
@@ -28,8 +28,7 @@ def register(
     dof: str | None = None,
     T_init: Array | None = None,
     max_correspondence_m: float = 1.0,
-    robust: str = "none",
-    robust_scale: float = 1.0,
+    robust_scale: float = math.inf,
     iterations_max: int = 50,
     neighbours: int = 20,
     gravity: Array | None = None,
@@ -47,8 +46,8 @@ def register(
     ``gicp-3dof``, ``gicp-4dof``. ``dof`` overrides them: ``xyz``, ``xyz_yaw`` (yaw about ``gravity (3,)``, by default
     the target's z axis) or ``se3``; the rest of ``T_init`` is kept. Pairs farther apart than ``max_correspondence_m``
     do not count.
-    ``robust`` is ``none``, ``huber``, ``cauchy`` or ``geman_mcclure``, with ``robust_scale`` in metres, for gicp in
-    standard deviations. ``neighbours`` points around each give its normal or covariance.
+    ``robust_scale`` is that of Geman-McClure weights, in metres, for gicp in standard deviations; by default all pairs
+    weigh the same. ``neighbours`` points around each give its normal or covariance.
     A step below ``rotation_epsilon_rad`` and ``translation_epsilon_m`` ends the iteration.
 
     Raises `SettingsError`, `EmptyCloudError`, `DegenerateCloudError`. A registration that does not converge does not
@@ -62,9 +61,8 @@ def register(
     """
     error, default = _choice("method", method, METHODS)
     free = free_directions(default if dof is None else dof, gravity)
-    _choice("robust", robust, ROBUST)
     limit = _positive("max_correspondence_m", max_correspondence_m)
-    scale = _positive("robust_scale", robust_scale)
+    scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
     if iterations_max < 1:
         raise SettingsError(f"iterations_max = {iterations_max}: expected at least 1")
     if neighbours < NEIGHBOURS_MIN:
@@ -75,7 +73,7 @@ def register(
     goal = _cloud(target, error, neighbours, least)
     covariance = regularised(neighbour_covariances(points, neighbours)) if error == "gicp" else None
     return align(
-        points, goal, error, free, T, limit, covariance, robust, scale, iterations_max,
+        points, goal, error, free, T, limit, covariance, scale, iterations_max,
         _positive("rotation_epsilon_rad", rotation_epsilon_rad),
         _positive("translation_epsilon_m", translation_epsilon_m),
     )  # fmt: skip

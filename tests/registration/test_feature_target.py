@@ -61,7 +61,7 @@ def test_a_motion_is_found_by_lines_that_run_in_different_directions(dof):
     source = (along(LINES)[::2] - T[:3, 3]) @ T[:3, :3]
     target = FeatureTarget.of(target_points, NONE, np.zeros(len(source), dtype=np.int64), 0.02)
     zero = np.zeros((len(source), 6))
-    found = align(source, target, "gicp", free_directions(dof), np.eye(4), 0.3, zero, "geman_mcclure", 5.0)
+    found = align(source, target, "gicp", free_directions(dof), np.eye(4), 0.3, zero, 5.0)
     assert found.converged
     np.testing.assert_allclose(found.T_target_source, T, atol=2e-3)
 
