@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from steelnb.errors import MissingExtraError, SteelnbError
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
-    from steelnb.fusion.changes import Changes, find_changes
     from steelnb.fusion.reconstruct import reconstruct, reconstruct_cloud
     from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
         CombinedOdometry,
         DeepVoOdometry,
         FaceOdometry,
-        KnownStructureOdometry,
         LoamOdometry,
         OrbOdometry,
         PeerOdometry,
@@ -42,7 +40,6 @@ _MODULES = {
     "errors": ("MissingExtraError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
-    "fusion.changes": ("Changes", "find_changes"),
     "fusion.reconstruct": ("reconstruct", "reconstruct_cloud"),
     "fusion.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
@@ -53,7 +50,6 @@ _MODULES = {
         "CombinedOdometry",
         "DeepVoOdometry",
         "FaceOdometry",
-        "KnownStructureOdometry",
         "LoamOdometry",
         "OrbOdometry",
         "PeerOdometry",
@@ -67,11 +63,11 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
-    "ExperimentSettings", "FaceOdometry", "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry",
+    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
+    "ExperimentSettings", "FaceOdometry", "Flight", "Lines", "LoamOdometry",
     "MissingExtraError", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry", "RegistrationResult",
     "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
-    "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
+    "Trajectory", "__version__", "detect_lines", "detect_segments", "make_odometry", "read_cloud",
     "read_flight", "read_structure", "read_truth", "reconstruct", "reconstruct_cloud", "register", "run", "smooth",
     "write_flight", "write_structure",
 ]  # fmt: skip

@@ -13,14 +13,14 @@ import steelnb
 from steelnb import cli_flights, cli_recordings
 from steelnb.cli_options import examples, output_option
 from steelnb.cli_progress import progress
-from steelnb.errors import SettingsError, SteelnbError
+from steelnb.errors import SteelnbError
 from steelnb.report.words import counted
 
 INTERRUPTED = 130
 EXIT_CODES = """\b
 Exit codes:
   0    done
-  1    runs of a study failed, or `structure` found a difference
+  1    runs of a study failed
   2    bad input, told in one line; nothing was written
   130  interrupted (Ctrl-C); 128 + N by signal N
 """
@@ -173,54 +173,6 @@ def segment(
         shown.show(f"finding bars in {cloud.name}")
         result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes, structure=structure)
     print("\n".join(result.summary))
-
-
-@app.command(
-    epilog=examples(
-        "steelnb structure bars/structure.json",
-        "steelnb structure before.json after.json -o differences",
-        "steelnb structure bars/structure.json --to tower.dxf",
-        codes="0 done, and two structures equal; 1 they differ; 2 bad input, nothing written; 130 interrupted.",
-    )
-)
-def structure(
-    first: Annotated[Path, typer.Argument(metavar="A.json", help="A structure as steelnb wrote it.")],
-    second: Annotated[Path | None, typer.Argument(metavar="[B.json]", help="Another one, in the same frame.")] = None,
-    output: Annotated[
-        Path | None, output_option("For differences.csv and differences.png.", "none are written")
-    ] = None,
-    to: Annotated[
-        Path | None, typer.Option("--to", help="Write A to this file: .json, .csv, .dxf, .glb or .ifc.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Let --to overwrite.")] = False,
-    offset: Annotated[float | None, typer.Option(help="Metres up to which an axis has not moved.")] = None,
-    angle: Annotated[float | None, typer.Option(help="Degrees up to which it has not turned.")] = None,
-    end: Annotated[float | None, typer.Option(help="Metres up to which its ends have not moved.")] = None,
-    joint: Annotated[float | None, typer.Option(help="Metres up to which a joint has not moved.")] = None,
-) -> None:
-    """Describe, compare or convert structures.
-
-    One is described, or converted with --to; two are compared. Tolerances are by default those of
-    steelnb.settings.Tolerance.
-    """
-    from steelnb.report.structure_files import compare_files, convert_file, describe_file
-    from steelnb.settings import Tolerance
-
-    if second is None and output is not None:
-        raise SettingsError("--output: expected two structures to compare; --to FILE converts one")
-    if second is not None and to is not None:
-        raise SettingsError("--to: expected one structure to convert, not two")
-    if second is not None:
-        given = {"offset_m": offset, "angle_deg": angle, "end_m": end, "joint_m": joint}
-        limit = Tolerance(**{name: value for name, value in given.items() if value is not None})
-        report = compare_files(first, second, output, limit)
-        print("\n".join(report.summary))
-        raise typer.Exit(0 if report.comparison.equal else 1)
-    if to is not None:
-        for file in convert_file(first, to, overwrite=force):
-            print(f"{file} written")
-        return
-    print("\n".join(describe_file(first)))
 
 
 for part in (cli_flights, cli_recordings):

@@ -31,10 +31,10 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"steelnb {steelnb.__version__}\n"
     assert cli.main([]) == 0
     shown = capsys.readouterr().out
-    assert all(command in shown for command in ("study", "structure", "segment"))
+    assert all(command in shown for command in ("study", "segment"))
 
 
-@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment", "structure"])
+@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment"])
 def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:

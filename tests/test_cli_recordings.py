@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from steelnb import cli, experiment
-from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_structure
+from steelnb.io import read_flight, read_trajectory, read_truth, write_flight
 from steelnb.io.calibration import read_correction
 from steelnb.settings import ExperimentSettings
-from tests.fusion.made import true_structure
 
 SMALL = ["--set", "tof.columns=45", "--set", "tof.rows=60", "--duration", "3"]
 
@@ -169,8 +168,6 @@ BAD = [
     (["run", "{bag}", "--set", "preprocess"], ["--set preprocess", "NAME=VALUE"]),
     (["run", "{bag}", "--set", "preprocess.leaf=1"], ["preprocess.leaf"]),
     (["run", "{bag}", "--no-structure", "-o", "file"], ["file", "cannot be written"]),
-    (["run", "{bag}", "--map", "nope.json"], ["nope.json", "a structure in JSON"]),
-    (["run", "{bag}", "--map", "file", "--odometry", "best"], ["--map", "expected one of them"]),
     (["record", "b.bag", "--duration", "0"], ["duration = 0", "at least 1 s"]),
     (["record", "b.bag", "--duration", "1e18"], ["duration = 1e+18", "at most 14400 s"]),
     (["info", "n" * 300], ["nnn", "File name too long"]),
@@ -189,30 +186,6 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(bag, place, capfd, argume
     shown = said(capfd, [word.replace("{bag}", str(bag)) for word in arguments], 2)
     assert all(word in shown for word in words), shown
     assert [file.name for file in place.iterdir()] == ["file"]
-
-
-def test_a_flight_is_localised_in_an_earlier_structure_and_compared_with_it(place, capfd):
-    settings = ExperimentSettings.preset(seed=3, duration_s=6.0, overrides={"tof.columns": 120, "tof.rows": 160})
-    flight, truth = experiment.simulate(settings)
-    write_flight(place / "a.bag", flight, truth.trajectory)
-    write_structure(true_structure(truth.tower), place / "known.json")
-    shown = said(capfd, ["run", "a.bag", "--map", "known.json", "--no-viewer", "--no-structure"])
-    assert "changes   224 bars of the map: " in shown
-    assert " 0 missing, 0 moved" in shown
-    rows = (place / "a_run" / "changes.csv").read_text().splitlines()
-    assert rows[0].startswith("bar,kind,offset_m,sigma_m,significance,start_x_m")
-    assert sum(",not seen," in row for row in rows) > 100
-    assert (place / "a_run" / "changes.png").exists()
-    found, true = read_trajectory("a_run/corrected.tum"), truth.trajectory
-    assert np.linalg.norm(found.position - true.at(found.stamp_s).position, axis=1).max() < 0.01
-
-    write_structure(true_structure(truth.tower).moved(np.array([90.0, 0, 0])), place / "elsewhere.json")
-    before = sorted(place.iterdir())
-    capfd.readouterr()
-    assert cli.main(["run", "a.bag", "--map", "elsewhere.json", "-o", "out"]) == 2
-    last = capfd.readouterr().err.splitlines()[-1]  # on a busy machine, lines of progress go before
-    assert last.startswith("steelnb: error: 0 of 224 bars matched in the first 10 scans; expected a map of this place")
-    assert sorted(place.iterdir()) == before
 
 
 def test_a_run_overwrites_only_where_it_is_told_to_and_leaves_no_file_of_an_earlier_one(bag, place, capfd):

@@ -7,7 +7,6 @@ from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
-from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.loam import LoamOdometry
 from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.peers import PeerOdometry
@@ -45,7 +44,7 @@ def make_odometry(
 
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry", "LoamOdometry",
-    "Odometry", "OrbOdometry", "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry",
-    "make_odometry", "run", "run_kept", "shared_segments",
+    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",
+    "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "make_odometry", "run",
+    "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -49,7 +49,6 @@ METHODS = {
     "deepvo": ("DeepVO", "#88DD44"),
     "kiss-icp": ("KISS-ICP", "#101018"),
     "small-gicp": ("small_gicp's VGICP", "#3C2A33"),
-    "map": ("known structure", "#3000F0"),
 }
 """Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
 by images red, learned lime, of others nearly black."""

@@ -1,18 +1,15 @@
-"""Front, side and perspective of bars: the pictures of `steelnb segment`, `steelnb run` and `steelnb structure A B`."""
+"""Front, side and perspective of bars: the pictures of `steelnb segment` and `steelnb run`."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
 from steelnb.io.segments import orientation
 from steelnb.report.style import (
     COLOURS,
     INDIGO,
-    LIGHT_GREY,
-    PINK,
     Figure,
     draw_legend,
     draw_lines,
@@ -23,18 +20,7 @@ from steelnb.report.style import (
 )
 from steelnb.types import Array, Segments
 
-if TYPE_CHECKING:  # imports scipy.stats, which takes longer than a small cloud
-    from steelnb.fusion.changes import Changes
-
 GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
-LOOKS: dict[str, dict[str, Any]] = {
-    "same": {"color": LIGHT_GREY, "lw": 1.0}, "not seen": {"color": LIGHT_GREY, "lw": 1.0, "ls": ":"},
-    "moved": {"color": PINK, "lw": 2.4}, "bent": {"color": INDIGO, "lw": 2.4},
-    "missing": {"color": COLOURS["wrong"], "lw": 2.4}, "extra": {"color": COLOURS["right"], "lw": 2.4},
-    "new": {"color": COLOURS["right"], "lw": 2.4},
-}  # fmt: skip
-CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
-"""Kinds of `Changes` in the order in which they are drawn: nothing that has changed may lie below what has not."""
 JOINT: dict[str, Any] = {"color": INDIGO, "marker": "o", "ls": "", "ms": 2.5, "mew": 0.8}
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
@@ -61,34 +47,6 @@ def layers_by_group(segments: Segments, groups: Sequence[str]) -> list[Layer]:
         (f"{name.replace('_', ' ')} ({np.count_nonzero(of == name)})", {"color": colour, "lw": 1.1}, ends[of == name])
         for name, colour in GROUPS.items()
     ]
-
-
-@style()
-def figure_comparison(a: Structure, b: Structure, found: Comparison, title: str) -> Figure:
-    """Both structures, with the missing, extra and moved parts in colour; joints are rings, and of bars that have moved
-    the place in ``a`` is dashed."""
-    moved, moved_joint = found.bar_moved, found.joint_moved | found.joint_retied
-    before, after = end_points(a.segments), end_points(b.segments)
-    parts = {
-        "same": (after[found.bar[~moved, 1]], b.joint[found.joint[~moved_joint, 1]]),
-        "moved": (after[found.bar[moved, 1]], b.joint[found.joint[moved_joint, 1]]),
-        "missing": (before[found.bar_missing], a.joint[found.joint_missing]),
-        "extra": (after[found.bar_extra], b.joint[found.joint_extra]),
-    }
-    layers: list[Layer] = [("", LOOKS["moved"] | {"ls": "--", "lw": 1.2}, before[found.bar[moved, 0]])]
-    for kind, (bars, joints) in parts.items():
-        layers.append((f"{kind}: {len(bars)} bars, {len(joints)} joints", LOOKS[kind], bars))
-        if kind != "same":
-            layers.append(("", LOOKS[kind], joints))
-    return figure_layers([layers[1], layers[0], *layers[2:]], title)
-
-
-@style()
-def figure_changes(changes: "Changes", title: str) -> Figure:
-    """The bars of a map and the new ones, coloured by kind."""
-    ends = end_points(changes.segments)
-    layers = [(f"{kind}: {len(changes.of(kind))}", LOOKS[kind], ends[changes.of(kind)]) for kind in CHANGES]
-    return figure_layers(layers, title)
 
 
 def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = None) -> Figure:

@@ -24,7 +24,7 @@ from steelnb.settings.odometry import (
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.sensors import ImuSettings, TofFaultSettings
-from steelnb.settings.structure import StructureSettings, Tolerance
+from steelnb.settings.structure import StructureSettings
 from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
@@ -44,6 +44,6 @@ __all__ = [
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "ReportCloudSettings",
     "ReportSegmentSettings", "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
-    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
+    "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
     "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

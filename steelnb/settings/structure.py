@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from steelnb.settings.base import NotNegative, Positive, Settings
+from steelnb.settings.base import Positive, Settings
 
 
 class StructureSettings(Settings):
@@ -29,13 +29,3 @@ class StructureSettings(Settings):
         """For a plain cloud whose bars' points lie within ``tube_m``: no floor, and bars as near to each other as two
         tubes, since a coarse cloud does not tell the two flanges of a wide leg apart as a flight does."""
         return cls(tube_m=tube_m, floor_m=-1e6, copy_distance_m=2 * tube_m)
-
-
-class Tolerance(Settings):
-    """How two structures are compared. Up to ``offset_m``, ``angle_deg`` and ``end_m`` a bar has not moved, and up to
-    ``joint_m`` a joint."""
-
-    offset_m: NotNegative = 0.01
-    angle_deg: NotNegative = 0.5
-    end_m: NotNegative = 0.03
-    joint_m: NotNegative = 0.02
