@@ -125,53 +125,6 @@ def run(
     print("\n".join(lines))
 
 
-@app.command(
-    epilog=examples(
-        "steelnb calibrate flight.mcap",
-        "steelnb calibrate flight.mcap -o sensor.toml --set calibration.mount_sigma_rad=0.05",
-        "steelnb run next.mcap --settings flight.calibration.toml",
-    )
-)
-def calibrate(
-    recording: Source,
-    output: Annotated[
-        Path | None, output_option("TOML file to write, for --settings.", "NAME.calibration.toml here")
-    ] = None,
-    from_s: From = 0.0,
-    to_s: To = math.inf,
-    sensor: Sensor = "starling2",
-    scans: Scans = None,
-    poses: Poses = None,
-    settings: SettingsFile = None,
-    gap: Gap = None,
-    changed: Set = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the TOML file.")] = False,
-) -> None:
-    """Find the errors of a sensor from a flight.
-
-    Offset and scale of its ranges, its mount and its clock, each with a standard deviation, as far as the flight tells
-    them: best one that turns. How well they are known before is --set calibration.NAME=VALUE, 0 for exactly.
-    """
-    with progress() as shown:
-        from steelnb.io import read_flight
-        from steelnb.report.calibration import calibrate as find
-        from steelnb.report.recording_settings import Scene, recording_settings
-        from steelnb.report.recording_truth import part_of
-
-        overrides = overrides_of(changed)
-        recording_settings("calibrated", sensor, overrides=overrides)  # refused before a file is opened
-        shown.show(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, settings=settings, gap_max_s=gap)
-        flight = part_of(flight, None, (from_s, to_s), gap)[0]
-        chosen = recording_settings("calibrated", sensor, scene=Scene.of(flight), overrides=overrides)[0]
-        target = output or Path(f"{Path(flight.name).stem}.calibration.toml")
-        lines = find(
-            flight, target, chosen, already=settings, overwrite=force,
-            on_progress=shown.share, on_stage=shown.show,
-        )  # fmt: skip
-    print("\n".join(lines))
-
-
 @app.command(epilog=examples("steelnb info flight.mcap", "steelnb info flight.mcap --quick"))
 def info(
     recording: Source,

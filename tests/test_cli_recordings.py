@@ -14,7 +14,6 @@ import pytest
 
 from steelnb import cli, experiment
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight
-from steelnb.io.calibration import read_correction
 from steelnb.settings import ExperimentSettings
 
 SMALL = ["--set", "tof.columns=45", "--set", "tof.rows=60", "--duration", "3"]
@@ -87,36 +86,6 @@ def test_a_camera_is_recorded_and_the_flight_corrected_by_its_images(place, capf
     assert "unknown 'foward', did you mean 'forward'" in said(capfd, ["record", "b.bag", "--camera", "foward"], code=2)
 
 
-def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
-    (place / "wrong.toml").write_text("[extrinsics]\ntranslation_m = [0.06, 0.0, 0.0]\nrotation_rpy_deg = [0, 1.5, 0]\n"
-                                      "[errors]\nrange_scale = 0.01\nrange_offset_m = 0.02\n")  # fmt: skip
-    shown = said(capfd, ["calibrate", "a.mcap", "--settings", "wrong.toml", "--set", "calibration.range_scale_sigma=0"])
-    assert re.search(r"^mount pitch +-1\.[345]\d ± 0\.\d\d ° \(before: ± 1\.00\)$", shown, re.MULTILINE)
-    assert re.search(r"^mount z .* not told by this flight$", shown, re.MULTILINE)
-    assert re.search(r"^range scale +[+-]0\.00 ± 0\.00 % \(before: ± 0\.00\) known$", shown, re.MULTILINE)
-    assert "written   a.calibration.toml: steelnb run RECORDING --settings a.calibration.toml" in shown
-    errors = read_correction("a.calibration.toml")
-    assert errors.range_scale == pytest.approx(0.01)  # as it was told
-    assert abs(errors.range_offset_m) < 0.01  # 2 cm, of which nothing was true
-    mount = read_flight("a.mcap", settings="a.calibration.toml").T_drone_sensor
-    assert np.degrees(np.arccos(mount[0, 0])) < 0.3
-    assert "exists already" in said(capfd, ["calibrate", "a.mcap"], code=2)
-
-
-def test_the_readings_of_an_imu_tell_metres_where_the_sensor_s_preset_has_one(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
-    sheet = "gyro_noise = 1.4e-4\naccelerometer_noise = 3.9e-3\ngyro_bias = 8.7e-4\naccelerometer_bias = 0.015\n"
-    (place / "mine.toml").write_text(f'based_on = "starling2"\n[imu]\n{sheet}')
-    sigma = []
-    for sensor in ("starling2", "mine.toml"):
-        shown = said(capfd, ["calibrate", "a.mcap", "--sensor", sensor, "-o", f"of-{sensor}.toml"])
-        found = re.search(r"^range scale +[+-](\S+) ± (\S+) %", shown, re.MULTILINE)
-        sigma.append(float(found[2]))
-        assert float(found[1]) < 2 * sigma[-1]
-    assert sigma[1] < 0.8 * sigma[0]
-
-
 def test_scans_come_without_the_errors_that_a_settings_file_names(bag, place, capfd):
     (place / "sensor.toml").write_text("[errors]\nrange_scale = 0.02\nrange_offset_m = 0.01\ntime_offset_s = 0.02\n")
     flight, corrected = read_flight(bag), read_flight(bag, settings="sensor.toml")
@@ -142,13 +111,6 @@ BAD = [
     (
         ["run", "{bag}", "--odometry", "beest"],
         ["--odometry: unknown 'beest', did you mean 'best'?; expected one of 'none', 'average'"],
-    ),
-    (["calibrate", "{bag}", "--set", "calibration.mount_sigma=1"], ["calibration.mount_sigma"]),
-    (["calibrate", "{bag}", "--set", "calibration.mount_sigma_m=-1"], ["mount_sigma_m = -1"]),
-    (["calibrate", "{bag}", "--from", "9"], ["from 9 to inf s: no scan"]),
-    (
-        ["calibrate", "{bag}", "--set", "preprocess.floor_m=50", "-o", "new.toml"],
-        ["a.bag: not calibrated: 20 scans without a return above the floor", "expected a flight along bars"],
     ),
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (

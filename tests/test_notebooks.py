@@ -362,10 +362,7 @@ def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
     assert (honest["ate_mean_m"] < honest["drift_mean_m"]).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["all together.median_mm"] > metrics["range noise of the data sheet.median_mm"]
-    wrong_mount = "mount off by 1 cm and 1°"
-    assert metrics[f"{wrong_mount}.calibrated"] < 0.5 * metrics[f"{wrong_mount}.smoothed"]
-    assert abs(metrics["mount pitch.found"] - metrics["mount pitch.true"]) < 4 * metrics["mount pitch.sigma"]
-    for name in ("frame", "imu", "honest", "calibration"):
+    for name in ("frame", "imu", "honest"):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN
 
 

@@ -9,7 +9,6 @@ from steelnb.settings import (
     METHODS,
     SEGMENT_METHODS,
     TRAJECTORIES,
-    CalibrationSettings,
     ExperimentSettings,
     FlightSettings,
     NoiseSettings,
@@ -22,7 +21,7 @@ from steelnb.settings import (
 from steelnb.settings.presets import PRESETS
 from steelnb.simulation.tof import scan_steps
 
-BOTH = ("combined", "faces", "smoothed", "calibrated")
+BOTH = ("combined", "faces", "smoothed")
 """Methods by clouds and segments."""
 PEERS = ("kiss-icp", "small-gicp")
 REPORT_CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
@@ -284,18 +283,3 @@ def test_methods_by_clouds_and_bars_use_the_imu_beside_a_sensor():
     ):
         with pytest.raises(SettingsError, match=says):
             OdometrySettings.preset(method, overrides={"inertial": inertial})
-
-
-def test_a_calibration_is_part_of_smoothing():
-    assert OdometrySettings.preset("calibrated").calibration == CalibrationSettings()
-    assert OdometrySettings.preset("calibrated", "starling2-honest").calibration.mount_sigma_m == 0.0
-    looser = OdometrySettings.preset("smoothed", overrides={"calibration": {"mount_sigma_m": 0.1}})
-    assert looser.calibration == CalibrationSettings(mount_sigma_m=0.1)
-    for overrides, says in (
-        ({"calibration": {}}, "'combined': a table calibration without smooth"),
-        ({"smooth": True, "calibration": {"mount_sigma": 1}}, "mount_sigma"),
-        ({"smooth": True, "calibration": {"range_scale_sigma": 0.5}}, "range_scale_sigma = 0.5"),
-        ({"smooth": True, "calibration": {"time_sigma_s": -1.0}}, "time_sigma_s = -1.0"),
-    ):
-        with pytest.raises(SettingsError, match=says):
-            OdometrySettings.preset("combined", overrides=overrides)

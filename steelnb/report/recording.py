@@ -13,7 +13,6 @@ from steelnb import odometry
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, RecordingError, SettingsError
 from steelnb.files import PREFIX, new_folder
 from steelnb.fusion.reconstruct import reconstruct
-from steelnb.fusion.sensor_errors import true_flight
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
 from steelnb.io.clouds import shift_of
@@ -21,7 +20,6 @@ from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
 from steelnb.odometry import Odometry
-from steelnb.report.calibration import error_lines
 from steelnb.report.recording_figures import figure_distances, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
 from steelnb.report.recording_settings import Scene, recording_settings, settings_line
@@ -162,7 +160,6 @@ def run_recording(
 
         on_stage("correcting the poses")
         estimate = odometry.run(flight, estimator, observe)
-        flight = true_flight(flight, estimate.sensor_errors)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
         built = with_sigma(built, estimate) if built is not None else None
@@ -193,8 +190,6 @@ def run_recording(
     if estimate.unsmoothed:
         notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
     summary = summary_lines(flight, numbers, (*notes, *remarks), built)
-    if estimate.sensor_errors is not None:
-        summary = (*summary, *error_lines(estimate.sensor_errors))
     summary = (summary[0], settings_line(settings), *summary[1:], f"written   {target}/: {', '.join(files)}")
     return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
 

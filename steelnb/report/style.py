@@ -44,7 +44,6 @@ METHODS = {
     "combined": ("combined", INDIGO),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
-    "calibrated": ("smoothed and calibrated", "#8490FC"),
     "orb": ("ORB features", "#DD0044"),
     "deepvo": ("DeepVO", "#88DD44"),
     "kiss-icp": ("KISS-ICP", "#101018"),

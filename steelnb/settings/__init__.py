@@ -11,7 +11,6 @@ from steelnb.settings.camera import CameraSettings
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
     SEGMENT_METHODS,
-    CalibrationSettings,
     CloudSettings,
     FusionSettings,
     HoughSettings,
@@ -40,7 +39,7 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CameraSettings",
+    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CameraSettings",
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "ReportCloudSettings",
     "ReportSegmentSettings", "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",

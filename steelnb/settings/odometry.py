@@ -126,21 +126,6 @@ class ReportSegmentSettings(Settings):
     switched: tuple[SegmentTrait, ...] = ()
 
 
-class CalibrationSettings(Settings):
-    """Standard deviations, before the flight, of errors of the sensor that smoothing finds; 0 for what is known.
-
-    Of a constant error of the range and of one in proportion to it, by default 1 cm and 1 % as data sheets have them;
-    of shift and turn of the mount, each along or about one axis, 1 cm and 1° as measured by hand; and of the stamps,
-    20 ms.
-    """
-
-    range_offset_sigma_m: NotNegative = 0.01
-    range_scale_sigma: Annotated[float, Field(ge=0, le=0.1)] = 0.01
-    mount_sigma_m: NotNegative = 0.01
-    mount_sigma_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0175
-    time_sigma_s: NotNegative = 0.02
-
-
 class OdometrySettings(Settings):
     """One method and all that it takes from the sensor's and the method's preset.
 
@@ -149,9 +134,8 @@ class OdometrySettings(Settings):
     for a drift that is taken to stand still; ``tilt_sigma_rad`` is that of the prior's roll and pitch, which are then
     corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan, all poses and bars are adjusted together
     (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the flight
-    (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the sensor that smoothing finds, too;
-    ``inertial``: errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`)
-    and take part in smoothing, None for none. ``weights``: file with the weights of a learned odometry
+    (`steelnb.odometry.faces`), None for none; ``inertial``: errors of the IMU whose readings predict the
+    pose of a scan (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the weights of a learned odometry
     (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others. ``library``: the one that does
     the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: whether it is visual odometry by ORB
     features (`steelnb.odometry.orb`). ``report_clouds``, ``report_segments``: the report's own programs. Tables that a
@@ -174,7 +158,6 @@ class OdometrySettings(Settings):
     library: Literal["kiss_icp", "small_gicp"] | None = None
     report_clouds: Annotated[ReportCloudSettings | None, table(ReportCloudSettings)] = None
     report_segments: Annotated[ReportSegmentSettings | None, table(ReportSegmentSettings)] = None
-    calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
     @model_validator(mode="after")
@@ -208,8 +191,6 @@ class OdometrySettings(Settings):
             raise ValueError(f"method {self.method!r}: {given}: expected error = 'gicp', no bars_weight and no refit_s")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        if self.calibration is not None and not self.smooth:
-            raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
         if self.inertial is not None and not self.orb and (self.clouds is None or not by_bars):
             raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars, or orb")
         if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
