@@ -242,7 +242,7 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_132_settings():
+def test_there_are_at_most_121_settings():
     """Step by step to be fewer: features that nobody needs are about to go."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
@@ -251,7 +251,7 @@ def test_there_are_at_most_132_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 132
+    assert len(leaves) <= 121
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:

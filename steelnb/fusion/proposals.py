@@ -19,7 +19,7 @@ RIDGE_SHARE = 0.2
 LINEAR_SHARE_MIN, BLURRED_SHARE_MIN = 0.5, 0.25
 """Least share of the length of all lines outside planar and volumetric regions (`regions.linear_share`: at most 0.02 in
 shapes without bars, at least 0.75 on towers scanned closely); and that of a map which an adjustment is to sharpen: with
-all errors of a sensor that calibration seeks, 0.48 in the first map of a flight, the least of seeds 11 to 14."""
+errors of range, mount and clock, 0.48 in the first map of a flight, the least of seeds 11 to 14."""
 GRIDS = 4
 """Grids of blocks in which bars are proposed. On flights eight find no more."""
 

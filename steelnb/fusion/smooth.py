@@ -39,9 +39,9 @@ def smooth(
     ``settings`` say what a bar is, as for `reconstruct`; ``tilt_sigma_rad`` is the standard deviation of the prior's
     roll and pitch, which are kept where it is 0; with ``imu``, the errors of its data sheet, the readings of the
     flight's IMU take part (`fusion.inertial`), where it has one. The corrected poses become smooth, the first one the
-    prior's, where drift begins; the map's points are those of one in three scans at the poses before the last steps, its
-    segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as it
-    was, with the reason in ``unsmoothed``. Raises `RecordingError` for readings in other units or axes.
+    prior's, where drift begins; the map's points are those of one in three scans at the poses before the last steps,
+    its segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as
+    it was, with the reason in ``unsmoothed``. Raises `RecordingError` for readings in other units or axes.
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor

@@ -134,12 +134,12 @@ class OdometrySettings(Settings):
     for a drift that is taken to stand still; ``tilt_sigma_rad`` is that of the prior's roll and pitch, which are then
     corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan, all poses and bars are adjusted together
     (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the flight
-    (`steelnb.odometry.faces`), None for none; ``inertial``: errors of the IMU whose readings predict the
-    pose of a scan (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the weights of a learned odometry
-    (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others. ``library``: the one that does
-    the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: whether it is visual odometry by ORB
-    features (`steelnb.odometry.orb`). ``report_clouds``, ``report_segments``: the report's own programs. Tables that a
-    method does not use are None.
+    (`steelnb.odometry.faces`), None for none; ``inertial``: errors of the IMU whose readings predict the pose of a scan
+    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
+    weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
+    ``library``: the one that does the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: whether
+    it is visual odometry by ORB features (`steelnb.odometry.orb`). ``report_clouds``, ``report_segments``: the report's
+    own programs. Tables that a method does not use are None.
     """
 
     method: str
