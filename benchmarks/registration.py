@@ -10,6 +10,7 @@ the machine named in the table, ratios less so.
 # ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
 import argparse
 import importlib.metadata
+import math
 import os
 import time
 from pathlib import Path
@@ -66,7 +67,7 @@ def ours(method: str, p: Problem) -> Done:
     covariances = regularised(neighbour_covariances(p.source, NEIGHBOURS)) if method == "gicp" else None
     prepared = time.process_time()
     result = align(
-        p.source, goal, ERROR[method], np.eye(6), p.T_init, p.distance_m, covariances, "none", 1.0, ITERATIONS,
+        p.source, goal, ERROR[method], np.eye(6), p.T_init, p.distance_m, covariances, math.inf, ITERATIONS,
         TURN_RAD, MOVE_M,
     )  # fmt: skip
     return result.T_target_source, result.iterations, prepared

@@ -14,19 +14,16 @@ if TYPE_CHECKING:
     from steelnb.errors import MissingExtraError, SteelnbError
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
-    from steelnb.fusion.changes import Changes, find_changes
     from steelnb.fusion.reconstruct import reconstruct
     from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_structure, read_truth, write_flight, write_structure
     from steelnb.odometry import (
-        CameraOdometry,
         CloudOdometry,
         CombinedOdometry,
         DeepVoOdometry,
         FaceOdometry,
-        KnownStructureOdometry,
         LoamOdometry,
         OrbOdometry,
         PeerOdometry,
@@ -43,19 +40,16 @@ _MODULES = {
     "errors": ("MissingExtraError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
-    "fusion.changes": ("Changes", "find_changes"),
     "fusion.reconstruct": ("reconstruct",),
     "fusion.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_structure", "read_truth", "write_flight", "write_structure"),
     "odometry": (
-        "CameraOdometry",
         "CloudOdometry",
         "CombinedOdometry",
         "DeepVoOdometry",
         "FaceOdometry",
-        "KnownStructureOdometry",
         "LoamOdometry",
         "OrbOdometry",
         "PeerOdometry",
@@ -69,11 +63,11 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CameraOdometry", "Changes", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
-    "ExperimentSettings", "FaceOdometry", "Flight", "KnownStructureOdometry", "Lines", "LoamOdometry",
+    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate",
+    "ExperimentSettings", "FaceOdometry", "Flight", "Lines", "LoamOdometry",
     "MissingExtraError", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry", "RegistrationResult",
     "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure", "StructureSettings",
-    "Trajectory", "__version__", "detect_lines", "detect_segments", "find_changes", "make_odometry", "read_cloud",
+    "Trajectory", "__version__", "detect_lines", "detect_segments", "make_odometry", "read_cloud",
     "read_flight", "read_structure", "read_truth", "reconstruct", "register", "run", "smooth",
     "write_flight", "write_structure",
 ]  # fmt: skip

@@ -8,7 +8,6 @@ import typer
 
 from steelnb.cli_options import METHODS, Seed, Sensor, examples, noise_option, one_of, output_option, overrides_of
 from steelnb.cli_progress import progress
-from steelnb.errors import SettingsError
 
 if TYPE_CHECKING:
     from steelnb.settings import ExperimentSettings, StructureSettings
@@ -46,7 +45,6 @@ Set = Annotated[
         "steelnb run flight.mcap --odometry best --odometry gicp -o compared",
         "steelnb run flight.mcap --from 10 --to 60 --noise random-walk:0.004",
         "steelnb run flight.mcap --range-max 20 --floor -2 --force",
-        "steelnb run new.mcap --map flight_run/structure.json",
     )
 )
 def run(
@@ -77,10 +75,6 @@ def run(
         ),
     ] = None,
     changed: Set = None,
-    map_file: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE", help="structure.json of an earlier flight: localise in it and compare."),
-    ] = None,
     smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars together at the end.")] = False,
     structure: Annotated[bool, typer.Option(help="Write structure.json: bars tied at joints.")] = True,
     viewer: Annotated[bool, typer.Option(help="Write recording.rrd, for `rerun FILE.rrd`.")] = True,
@@ -90,20 +84,16 @@ def run(
     """Take the drift out of a recorded flight.
 
     Trajectory, map, bars, structure, figures and tables go to a new folder; one that holds files is refused. Of several
-    odometries each has a folder in it, beside comparison.csv and comparison.png. With --map, changes.csv and
-    changes.png tell which bars are missing, new, moved or bent since.
+    odometries each has a folder in it, beside comparison.csv and comparison.png.
     """
     with progress() as shown:
-        from steelnb.io import read_flight, read_structure, read_truth
+        from steelnb.io import read_flight, read_truth
         from steelnb.report.recording import run_recording
         from steelnb.report.recording_comparison import compare_recording
         from steelnb.report.recording_settings import Scene, recording_settings
         from steelnb.report.recording_truth import part_of
         from steelnb.settings import NoiseSettings
 
-        if map_file is not None and (odometry or smooth):
-            raise SettingsError("--map with --odometry or --smooth: expected one of them; the map is what corrects")
-        known = None if map_file is None else read_structure(map_file)
         overrides = overrides_of(changed) | ({"smooth": True} if smooth else {})
 
         def settings_for(scene: Scene | None = None) -> dict[str, "tuple[ExperimentSettings, StructureSettings]"]:
@@ -124,7 +114,7 @@ def run(
             for name, (for_odometry, for_structure) in settings_for(Scene.of(used)).items()
         }
         options: dict[str, Any] = {
-            "truth": true, "added_noise": noise, "known": known, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
+            "truth": true, "added_noise": noise, "rrd": viewer, "gap_max_s": gap, "overwrite": force,
             "part_s": part_s, "on_stage": shown.show, "on_progress": shown.share,
         }  # fmt: skip
         if len(chosen) > 1:
@@ -132,53 +122,6 @@ def run(
         else:
             [(for_odometry, built)] = chosen.values()
             lines = run_recording(flight, output, for_odometry, structure=built, **options).summary
-    print("\n".join(lines))
-
-
-@app.command(
-    epilog=examples(
-        "steelnb calibrate flight.mcap",
-        "steelnb calibrate flight.mcap -o sensor.toml --set calibration.mount_sigma_rad=0.05",
-        "steelnb run next.mcap --settings flight.calibration.toml",
-    )
-)
-def calibrate(
-    recording: Source,
-    output: Annotated[
-        Path | None, output_option("TOML file to write, for --settings.", "NAME.calibration.toml here")
-    ] = None,
-    from_s: From = 0.0,
-    to_s: To = math.inf,
-    sensor: Sensor = "starling2",
-    scans: Scans = None,
-    poses: Poses = None,
-    settings: SettingsFile = None,
-    gap: Gap = None,
-    changed: Set = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the TOML file.")] = False,
-) -> None:
-    """Find the errors of a sensor from a flight.
-
-    Offset and scale of its ranges, its mount and its clock, each with a standard deviation, as far as the flight tells
-    them: best one that turns. How well they are known before is --set calibration.NAME=VALUE, 0 for exactly.
-    """
-    with progress() as shown:
-        from steelnb.io import read_flight
-        from steelnb.report.calibration import calibrate as find
-        from steelnb.report.recording_settings import Scene, recording_settings
-        from steelnb.report.recording_truth import part_of
-
-        overrides = overrides_of(changed)
-        recording_settings("calibrated", sensor, overrides=overrides)  # refused before a file is opened
-        shown.show(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, settings=settings, gap_max_s=gap)
-        flight = part_of(flight, None, (from_s, to_s), gap)[0]
-        chosen = recording_settings("calibrated", sensor, scene=Scene.of(flight), overrides=overrides)[0]
-        target = output or Path(f"{Path(flight.name).stem}.calibration.toml")
-        lines = find(
-            flight, target, chosen, already=settings, overwrite=force,
-            on_progress=shown.share, on_stage=shown.show,
-        )  # fmt: skip
     print("\n".join(lines))
 
 

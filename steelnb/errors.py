@@ -80,10 +80,6 @@ class SingularError(SteelnbError):
     """A covariance that is not finite or not positive definite, since nothing holds some direction."""
 
 
-class MapMismatchError(SteelnbError):
-    """A known structure that the first scans of a flight do not match: another place, or a start too far off."""
-
-
 class MissingExtraError(SteelnbError):
     """An optional library that is asked for and not installed."""
 

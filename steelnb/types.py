@@ -6,7 +6,6 @@ for invalid returns, times float64 seconds. World z is up; the drone frame is x 
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,40 +222,6 @@ class OdometryStep:
 
 
 @dataclass(frozen=True)
-class SensorErrors:
-    """Errors ``value (9,)`` of a sensor and their ``covariance (9, 9)``, in the order of `NAMES` and in `UNITS`.
-
-    A range is measured as 1 + scale times the true one, plus the offset. Shift and turn (rotation vector) of the mount
-    are those of the true sensor in the frame of the assumed one. Scans were taken ``time offset`` after their stamps.
-    ``prior_sigma (9,)`` are the standard deviations before the flight, 0 for what is known.
-    """
-
-    value: Array
-    covariance: Array
-    prior_sigma: Array
-
-    NAMES: ClassVar = (
-        "range offset", "range scale", "mount x", "mount y", "mount z", "mount roll", "mount pitch", "mount yaw",
-        "time offset",
-    )  # fmt: skip
-    UNITS: ClassVar = ("m", "", "m", "m", "m", "rad", "rad", "rad", "s")
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations ``(9,)``."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def T_assumed_true(self) -> Array:
-        """The true sensor in the frame of the assumed one ``(4, 4)``: the assumed mount times this is the true one."""
-        from scipy.spatial.transform import Rotation  # late: most users of this module do without
-
-        result = np.eye(4)
-        result[:3, :3], result[:3, 3] = Rotation.from_rotvec(self.value[5:8]).as_matrix(), self.value[2:5]
-        return result
-
-
-@dataclass(frozen=True)
 class Estimate:
     """A corrected flight of K scans and the map built on the way.
 
@@ -269,8 +234,7 @@ class Estimate:
     A smoothed flight has covariances, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
     corrected poses, metres and radians, in the axes of the world (`fusion.uncertainty.pose_covariances`; that of the
     first pose is zero), and ``axis_covariance (M, 4, 4)`` of place and direction of each segment
-    (`fusion.uncertainty.axis_covariances`). ``unsure`` is the reason why a smoothed flight has none. ``sensor_errors``
-    are those that its smoothing found, where they were sought; poses, points and bars are without them.
+    (`fusion.uncertainty.axis_covariances`). ``unsure`` is the reason why a smoothed flight has none.
     """
 
     prior: Trajectory
@@ -284,7 +248,6 @@ class Estimate:
     unsmoothed: str = ""
     pose_covariance: Array | None = None
     axis_covariance: Array | None = None
-    sensor_errors: SensorErrors | None = None
     unsure: str = ""
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 

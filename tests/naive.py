@@ -142,16 +142,10 @@ def voxel_moments(points, weights, voxel_m):
     return result
 
 
-def robust(kernel, squared, scale):
-    """Loss of a squared residual: ½ r² for small r."""
+def robust(squared, scale):
+    """Geman and McClure's loss of a squared residual: ½ r² for small r."""
     r = np.sqrt(squared)
-    if kernel == "huber":
-        return 0.5 * r**2 if r <= scale else scale * r - 0.5 * scale**2
-    if kernel == "cauchy":
-        return 0.5 * scale**2 * np.log(1 + (r / scale) ** 2)
-    if kernel == "geman_mcclure":
-        return 0.5 * r**2 / (1 + (r / scale) ** 2)
-    return 0.5 * r**2
+    return 0.5 * r**2 / (1 + (r / scale) ** 2)
 
 
 def registration_terms(error, source, C_source, target, normal, C_target, match, T, R, limit):

@@ -34,7 +34,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(command in shown for command in ("study", "segment"))
 
 
-@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "calibrate", "info", "segment"])
+@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "info", "segment"])
 def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
     capsys: pytest.CaptureFixture[str], command: str
 ) -> None:

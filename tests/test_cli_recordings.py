@@ -13,10 +13,8 @@ import numpy as np
 import pytest
 
 from steelnb import cli, experiment
-from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_structure
-from steelnb.io.calibration import read_correction
+from steelnb.io import read_flight, read_trajectory, read_truth, write_flight
 from steelnb.settings import ExperimentSettings
-from tests.fusion.made import true_structure
 
 SMALL = ["--set", "tof.columns=45", "--set", "tof.rows=60", "--duration", "3"]
 
@@ -88,36 +86,6 @@ def test_a_camera_is_recorded_and_the_flight_corrected_by_its_images(place, capf
     assert "unknown 'foward', did you mean 'forward'" in said(capfd, ["record", "b.bag", "--camera", "foward"], code=2)
 
 
-def test_calibrate_finds_a_mount_that_was_told_wrongly(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
-    (place / "wrong.toml").write_text("[extrinsics]\ntranslation_m = [0.06, 0.0, 0.0]\nrotation_rpy_deg = [0, 1.5, 0]\n"
-                                      "[errors]\nrange_scale = 0.01\nrange_offset_m = 0.02\n")  # fmt: skip
-    shown = said(capfd, ["calibrate", "a.mcap", "--settings", "wrong.toml", "--set", "calibration.range_scale_sigma=0"])
-    assert re.search(r"^mount pitch +-1\.[345]\d ± 0\.\d\d ° \(before: ± 1\.00\)$", shown, re.MULTILINE)
-    assert re.search(r"^mount z .* not told by this flight$", shown, re.MULTILINE)
-    assert re.search(r"^range scale +[+-]0\.00 ± 0\.00 % \(before: ± 0\.00\) known$", shown, re.MULTILINE)
-    assert "written   a.calibration.toml: steelnb run RECORDING --settings a.calibration.toml" in shown
-    errors = read_correction("a.calibration.toml")
-    assert errors.range_scale == pytest.approx(0.01)  # as it was told
-    assert abs(errors.range_offset_m) < 0.01  # 2 cm, of which nothing was true
-    mount = read_flight("a.mcap", settings="a.calibration.toml").T_drone_sensor
-    assert np.degrees(np.arccos(mount[0, 0])) < 0.3
-    assert "exists already" in said(capfd, ["calibrate", "a.mcap"], code=2)
-
-
-def test_the_readings_of_an_imu_tell_metres_where_the_sensor_s_preset_has_one(place, capfd):
-    said(capfd, ["record", "a.mcap", "--trajectory", "loops", "--duration", "8", "--seed", "4"])
-    sheet = "gyro_noise = 1.4e-4\naccelerometer_noise = 3.9e-3\ngyro_bias = 8.7e-4\naccelerometer_bias = 0.015\n"
-    (place / "mine.toml").write_text(f'based_on = "starling2"\n[imu]\n{sheet}')
-    sigma = []
-    for sensor in ("starling2", "mine.toml"):
-        shown = said(capfd, ["calibrate", "a.mcap", "--sensor", sensor, "-o", f"of-{sensor}.toml"])
-        found = re.search(r"^range scale +[+-](\S+) ± (\S+) %", shown, re.MULTILINE)
-        sigma.append(float(found[2]))
-        assert float(found[1]) < 2 * sigma[-1]
-    assert sigma[1] < 0.8 * sigma[0]
-
-
 def test_scans_come_without_the_errors_that_a_settings_file_names(bag, place, capfd):
     (place / "sensor.toml").write_text("[errors]\nrange_scale = 0.02\nrange_offset_m = 0.01\ntime_offset_s = 0.02\n")
     flight, corrected = read_flight(bag), read_flight(bag, settings="sensor.toml")
@@ -144,13 +112,6 @@ BAD = [
         ["run", "{bag}", "--odometry", "beest"],
         ["--odometry: unknown 'beest', did you mean 'best'?; expected one of 'none', 'average'"],
     ),
-    (["calibrate", "{bag}", "--set", "calibration.mount_sigma=1"], ["calibration.mount_sigma"]),
-    (["calibrate", "{bag}", "--set", "calibration.mount_sigma_m=-1"], ["mount_sigma_m = -1"]),
-    (["calibrate", "{bag}", "--from", "9"], ["from 9 to inf s: no scan"]),
-    (
-        ["calibrate", "{bag}", "--set", "preprocess.floor_m=50", "-o", "new.toml"],
-        ["a.bag: not calibrated: 20 scans without a return above the floor", "expected a flight along bars"],
-    ),
     (["run", "{bag}", "--odometry", "segments", "--odometry", "least_squares"], ["'segments': given twice"]),
     (
         ["run", "{bag}", "--sensor", "lidar"],
@@ -169,8 +130,6 @@ BAD = [
     (["run", "{bag}", "--set", "preprocess"], ["--set preprocess", "NAME=VALUE"]),
     (["run", "{bag}", "--set", "preprocess.leaf=1"], ["preprocess.leaf"]),
     (["run", "{bag}", "--no-structure", "-o", "file"], ["file", "cannot be written"]),
-    (["run", "{bag}", "--map", "nope.json"], ["nope.json", "a structure in JSON"]),
-    (["run", "{bag}", "--map", "file", "--odometry", "best"], ["--map", "expected one of them"]),
     (["record", "b.bag", "--duration", "0"], ["duration = 0", "at least 1 s"]),
     (["record", "b.bag", "--duration", "1e18"], ["duration = 1e+18", "at most 14400 s"]),
     (["info", "n" * 300], ["nnn", "File name too long"]),
@@ -189,30 +148,6 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(bag, place, capfd, argume
     shown = said(capfd, [word.replace("{bag}", str(bag)) for word in arguments], 2)
     assert all(word in shown for word in words), shown
     assert [file.name for file in place.iterdir()] == ["file"]
-
-
-def test_a_flight_is_localised_in_an_earlier_structure_and_compared_with_it(place, capfd):
-    settings = ExperimentSettings.preset(seed=3, duration_s=6.0, overrides={"tof.columns": 120, "tof.rows": 160})
-    flight, truth = experiment.simulate(settings)
-    write_flight(place / "a.bag", flight, truth.trajectory)
-    write_structure(true_structure(truth.tower), place / "known.json")
-    shown = said(capfd, ["run", "a.bag", "--map", "known.json", "--no-viewer", "--no-structure"])
-    assert "changes   224 bars of the map: " in shown
-    assert " 0 missing, 0 moved" in shown
-    rows = (place / "a_run" / "changes.csv").read_text().splitlines()
-    assert rows[0].startswith("bar,kind,offset_m,sigma_m,significance,start_x_m")
-    assert sum(",not seen," in row for row in rows) > 100
-    assert (place / "a_run" / "changes.png").exists()
-    found, true = read_trajectory("a_run/corrected.tum"), truth.trajectory
-    assert np.linalg.norm(found.position - true.at(found.stamp_s).position, axis=1).max() < 0.01
-
-    write_structure(true_structure(truth.tower).moved(np.array([90.0, 0, 0])), place / "elsewhere.json")
-    before = sorted(place.iterdir())
-    capfd.readouterr()
-    assert cli.main(["run", "a.bag", "--map", "elsewhere.json", "-o", "out"]) == 2
-    last = capfd.readouterr().err.splitlines()[-1]  # on a busy machine, lines of progress go before
-    assert last.startswith("steelnb: error: 0 of 224 bars matched in the first 10 scans; expected a map of this place")
-    assert sorted(place.iterdir()) == before
 
 
 def test_a_run_overwrites_only_where_it_is_told_to_and_leaves_no_file_of_an_earlier_one(bag, place, capfd):

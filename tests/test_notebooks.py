@@ -339,10 +339,7 @@ def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(smoke):
     assert (honest["ate_mean_m"] < honest["drift_mean_m"]).all()
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["all together.median_mm"] > metrics["range noise of the data sheet.median_mm"]
-    wrong_mount = "mount off by 1 cm and 1°"
-    assert metrics[f"{wrong_mount}.calibrated"] < 0.5 * metrics[f"{wrong_mount}.smoothed"]
-    assert abs(metrics["mount pitch.found"] - metrics["mount pitch.true"]) < 4 * metrics["mount pitch.sigma"]
-    for name in ("frame", "imu", "honest", "calibration"):
+    for name in ("frame", "imu", "honest"):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN
 
 
@@ -360,14 +357,13 @@ def test_the_notebook_of_the_planner_keeps_sight_where_the_loops_lose_it(smoke):
             assert coloured(folder / f"fig_{name}_{sensor}.png") > COLOURED_MIN
 
 
-def test_the_notebook_of_the_literature_has_loam_far_off_and_midlines_beside_the_best(smoke):
+def test_the_notebook_of_the_literature_has_loam_far_off(smoke):
     folder = smoke / "literature"
     table = pd.read_csv(folder / "table.csv")
     ideal = table[(table["sensor"] == "starling2") & (table["noise"] == "random-walk")]
     error = ideal.set_index(["trajectory", "method"])["ate_mean_m"]
     for flight, far in (("zigzag", 4), ("loops", 1.2)):
         assert error[flight, "loam"] > far * error[flight, "best"]
-        assert error[flight, "loam-midlines"] < error[flight, "best"]
         assert error[flight, "orb"] < 0.1
     for name in ("2_1", "features", "error"):
         assert coloured(folder / f"fig_{name}.png") > COLOURED_MIN

@@ -9,7 +9,6 @@ from steelnb.settings import (
     METHODS,
     SEGMENT_METHODS,
     TRAJECTORIES,
-    CalibrationSettings,
     ExperimentSettings,
     FlightSettings,
     NoiseSettings,
@@ -22,7 +21,7 @@ from steelnb.settings import (
 from steelnb.settings.presets import PRESETS
 from steelnb.simulation.tof import scan_steps
 
-BOTH = ("combined", "combined-camera", "faces", "smoothed", "calibrated")
+BOTH = ("combined", "faces", "smoothed")
 """Methods by clouds and segments."""
 PEERS = ("kiss-icp", "small-gicp")
 REPORT_CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
@@ -220,13 +219,13 @@ def test_the_mount_of_the_sensor_is_a_setting():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     settings = OdometrySettings.preset(method)
-    alone = ("orb", "orb-monocular", "deepvo", *PEERS, *REPORT_CLOUDS, "report-segments")
+    alone = ("orb", "deepvo", *PEERS, *REPORT_CLOUDS, "report-segments")
     assert (settings.clouds is None) == (method in (*SEGMENT_METHODS, *alone))
     assert (settings.report_clouds is None) == (method not in REPORT_CLOUDS)
     assert (settings.report_segments is None) == (method != "report-segments")
     assert (settings.weights is None) == (method != "deepvo")
     assert (settings.library is None) == (method not in PEERS)
-    assert (settings.orb is None) == (method not in ("orb", "orb-monocular", "combined-camera"))
+    assert settings.orb == (method == "orb")
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.robust_scale_m" if settings.segments is None else "clouds.dofs"
     with pytest.raises(SettingsError, match=missing):
@@ -243,7 +242,7 @@ def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
     assert all(value > 0 for value in (*vars(honest.tof.faults).values(), *vars(honest.imu).values()))
 
 
-def test_there_are_at_most_132_settings():
+def test_there_are_at_most_121_settings():
     """Step by step to be fewer: features that nobody needs are about to go."""
     kinds = [kind for kind in vars(all_settings).values() if isinstance(kind, type) and issubclass(kind, Settings)]
     leaves = [
@@ -252,7 +251,7 @@ def test_there_are_at_most_132_settings():
         for name, field in kind.model_fields.items()
         if "Settings" not in str(field.annotation)
     ]
-    assert len(leaves) <= 132
+    assert len(leaves) <= 121
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:
@@ -284,18 +283,3 @@ def test_methods_by_clouds_and_bars_use_the_imu_beside_a_sensor():
     ):
         with pytest.raises(SettingsError, match=says):
             OdometrySettings.preset(method, overrides={"inertial": inertial})
-
-
-def test_a_calibration_is_part_of_smoothing():
-    assert OdometrySettings.preset("calibrated").calibration == CalibrationSettings()
-    assert OdometrySettings.preset("calibrated", "starling2-honest").calibration.mount_sigma_m == 0.0
-    looser = OdometrySettings.preset("smoothed", overrides={"calibration": {"mount_sigma_m": 0.1}})
-    assert looser.calibration == CalibrationSettings(mount_sigma_m=0.1)
-    for overrides, says in (
-        ({"calibration": {}}, "'combined': a table calibration without smooth"),
-        ({"smooth": True, "calibration": {"mount_sigma": 1}}, "mount_sigma"),
-        ({"smooth": True, "calibration": {"range_scale_sigma": 0.5}}, "range_scale_sigma = 0.5"),
-        ({"smooth": True, "calibration": {"time_sigma_s": -1.0}}, "time_sigma_s = -1.0"),
-    ):
-        with pytest.raises(SettingsError, match=says):
-            OdometrySettings.preset("combined", overrides=overrides)

@@ -1,5 +1,5 @@
 """Normal equations of points on bars: their distances to the front faces (`fusion.sections`), linearised by the poses
-of the scans, by place, direction, turn and flange of the bars, and by offset and scale of the range."""
+of the scans, and by place, direction, turn and flange of the bars."""
 
 import math
 from dataclasses import dataclass
@@ -13,12 +13,10 @@ from scipy.sparse import csr_array
 from steelnb.fusion import sections
 from steelnb.fusion.observations import Observations
 from steelnb.fusion.poses import AXES, POSE
-from steelnb.fusion.sensor_errors import RANGE, SensorEquations
 from steelnb.types import Array, IntArray, Segments
 
 BAR = 6
 """Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
-LAST = BAR + RANGE
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.proposals.TUBE_M`."""
 MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
@@ -48,10 +46,9 @@ class Bars:
 
 class Equations(NamedTuple):
     """Normal equations of all points: of the poses ``matrix (K, D, D)``, ``vector (K, D)``, of the bars ``block
-    (B, S, S)``, ``right (B, S)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
-    both ``cross (P, D, S)``, and its share of the bar's ``shares (P, S, S)``. ``residuals`` counts their magnitudes in
-    standard deviations. D is 4, or 6 where roll and pitch are free; S is 6, or 8 where the range's offset and scale
-    are, which all bars have in common."""
+    (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
+    both ``cross (P, D, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
+    standard deviations. D is 4, or 6 where roll and pitch are free."""
 
     matrix: Array
     vector: Array
@@ -67,17 +64,8 @@ class Equations(NamedTuple):
         """The part between poses and bars ``(K, D, 6 B)``."""
         poses, size = self.vector.shape
         result = np.zeros((poses, size, len(self.block), BAR))
-        result[self.pair_scan, :, self.pair_bar] = self.cross[:, :, :BAR]
+        result[self.pair_scan, :, self.pair_bar] = self.cross
         return result.reshape(poses, size, -1)
-
-    def of_sensor(self) -> SensorEquations:
-        """The part of the range's offset and scale, where they are free."""
-        rest = slice(BAR, None)
-        return SensorEquations(
-            summed(self.cross[:, :, rest], self.pair_scan, len(self.vector)),
-            self.block[:, :BAR, rest].reshape(BAR * len(self.block), -1),
-            self.block[:, rest, rest].sum(axis=0), self.right[:, rest].sum(axis=0),
-        )  # fmt: skip
 
 
 def equations(
@@ -87,22 +75,21 @@ def equations(
     corner: Array,
     sigma_ratio: float,
     size: int = POSE,
-    of_range: int = 0,
 ) -> Equations:
     """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``, of poses with ``size`` degrees
-    of freedom, and of ``of_range`` errors of the range, none or two.
+    of freedom.
 
     A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
     """
     segments, scan, bar = bars.segments, seen.pair_scan, seen.pair_bar
     shares, told, residuals = gather(
         *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
-        sigma_ratio, BAR + of_range,
+        sigma_ratio,
     )  # fmt: skip
     moved = as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
-    cross, vector = moved @ shares[:, :BAR], (moved @ told[:, :BAR, None])[:, :, 0]
+    cross, vector = moved @ shares, (moved @ told[:, :, None])[:, :, 0]
     poses, n = len(T_world_sensor), len(bars.turn)
-    matrix = summed(cross[:, :, :BAR] @ moved.transpose(0, 2, 1), scan, poses)
+    matrix = summed(cross @ moved.transpose(0, 2, 1), scan, poses)
     vector = summed(vector, scan, poses)
     block, right = summed(shares, bar, n), summed(told, bar, n)
     return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
@@ -143,12 +130,11 @@ def noise_ratio(residuals: Array, before: float) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def gather(  # type: ignore[no-untyped-def]
-    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio, size
+    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio
 ):  # fmt: skip
-    """The normal equations of the bar of each pair, ``(P, size, size)`` and ``(P, size)``, and the histogram of
-    residuals. Beyond the bar's own degrees of freedom, ``size`` may hold the offset and scale of the range."""
-    shares, right = np.zeros((len(pair_bar), size, size)), np.zeros((len(pair_bar), size))
-    residuals, total, place = np.zeros(MEDIAN_BINS), np.empty((LAST, LAST + 1)), np.empty(LAST + 1)
+    """The normal equations of the bar of each pair, ``(P, 6, 6)`` and ``(P, 6)``, and the histogram of residuals."""
+    shares, right = np.zeros((len(pair_bar), BAR, BAR)), np.zeros((len(pair_bar), BAR))
+    residuals, total, place = np.zeros(MEDIAN_BINS), np.empty((BAR, BAR + 1)), np.empty(BAR + 1)
     for pair in range(len(pair_bar)):
         b, pose = pair_bar[pair], T[pair_scan[pair]]
         if flange[b] != flange[b]:
@@ -177,21 +163,14 @@ def gather(  # type: ignore[no-untyped-def]
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             place[0], place[1], place[2], place[3] = -gu, -gv, -gu * tau, -gv * tau
             place[4], place[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            place[LAST] = -residual
+            place[BAR] = -residual
             for n in range(BAR):  # bounds that the compiler knows: a third of the time
                 weighed = weight * place[n]
                 for m in range(n, BAR):
                     total[n, m] += weighed * place[m]
-                total[n, LAST] += weighed * place[LAST]
-            if size > BAR:
-                place[BAR], place[BAR + 1] = distance / math.sqrt(u * u + v * v + t * t), distance + residual
-                for m in range(BAR, LAST):
-                    weighed = weight * place[m]
-                    for n in range(m + 1):
-                        total[n, m] += weighed * place[n]
-                    total[m, LAST] += weighed * place[LAST]
-        for n in range(size):
-            right[pair, n] = total[n, LAST]
-            for m in range(size):
+                total[n, BAR] += weighed * place[BAR]
+        for n in range(BAR):
+            right[pair, n] = total[n, BAR]
+            for m in range(BAR):
                 shares[pair, n, m] = total[min(n, m), max(n, m)]
     return shares, right, residuals

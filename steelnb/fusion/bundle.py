@@ -11,7 +11,7 @@ Odometry places each scan against a map that holds the errors of the scans befor
 
 Free are position and yaw of each pose, and place, direction, turn and flange of each bar. Roll and pitch are the
 prior's; or free, too, where the prior's have a standard deviation: their error is then a first-order Gauss-Markov
-process. With an IMU velocities and biases are free, too, and errors of the sensor may be (`fusion.sensor_errors`).
+process. With an IMU velocities and biases are free, too.
 Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
 """
 
@@ -23,13 +23,12 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
-from steelnb.fusion.bar_equations import BAR, Bars, Equations, as_bars_move, equations, noise_ratio
+from steelnb.fusion.bar_equations import Bars, Equations, equations, noise_ratio
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.inertial import STATE, Inertial
 from steelnb.fusion.observations import Observations
-from steelnb.fusion.poses import increments, moved_poses, pose_size, pose_step, yaw_of
-from steelnb.fusion.sensor_errors import RANGE, SCALE, SensorEquations, derivative, true_poses, with_prior
-from steelnb.types import Array, Segments, SensorErrors
+from steelnb.fusion.poses import increments, moved_poses, pose_size, yaw_of
+from steelnb.types import Array, Segments
 
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Standard deviations of a bar: of place and direction for one step, for what its points do not tell, such as the place
@@ -43,7 +42,7 @@ class Bundle:
     """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
     these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, and the standard
     deviation of the prior's roll and pitch, 0 where they are kept.
-    ``errors`` of the sensor are None where they are not sought, and ``inertial`` without an IMU.
+    ``inertial`` is None without an IMU.
     """
 
     T_world_sensor: Array
@@ -51,12 +50,7 @@ class Bundle:
     sigma_ratio: float
     fitted: Array
     tilt_sigma_rad: float = 0.0
-    errors: SensorErrors | None = None
     inertial: Inertial | None = None
-
-    def prior(self, prior: Array, stamp_s: Array) -> Array:
-        """The drifting poses of the sensor ``(K, 4, 4)``, from those without its errors."""
-        return prior if self.errors is None else true_poses(self.errors, prior, stamp_s)
 
 
 def start(
@@ -64,7 +58,6 @@ def start(
     prior: Array,
     bars: Bars,
     tilt_sigma_rad: float = 0.0,
-    errors: SensorErrors | None = None,
     inertial: Inertial | None = None,
 ) -> Bundle:
     """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
@@ -77,7 +70,7 @@ def start(
     moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.turned(turn[:3, :3])
-    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, errors, inertial)
+    return Bundle(turn @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
 
 
 def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> Bundle:
@@ -87,99 +80,47 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     The range noise is taken from the residuals before the step (their median).
     """
     T, bars = bundle.T_world_sensor, bundle.bars
-    right = equations.right[:, :BAR].copy()
+    right = equations.right.copy()
     right[:, 4:] -= from_fitted(bundle) * BAR_SIGMA[4:] ** -2.0
-    along = bars_along(bundle, prior, stamp_s)
-    matrix, beside, vector, between, sensor = state_equations(bundle, equations, along, prior, stamp_s)
+    matrix, beside, vector, between = state_equations(bundle, equations, prior, stamp_s)
     poses = Chain.factored(matrix, beside)
-    half = poses.half(np.concatenate([between, sensor.poses, vector[:, :, None]], axis=2))
+    half = poses.half(np.concatenate([between, vector[:, :, None]], axis=2))
     flat = half.reshape(-1, half.shape[2])
     told = flat.T @ flat
-    whole = np.concatenate([right.ravel(), sensor.right]) - told[:-1, -1]
-    moved = cho_solve(cho_factor(reduced(equations.block, sensor, told[:-1, :-1])), whole)
+    moved = cho_solve(cho_factor(reduced(equations.block, told[:-1, :-1])), right.ravel() - told[:-1, -1])
     step = poses.rest((half[:, :, -1] - half[:, :, :-1] @ moved)[:, :, None])[:, :, 0]
-    of_bars, of_sensor = np.split(moved, [right.size])
-    improved = replace(
+    return replace(
         bundle, T_world_sensor=moved_poses(T, step[:, : pose_size(bundle.tilt_sigma_rad)]),
-        bars=_moved_bars(bars, of_bars.reshape(right.shape)), inertial=bundle.inertial and bundle.inertial.moved(step),
+        bars=_moved_bars(bars, moved.reshape(right.shape)), inertial=bundle.inertial and bundle.inertial.moved(step),
         sigma_ratio=noise_ratio(equations.residuals, bundle.sigma_ratio),
     )  # fmt: skip
-    if bundle.errors is None:
-        return improved
-    fitted = bundle.fitted + along[:, 4:] @ of_sensor
-    return replace(improved, fitted=fitted, errors=replace(bundle.errors, value=bundle.errors.value + of_sensor))
 
 
 class StateEquations(NamedTuple):
     """Normal equations of the states of K scans, by points, prior and IMU: ``matrix (K, D, D)``, between each and the
-    next ``beside (K − 1, D, D)``, ``vector (K, D)``, between states and bars ``between (K, D, 6 B)``; and those of the
-    ``sensor``'s errors. A state is a pose, D = 4 or 6; with an IMU it has velocity and biases, too, D = 15."""
+    next ``beside (K − 1, D, D)``, ``vector (K, D)``, and between states and bars ``between (K, D, 6 B)``. A state is a
+    pose, D = 4 or 6; with an IMU it has velocity and biases, too, D = 15."""
 
     matrix: Array
     beside: Array
     vector: Array
     between: Array
-    sensor: SensorEquations
 
 
-def state_equations(bundle: Bundle, equations: Equations, along: Array, prior: Array, stamp_s: Array) -> StateEquations:
-    """The normal equations of all states; the arguments are those of `improve` and `sensor_equations`."""
+def state_equations(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) -> StateEquations:
+    """The normal equations of all states; the arguments are those of `improve`."""
     T, inertial = bundle.T_world_sensor, bundle.inertial
-    prior_of = bundle.prior(prior, stamp_s), stamp_s, bundle.tilt_sigma_rad, inertial is None
-    matrix, beside, vector = increments(T, *prior_of)
+    matrix, beside, vector = increments(T, prior, stamp_s, bundle.tilt_sigma_rad, inertial is None)
     matrix, vector, between = matrix + equations.matrix, vector + equations.vector, equations.between()
-    sensor = sensor_equations(bundle, equations, along, prior, stamp_s)
     if inertial is None:
-        return StateEquations(matrix, beside, vector, between, sensor)
-    told, more = inertial.equations(T, bundle.errors), (0, STATE - matrix.shape[1])
+        return StateEquations(matrix, beside, vector, between)
+    told, more = inertial.equations(T), (0, STATE - matrix.shape[1])
     return StateEquations(
         told.matrix + np.pad(matrix, ((0, 0), more, more)),
         told.beside + np.pad(beside, ((0, 0), more, more)),
         told.vector + np.pad(vector, ((0, 0), more)),
         np.pad(between, ((0, 0), more, (0, 0))),
-        SensorEquations(
-            told.of_sensor + np.pad(sensor.poses, ((0, 0), more, (0, 0))), sensor.bars,
-            told.block + sensor.block, told.right + sensor.right,
-        ),
     )  # fmt: skip
-
-
-def sensor_equations(
-    bundle: Bundle, equations: Equations, along: Array, prior: Array, stamp_s: Array
-) -> SensorEquations:
-    """The normal equations of the sensor's errors, by points, prior and bars, which go ``along`` (`bars_along`); empty
-    where they are not sought.
-
-    What is known of bars beforehand is no more than how they move beside all others: were they held where they are,
-    they would tell the scale of the range and the turn of the mount.
-    """
-    found = equations.of_sensor()
-    if bundle.errors is None:
-        return found
-    found = with_prior(
-        found, bundle.errors, bundle.T_world_sensor, prior, stamp_s, bundle.tilt_sigma_rad, bundle.inertial is None
-    )
-    weighed = along * BAR_SIGMA[:, None] ** -2.0
-    found.bars[:] -= weighed.reshape(found.bars.shape)
-    found.block[:] += np.einsum("bnc,bne->ce", along, weighed)
-    found.right[:] += np.einsum("bnc,bn->c", weighed[:, 4:], from_fitted(bundle))
-    return found
-
-
-def bars_along(bundle: Bundle, prior: Array, stamp_s: Array) -> Array:
-    """How bars ``(B, 6, C)`` move by errors of the sensor as parts of one body, which scales with its ranges and turns
-    with its first pose; C is 0 where they are not sought."""
-    T, bars = bundle.T_world_sensor[0], bundle.bars
-    if bundle.errors is None:
-        return np.zeros((len(bars.turn), BAR, 0))
-    n, from_bars = len(bars.turn), T[:3, 3] - bars.segments.start
-    size = pose_size(bundle.tilt_sigma_rad)
-    first = derivative(bundle.errors, lambda at: pose_step(T, at[0], size), prior[:2], stamp_s[:2])
-    along = -as_bars_move(from_bars, bars, np.arange(n), size).transpose(0, 2, 1) @ first
-    away = 0.5 * bars.segments.length[:, None] * bars.segments.direction - from_bars
-    along[:, :2, SCALE] -= (bars.across @ away[:, :, None])[:, :, 0]
-    along[:, 5, SCALE] -= np.nan_to_num(bars.flange)
-    return along
 
 
 def from_fitted(bundle: Bundle) -> Array:
@@ -191,17 +132,13 @@ def linearised(bundle: Bundle, seen: Observations) -> Equations:
     """The normal equations of all points, without what is known beforehand."""
     bars = bundle.bars
     corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
-    size, of_range = pose_size(bundle.tilt_sigma_rad), 0 if bundle.errors is None else RANGE
-    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, size, of_range)
+    return equations(seen, bundle.T_world_sensor, bars, corner, bundle.sigma_ratio, pose_size(bundle.tilt_sigma_rad))
 
 
-def reduced(block: Array, sensor: SensorEquations, told: Array) -> Array:
-    """The normal equations of the bars and of the sensor's errors ``(6 B + C, 6 B + C)`` once the poses, which ``told``
-    that much, are eliminated (Schur complement)."""
-    whole = block_diag(*(block[:, :BAR, :BAR] + np.diag(BAR_SIGMA**-2.0)), sensor.block)
-    bars = len(sensor.bars)
-    whole[:bars, bars:], whole[bars:, :bars] = sensor.bars, sensor.bars.T
-    return whole - told
+def reduced(block: Array, told: Array) -> Array:
+    """The normal equations of the bars ``(6 B, 6 B)`` once the poses, which ``told`` that much, are eliminated (Schur
+    complement)."""
+    return np.asarray(block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - told)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:

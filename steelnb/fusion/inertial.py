@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import RecordingError
 from steelnb.fusion.poses import moved_poses
-from steelnb.fusion.sensor_errors import STEP, TIME
 from steelnb.settings import ImuSettings
-from steelnb.types import GRAVITY, Array, Imu, SensorErrors, Trajectory
+from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 POSE, STATE = 6, 15
 """Degrees of freedom of a pose with roll and pitch; and with velocity and the biases of gyroscope and accelerometer."""
@@ -34,6 +33,8 @@ GAP_MAX_S = 0.1
 """Longest time between two readings; an interval with a longer one says nothing."""
 LEAN_MAX_RAD = 0.5
 """Readings whose vertical is farther from the prior's are in other axes."""
+STEP = 1e-5
+"""Step of the differences that stand for derivatives."""
 UNITS = {"g": 1.0, "mg or cm/s²": 100 * GRAVITY}
 """Gravity in units that are not m/s²."""
 RATE_MIN, UNIT_FACTOR = 0.5, 10.0
@@ -42,15 +43,11 @@ RATE_MIN, UNIT_FACTOR = 0.5, 10.0
 
 class InertialEquations(NamedTuple):
     """Normal equations of the readings: of the states ``matrix (K, 15, 15)``, ``vector (K, 15)``, between each and the
-    next ``beside (K − 1, 15, 15)``; of C errors of the sensor ``block (C, C)``, ``right (C,)``, and between both
-    ``of_sensor (K, 15, C)``."""
+    next ``beside (K − 1, 15, 15)``."""
 
     matrix: Array
     beside: Array
     vector: Array
-    of_sensor: Array
-    block: Array
-    right: Array
 
 
 class Integrated(NamedTuple):
@@ -68,7 +65,7 @@ class Inertial:
 
     ``motion (K, 9)``: velocity in the world, m/s, and biases of gyroscope, rad/s, and accelerometer, m/s²;
     ``known (K, 9)``: the weights with which they are zero; ``weight (K − 1, 15, 15)`` of the `errors` between scans.
-    The mount ``T_drone_sensor`` and ``stamp_s (K,)`` are those before calibration.
+    ``T_drone_sensor`` is the mount, ``stamp_s (K,)`` the stamps of the scans.
     """
 
     imu: Imu
@@ -79,19 +76,8 @@ class Inertial:
     weight: Array
 
     @classmethod
-    def started(
-        cls,
-        imu: Imu,
-        noise: ImuSettings,
-        T_drone_sensor: Array,
-        trajectory: Trajectory,
-        time_sigma_s: float = 0.0,
-    ) -> "Inertial":
-        """With the velocities of a trajectory at the scans and without biases.
-
-        ``noise`` is that of the data sheet; ``time_sigma_s`` is the standard deviation of the time between a scan and
-        its stamp: readings that only a scan three times as far off would need must be there, too.
-        """
+    def started(cls, imu: Imu, noise: ImuSettings, T_drone_sensor: Array, trajectory: Trajectory) -> "Inertial":
+        """With the velocities of a trajectory at the scans and without biases; ``noise`` is that of the data sheet."""
         stamp_s, place = trajectory.stamp_s, trajectory.T_world_drone[:, :3, 3]
         gap_s, motion, known = np.diff(stamp_s), *np.zeros((2, len(stamp_s), 9))
         if len(stamp_s) > 1:
@@ -100,7 +86,7 @@ class Inertial:
         known[0, 3:] = np.repeat(np.maximum([noise.gyro_bias, noise.accelerometer_bias], SIGMA_MIN) ** -2.0, 3)
         walk = np.maximum([noise.gyro_walk, noise.accelerometer_walk], SIGMA_MIN) ** -2.0
         weight = np.zeros((len(gap_s), STATE, STATE))
-        seen = ~gaps(imu.stamp_s, stamp_s, 3 * time_sigma_s)
+        seen = ~gaps(imu.stamp_s, stamp_s)
         weight[seen, :9, :9] = np.linalg.inv(integration_covariances(noise, gap_s[seen]))
         weight[:, range(9, STATE), range(9, STATE)] = np.repeat(walk, 3) / gap_s[:, None]
         return cls(imu, T_drone_sensor, stamp_s, motion, known, weight)
@@ -113,46 +99,34 @@ class Inertial:
         """In a world that is turned by a rotation ``(3, 3)``."""
         return replace(self, motion=np.hstack([self.motion[:, :3] @ rotation.T, self.motion[:, 3:]]))
 
-    def errors(self, T_world_sensor: Array, sensor: SensorErrors | None = None) -> Array:
+    def errors(self, T_world_sensor: Array) -> Array:
         """Errors ``(K − 1, 15)`` between poses of the sensor ``(K, 4, 4)``: three each of rotation, rad, velocity, m/s,
         and place, m, in the axes of the world, and of how far the two biases walked."""
-        return self._errors(T_world_sensor, sensor, np.zeros(STATE), np.zeros(STATE))
+        return self._errors(T_world_sensor, np.zeros(STATE), np.zeros(STATE))
 
-    def equations(self, T_world_sensor: Array, sensor: SensorErrors | None = None) -> InertialEquations:
-        """The normal equations at poses of the sensor ``(K, 4, 4)``, and by errors of the sensor where there are."""
-        none, error = np.zeros(STATE), self.errors(T_world_sensor, sensor)
-        before = _slopes(lambda step: self._errors(T_world_sensor, sensor, step, none), STATE)
-        after = _slopes(lambda step: self._errors(T_world_sensor, sensor, none, step), STATE)
-        by_sensor = np.zeros((*error.shape, 0))
-        if sensor is not None:
-            by_sensor = _slopes(
-                lambda step: self.errors(T_world_sensor, replace(sensor, value=sensor.value + step)), len(sensor.value)
-            )
+    def equations(self, T_world_sensor: Array) -> InertialEquations:
+        """The normal equations at poses of the sensor ``(K, 4, 4)``."""
+        none, error = np.zeros(STATE), self.errors(T_world_sensor)
+        before = _slopes(lambda step: self._errors(T_world_sensor, step, none), STATE)
+        after = _slopes(lambda step: self._errors(T_world_sensor, none, step), STATE)
         matrix, vector = np.zeros((len(T_world_sensor), STATE, STATE)), np.zeros((len(T_world_sensor), STATE))
-        of_sensor = np.zeros((*vector.shape, by_sensor.shape[2]))
         matrix[:, range(POSE, STATE), range(POSE, STATE)] = self.known
         vector[:, POSE:] = -self.known * self.motion
         earlier, later = before.transpose(0, 2, 1) @ self.weight, after.transpose(0, 2, 1) @ self.weight
         for at, weighed, by in ((slice(None, -1), earlier, before), (slice(1, None), later, after)):
             matrix[at] += weighed @ by
             vector[at] -= (weighed @ error[:, :, None])[:, :, 0]
-            of_sensor[at] += weighed @ by_sensor
-        weighed = self.weight @ by_sensor
-        block, right = np.einsum("kdc,kde->ce", by_sensor, weighed), -np.einsum("kdc,kd->c", weighed, error)
-        return InertialEquations(matrix, earlier @ after, vector, of_sensor, block, right)
+        return InertialEquations(matrix, earlier @ after, vector)
 
-    def _errors(self, T_world_sensor: Array, sensor: SensorErrors | None, before: Array, after: Array) -> Array:
+    def _errors(self, T_world_sensor: Array, before: Array, after: Array) -> Array:
         """The errors where the earlier state of each interval has moved by ``before (15,)``, the later by ``after``."""
-        mount, stamp_s = self.T_drone_sensor, self.stamp_s
-        if sensor is not None:
-            mount, stamp_s = mount @ sensor.T_assumed_true, stamp_s + sensor.value[TIME]
-        from_sensor, gap_s = np.linalg.inv(mount), np.diff(stamp_s)[:, None]
+        from_sensor, gap_s = np.linalg.inv(self.T_drone_sensor), np.diff(self.stamp_s)[:, None]
         T0, T1 = (
             moved_poses(T, np.tile(step[:POSE], (len(T), 1))) @ from_sensor
             for T, step in ((T_world_sensor[:-1], before), (T_world_sensor[1:], after))
         )
         old, new = self.motion[:-1] + before[POSE:], self.motion[1:] + after[POSE:]
-        R, read = T0[:, :3, :3], integrated(self.imu, stamp_s, old[:, 3:])
+        R, read = T0[:, :3, :3], integrated(self.imu, self.stamp_s, old[:, 3:])
         fallen = np.array([0.0, 0.0, -GRAVITY]) * gap_s
         turned = T1[:, :3, :3] @ (R @ read.turn).transpose(0, 2, 1)
         gained, gone = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
@@ -186,13 +160,12 @@ def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
     )
 
 
-def gaps(at_s: Array, stamp_s: Array, margin_s: float = 0.0) -> NDArray[np.bool_]:
-    """Between which of K scans ``(K − 1,)``, and a margin before and after, readings at ``at_s (N,)`` are missing for
-    more than `GAP_MAX_S`."""
+def gaps(at_s: Array, stamp_s: Array) -> NDArray[np.bool_]:
+    """Between which of K scans ``(K − 1,)`` readings at ``at_s (N,)`` are missing for more than `GAP_MAX_S`."""
     edges = np.concatenate([[-np.inf], at_s, [np.inf]])
     wide = np.concatenate([[0], np.cumsum(np.diff(edges) > GAP_MAX_S)])
-    first = np.searchsorted(at_s, stamp_s[:-1] - margin_s, side="right")  # edges[first] is the reading before
-    last = np.searchsorted(at_s, stamp_s[1:] + margin_s, side="left") + 1
+    first = np.searchsorted(at_s, stamp_s[:-1], side="right")  # edges[first] is the reading before
+    last = np.searchsorted(at_s, stamp_s[1:], side="left") + 1
     return wide[last] > wide[first]
 
 

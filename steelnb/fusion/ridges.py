@@ -20,7 +20,7 @@ def ridge_points(
     points of a bar along the rays, into voxels of little weight. Those that stay move once to the weighted mean of all
     that stay within ``contract_m``. Voxels to ``leave`` out ``(V,)`` have no weight.
     """
-    grid, _ = voxels.grid()
+    grid = voxels.grid()
     mean, weight = voxels.means(), voxels.weights()
     if leave is not None:
         weight[leave] = 0.0

@@ -217,18 +217,6 @@ def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def extent(corner, cosine, sine):  # type: ignore[no-untyped-def]
-    """How far an outline reaches to either side, as seen from a direction."""
-    if corner[5, 0] != corner[5, 0]:
-        return -corner[0, 0], corner[0, 0]
-    low, high = 1e9, -1e9
-    for k in range(6):
-        edge = -sine * corner[k, 0] + cosine * corner[k, 1]
-        low, high = min(low, edge), max(high, edge)
-    return low, high
-
-
-@njit(cache=True)
 def outlines(turn, flange):  # type: ignore[no-untyped-def]
     """Corners ``(B, 6, 2)`` of angle sections about their centroids, and outlines of round tubes."""
     corner = np.empty((len(turn), 6, 2))

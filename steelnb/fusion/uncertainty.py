@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import SingularError
 from steelnb.fusion.bar_equations import BAR, Equations, summed
-from steelnb.fusion.bundle import Bundle, bars_along, reduced, state_equations
+from steelnb.fusion.bundle import Bundle, reduced, state_equations
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.poses import AXES, POSE, pose_size
 from steelnb.fusion.sections import frames
@@ -44,12 +44,11 @@ POSE_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 class Marginals(NamedTuple):
     """Marginal covariances: ``pose (K, D, D)`` of x, y, z, yaw of the sensor, and for D = 6 of roll and pitch, the
     first one zero since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
-    bar's frame ``across``, turn and flange; ``sensor (C, C)`` of the sensor's errors, C = 0 where they are not free.
+    bar's frame ``across``, turn and flange.
     What a bar's points do not tell has the standard deviation of `bundle.BAR_SIGMA`, half a metre a metre."""
 
     pose: Array
     bar: Array
-    sensor: Array
 
 
 def marginals(
@@ -63,23 +62,21 @@ def marginals(
     sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
     equations = _displaced(equations, sigma_m) if sigma_m else equations
     n = len(equations.block)
-    along = bars_along(bundle, prior, stamp_s)
-    matrix, beside, _, between, sensor = state_equations(bundle, equations, along, prior, stamp_s)
+    matrix, beside, _, between = state_equations(bundle, equations, prior, stamp_s)
     matrix = matrix + HOLD * np.eye(matrix.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
     chain = Chain.factored(matrix, beside)
-    half = chain.half(np.concatenate([between, sensor.poses], axis=2))
+    half = chain.half(between)
     flat = half.reshape(-1, half.shape[2])
-    inverse = cho_solve(cho_factor(reduced(equations.block, sensor, flat.T @ flat)), np.eye(flat.shape[1]))
+    inverse = cho_solve(cho_factor(reduced(equations.block, flat.T @ flat)), np.eye(flat.shape[1]))
     size = pose_size(bundle.tilt_sigma_rad)
     by_bars = chain.rest(half)[:, :size]
     pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
     check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
     bars = np.arange(n)
-    of_bars, of_sensor = inverse[: BAR * n, : BAR * n], inverse[BAR * n :, BAR * n :]
-    return Marginals(pose, of_bars.reshape(n, BAR, n, BAR)[bars, :, bars], of_sensor)
+    return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
 
 
 def _displaced(equations: Equations, sigma_m: float) -> Equations:

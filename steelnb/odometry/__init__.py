@@ -3,12 +3,10 @@
 from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry
 from steelnb.odometry.cache import run_kept
-from steelnb.odometry.camera import CameraOdometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
-from steelnb.odometry.known_structure import KnownStructureOdometry
 from steelnb.odometry.loam import LoamOdometry
 from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.peers import PeerOdometry
@@ -26,9 +24,7 @@ def make_odometry(
     """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
     Readings of the ``imu`` are used where the settings have a table ``inertial``, ``images`` where they have ``orb``.
     """
-    if settings.orb is not None:
-        if settings.clouds is not None:
-            return CameraOdometry(settings, T_drone_sensor, imu, images)
+    if settings.orb:
         return OrbOdometry(settings, T_drone_sensor, imu, images)
     if settings.library is not None:
         return PeerOdometry(settings, T_drone_sensor)
@@ -40,15 +36,15 @@ def make_odometry(
         return ReportSegmentOdometry(settings, T_drone_sensor)
     if settings.clouds is None:
         return SegmentOdometry(settings, T_drone_sensor)
-    if settings.clouds.by_features:
-        return LoamOdometry(settings, T_drone_sensor, imu)
+    if settings.clouds.shape == "features":
+        return LoamOdometry(settings, T_drone_sensor)
     if settings.refit_s is not None:
         return FaceOdometry(settings, T_drone_sensor, imu)
     return (CombinedOdometry if settings.clouds.bars_weight else CloudOdometry)(settings, T_drone_sensor, imu)
 
 
 __all__ = [
-    "CameraOdometry", "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "KnownStructureOdometry",
-    "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry",
-    "SegmentOdometry", "make_odometry", "run", "run_kept", "shared_segments",
+    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",
+    "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "make_odometry", "run",
+    "run_kept", "shared_segments",
 ]  # fmt: skip

@@ -34,7 +34,7 @@ def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) 
     def key() -> object:
         content = [hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() for array in given]
         # The rules of odometry by segments go by their names; methods by clouds differ in their settings alone.
-        named = {"smooth", "calibration"} | (set() if odometry.settings.clouds is None else {"method"})
+        named = {"smooth"} | (set() if odometry.settings.clouds is None else {"method"})
         settings = odometry.settings.model_dump(mode="json", exclude=named)
         return [type(odometry).__name__, settings, *content]
 

@@ -14,7 +14,7 @@ from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import AnyTarget, Target, Term, align, free_directions, voxel_target
+from steelnb.registration import AnyTarget, Target, Term, align, free_directions
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
@@ -64,9 +64,9 @@ class CloudOdometry(Odometry):
         if self.settings.clouds is None:
             raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
         self.clouds = self.settings.clouds
-        if self.clouds.by_features != self.BY_FEATURES:
+        if (self.clouds.shape == "features") != self.BY_FEATURES:
             given = f"method {self.settings.method!r}: clouds.shape = {self.clouds.shape!r}"
-            raise SettingsError(f"{given}: expected {'one' if self.BY_FEATURES else 'none'} of features or midlines")
+            raise SettingsError(f"{given}: expected {'' if self.BY_FEATURES else 'another than '}'features'")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
         self.predictor = PosePredictor(self.settings, imu)
@@ -113,8 +113,6 @@ class CloudOdometry(Odometry):
         s = self.clouds
         if not len(points) or not len(self.map):
             return None, None
-        if s.shape == "voxels":
-            return voxel_target(self.map), self._ray_covariances(points)
         world = points @ T_init[:3, :3].T + T_init[:3, 3]
         low, high = world.min(axis=0), world.max(axis=0)
         chosen = self.map.near((low + high) / 2, float((high - low).max() / 2 + 2 * s.max_correspondence_m))
@@ -144,7 +142,8 @@ class CloudOdometry(Odometry):
 
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
         s, known = self.clouds, self.predictor.known
-        whole, inliers_min = not s.by_features, 0.0 if s.shape == "features" else INLIER_SHARE_MIN * len(points)
+        whole = not self.BY_FEATURES
+        inliers_min = INLIER_SHARE_MIN * len(points) if whole else 0.0
         if len(points) < POINTS_MIN[known and whole]:
             return Registered(T_init, "too few points")
         if not self.mapped:
@@ -152,11 +151,11 @@ class CloudOdometry(Odometry):
         if target is None:
             return Registered(T_init, "no map in sight")
         rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
-        prior = self.predictor.terms(T_init, points)
+        terms = [*self._terms(points), *self.predictor.terms(T_init, points)]
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            "geman_mcclure" if s.robust_scale else "none", s.robust_scale or 1.0, s.iterations_max,
-            rotation_epsilon_rad, translation_epsilon_m, s.fast, [*self._terms(points, T_init, prior), *prior],
+            s.robust_scale or np.inf, s.iterations_max,
+            rotation_epsilon_rad, translation_epsilon_m, s.fast, terms,
             NORMALS_MIN if known and whole and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
@@ -170,9 +169,8 @@ class CloudOdometry(Odometry):
         information = self.predictor.information_of(result.H, T, result.centre)
         return Registered(T, "", result.inliers, result.unobserved, information)
 
-    def _terms(self, points: Array, T_init: Array, prior: list[Term]) -> list[Term]:
-        """Further costs of the pose of the scan's ``points (N, 3)``, beside those of the distance from the prediction,
-        the ``prior``."""
+    def _terms(self, points: Array) -> list[Term]:
+        """Costs of the pose of the scan's ``points (N, 3)``, beside that of the distance from the prediction."""
         return []
 
     def insert(self, points: Array, T_world_drone: Array) -> None:

@@ -45,7 +45,7 @@ class CombinedOdometry(CloudOdometry):
             self._seen = points, segments_in(points, self.hough)
         return self._seen[1]
 
-    def _terms(self, points: Array, T_init: Array, prior: list[Term]) -> list[Term]:
+    def _terms(self, points: Array) -> list[Term]:
         seen = self._bars_of(points)
         if not len(seen) or not len(self.bar_map):
             return []

@@ -14,10 +14,9 @@ from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays
 from steelnb.types import Array, Scan
 
-COARSE, FINE = (6.0, 4.0, 2.5, 1.5), (1.0,) * 5
+STEPS_MAX = 5
 STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
-"""Range noise, as a multiple, in the steps of a registration: wide robust weights first, where nothing is known. A step
-below the last, metres and radians, ends it."""
+"""A step of a registration below this, metres and radians, ends it."""
 SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
 """A scan is registered if this share of its points that belong to bars lie on front faces, of this many bars with so
 many points each; with fewer points it tells nothing. Chosen on the development seeds 11 and 12."""
@@ -56,21 +55,18 @@ class FaceRegistration:
         stays = tilt_stays(2.0 * passed_s)
         self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
-    def fit(self, points: Array, T_start: Array, start_sigma: Array | None = None, known: Array | None = None) -> Fit:
+    def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
         """Register ``points (N, 3)``, sensor frame, from a pose of the sensor, with all points assigned to bars anew in
-        each step. ``start_sigma (D,)`` is that of a start that is a guess, ``known (D, D)`` the information about one
-        that is not, in place of the predicted variance."""
-        guessed = start_sigma is not None
-        variance = self.variance if start_sigma is None else start_sigma**2
-        held = np.diag(1 / variance) if known is None else known
-        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(variance)
-        for wide in (*COARSE, *FINE) if guessed else FINE:
-            matrix, vector, residuals = self.known.equations(points, T, wide * self.ratio, size)
+        each step. ``known (D, D)`` is the information about that pose, in place of the predicted variance."""
+        held = np.diag(1 / self.variance) if known is None else known
+        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(held)
+        for _ in range(STEPS_MAX):
+            matrix, vector, residuals = self.known.equations(points, T, self.ratio, size)
             information, apart = matrix + held, pose_step(T_start, T, size)
-            pulled = vector - (apart / variance if known is None else known @ apart)
+            pulled = vector - (apart / self.variance if known is None else known @ apart)
             step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
-            if wide == FINE[-1] and (np.abs(step) < STEP_MIN[:size]).all():
+            if (np.abs(step) < STEP_MIN[:size]).all():
                 break
         near, on = self.known.matched(points, T, self.ratio)
         bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))

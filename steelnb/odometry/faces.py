@@ -191,7 +191,7 @@ class FaceOdometry:
         moved = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
         self._insert_waiting(moved)
         bars = state.bars.sectioned()
-        known = KnownBars(bars, np.zeros(len(bars.turn)))
+        known = KnownBars(bars)
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = FaceRegistration(known, self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[: len(self._behind)] ** 2

@@ -1,6 +1,6 @@
 """Map of landmarks: points in the world, each with the descriptor of the feature that showed it."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,11 @@ MISSES_MAX = 8
 
 
 class Expected(NamedTuple):
-    """Landmarks that a camera at ``T_world_camera (4, 4)`` should see: their ``number (M,)`` in the map, and ``pixel
-    (M, 2)`` and ``depth (M,)``."""
+    """Landmarks that a camera should see: their ``number (M,)`` in the map, ``pixel (M, 2)`` and ``depth (M,)``."""
 
     number: IntArray
     pixel: Array
     depth: Array
-    T_world_camera: Array
 
 
 class LandmarkMap:
@@ -34,8 +32,6 @@ class LandmarkMap:
     they were first seen from; ``found (N,)``, ``missed (N,)`` and ``last (N,)``: how often they were seen, how often
     they should have been and were not, and the number of the image in which they were seen last.
     """
-
-    ARRAYS: ClassVar[tuple[str, ...]] = ("point", "towards", "descriptor", "octave", "found", "missed", "last")
 
     def __init__(self, count_max: int) -> None:
         self.count_max = count_max
@@ -55,7 +51,7 @@ class LandmarkMap:
         seen = -to[index] @ T_world_camera[:3, :3]
         pixel = project(seen, K)
         inside = ((pixel > 0) & (pixel < np.array(shape[::-1]) - 1.0)).all(axis=1)
-        return Expected(index[inside], pixel[inside], seen[inside, 0], T_world_camera)
+        return Expected(index[inside], pixel[inside], seen[inside, 0])
 
     def update(self, index: IntArray, point: Array, features: Features, missed: IntArray, now: int) -> None:
         """Landmarks were seen as ``features`` at ``point (M, 3)``, NaN where that is not known, and others ``missed``,
@@ -87,5 +83,5 @@ class LandmarkMap:
         if np.count_nonzero(kept) > self.count_max:
             oldest = np.argsort(np.where(kept, -self.last, 1), kind="stable")
             kept[oldest[self.count_max :]] = False
-        for name in self.ARRAYS:
+        for name in ("point", "towards", "descriptor", "octave", "found", "missed", "last"):
             setattr(self, name, getattr(self, name)[kept])

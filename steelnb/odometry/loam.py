@@ -1,13 +1,13 @@
-"""LOAM on range images: odometry by edges and planes, or by the midlines of bars."""
+"""LOAM on range images: odometry by edges and planes."""
 
 import numpy as np
 
 from steelnb.odometry.clouds import STOP, CloudOdometry, Registered
 from steelnb.points import VoxelMap, smooth_ranges, voxel_grid
-from steelnb.points.features import Features, loam_features, midlines, scan_lines
+from steelnb.points.features import Features, loam_features, scan_lines
 from steelnb.registration import AnyTarget, FeatureTarget, align
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, Imu, IntArray, Scan
+from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
 """Edge 0, plane 1 → of how many in each part of a scan line the motion between two scans is found: as published."""
@@ -18,26 +18,22 @@ SIGMA_M = 0.02
 class LoamOdometry(CloudOdometry):
     """Registers the features of each scan to lines and planes of those of the scans before it.
 
-    With ``clouds.shape = "features"``: edges and planes as in Zhang and Singh, "LOAM: Lidar odometry and mapping
-    in real-time" (RSS 2014), first between this scan and the last one (section V), then to the map of all (section VI),
-    here with every scan. The prior's motion is where the first begins, and Geman-McClure weights stand for its bisquare
-    ones. With ``"midlines"``: midlines of bars (`steelnb.points.features.midlines`) as the edges, to the map at once.
+    Edges and planes are those of Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), matched
+    first between this scan and the last one (section V), then to the map of all (section VI), here with every scan. The
+    prior's motion is where the first begins, and Geman-McClure weights stand for its bisquare ones.
 
     Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are sorted into their scan lines first.
 
     Parameters
     ----------
-    settings : a method by features, default ``OdometrySettings.preset("loam-midlines")``.
+    settings : a method by features, default ``OdometrySettings.preset("loam")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-    imu : readings in the axes of the drone, as for `CloudOdometry`.
     """
 
     BY_FEATURES = True
 
-    def __init__(
-        self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
-    ) -> None:
-        super().__init__(settings or OdometrySettings.preset("loam-midlines"), T_drone_sensor, imu)
+    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+        super().__init__(settings or OdometrySettings.preset("loam"), T_drone_sensor)
         self.planes = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)  # `map` is that of the edges
         none = np.zeros(0, dtype=np.int64)
         self._seen = Features(np.zeros((0, 3)), none, none)  # in this scan, drone frame, before they are thinned out
@@ -49,12 +45,7 @@ class LoamOdometry(CloudOdometry):
         image, s = scan.points if scan.points.ndim == 3 else scan_lines(scan.points), self.settings
         if self.clouds.sigma_filter_px:
             image = smooth_ranges(image, self.clouds.sigma_filter_px)
-        if self.clouds.shape == "midlines":
-            point = midlines(image)
-            none = np.zeros(len(point), dtype=np.int64)
-            found = Features(point, none, none)
-        else:
-            found = loam_features(image)
+        found = loam_features(image)
         point = found.point @ self.T_drone_sensor[:3, :3].T + self.T_drone_sensor[:3, 3]
         inside = (np.abs(point) <= s.preprocess.crop_m).all(axis=1)
         inside &= point @ T_world_drone[2, :3] + T_world_drone[2, 3] >= s.preprocess.floor_m
@@ -74,19 +65,11 @@ class LoamOdometry(CloudOdometry):
         chosen = [voxels.near((low + high) / 2, reach) for voxels in (self.map, self.planes)]
         if not any(map(len, chosen)):
             return None, None
-        edges, planes = (
-            (voxels.means(slots), self._weights(voxels, slots))
-            for voxels, slots in zip((self.map, self.planes), chosen, strict=True)
-        )
+        edges, planes = (voxels.means(slots) for voxels, slots in zip((self.map, self.planes), chosen, strict=True))
         return FeatureTarget.of(edges, planes, self._plane, SIGMA_M), np.zeros((len(points), 6))
 
-    def _weights(self, voxels: VoxelMap, slots: IntArray) -> Array:
-        """How many features lie in each of some voxels; ones for LOAM, whose map is filtered to one point in each."""
-        return voxels.weights(slots) if self.clouds.shape == "midlines" else np.ones(len(slots))
-
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        T_start = self._by_last_scan(T_init) if self.clouds.shape == "features" else T_init
-        found = super()._register(points, covariance, target, T_start)
+        found = super()._register(points, covariance, target, self._by_last_scan(T_init))
         return found if found.reason == "" else found._replace(T_world_drone=T_init)
 
     def _by_last_scan(self, T_init: Array) -> Array:
@@ -95,12 +78,11 @@ class LoamOdometry(CloudOdometry):
         sharp = seen.rank < np.where(seen.plane == 1, SHARPEST[1], SHARPEST[0])
         if not sharp.any() or not len(last):
             return T_init
-        kinds = [last[of_plane == kind] for kind in (0, 1)]
-        edges, planes = ((points, np.ones(len(points))) for points in kinds)
+        edges, planes = (last[of_plane == kind] for kind in (0, 1))
         target = FeatureTarget.of(edges, planes, seen.plane[sharp], SIGMA_M)
         s, zero = self.clouds, np.zeros((int(sharp.sum()), 6))
         result = align(
-            seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero, "geman_mcclure",
+            seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
             s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
         )  # fmt: skip
         moved_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])

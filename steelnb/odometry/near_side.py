@@ -17,11 +17,13 @@ scans show. No tower enters. Without thickness it would be 0.045, for a round tu
 import numpy as np
 from numba import njit
 
-from steelnb.points.features import STEP_M, WIDTH_MAX_M
+from steelnb.points.features import STEP_M
 from steelnb.points.ranges import ranges_ahead
 from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
+WIDTH_MAX_M = 0.4
+"""What is wider is no bar."""
 
 
 class NearSide:
@@ -56,7 +58,7 @@ class NearSide:
 
 @njit(cache=True)
 def apparent_width(image):  # type: ignore[no-untyped-def]
-    """(sum, count) of the width of the strip around each pixel of an organised scan, up to 0.4 m.
+    """(sum, count) of the width of the strip around each pixel of an organised scan, up to `WIDTH_MAX_M`.
 
     A strip of width w crossed by a row over the length h and by a column over v has 1/w² = 1/h² + 1/v², whatever its
     direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.

@@ -1,5 +1,4 @@
-"""Visual odometry by ORB features, with depths from the Time-of-Flight sensor or from two images: the report's section
-2.1.1."""
+"""Visual odometry by ORB features, with depths from the Time-of-Flight sensor: the report's section 2.1.1."""
 
 import time
 
@@ -8,7 +7,6 @@ import numpy as np
 from steelnb.errors import SettingsError
 from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry, scan_of
-from steelnb.odometry.monocular import MonocularTracker
 from steelnb.odometry.prediction import PosePredictor
 from steelnb.odometry.tracking import LandmarkTracker, Tracked
 from steelnb.points.inputs import checked_pose
@@ -39,13 +37,12 @@ class OrbOdometry(Odometry):
         images: CameraImages | None = None,
     ) -> None:
         self.settings = s = settings or OdometrySettings.preset("orb")
-        if s.orb is None or s.clouds is not None or s.prior_sigma is None:
+        if not s.orb or s.prior_sigma is None:
             raise SettingsError(f"method {s.method!r}: expected an odometry by features, such as 'orb'")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.tracker: LandmarkTracker | None = None
         if images is not None:
-            kind = LandmarkTracker if s.orb == "sensor" else MonocularTracker
-            self.tracker = kind(images, self.T_drone_sensor, s.preprocess.crop_m)
+            self.tracker = LandmarkTracker(images, self.T_drone_sensor, s.preprocess.crop_m)
         self.tracked: Tracked | None = None  # what the last image showed
         self.predictor = PosePredictor(s, imu)
         self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")

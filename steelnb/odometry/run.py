@@ -72,9 +72,7 @@ def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate
         return estimate
     begin, seen = time.perf_counter(), settings.preprocess
     structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
-    estimate = smooth(
-        flight, estimate, structure, settings.tilt_sigma_rad, settings.calibration, settings.inertial
-    )  # fmt: skip
+    estimate = smooth(flight, estimate, structure, settings.tilt_sigma_rad, settings.inertial)
     share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})
 

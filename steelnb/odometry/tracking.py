@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from steelnb.images import CameraImages, GreyImage, unproject
 from steelnb.odometry.features import Features, features_with_depth, match, near_any
 from steelnb.odometry.landmarks import Expected, LandmarkMap
-from steelnb.odometry.reprojection import Sighting, linearise, solve_pose
+from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
 from steelnb.types import Array, IntArray
@@ -101,21 +101,6 @@ class LandmarkTracker:
             return first
         second = self._solve(features, shape, T_predicted, first.T_world_drone, NEAR_PX, NEAR_HAMMING, free, pull)
         return first if second.reason else second
-
-    def term(self, tracked: Tracked, share: float) -> Term:
-        """A ``share`` of the cost of a pose of the drone by the landmarks that agree with the pose found, for another
-        solver."""
-        agreed = np.where(tracked.kept, tracked.found, -1)
-        sighting, K = self._sighting(tracked.features, tracked.seen, agreed), self.images.K
-        weight = np.empty(len(sighting.landmark))
-
-        def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            H, b = np.zeros((6, 6)), np.zeros(6)
-            linearise(*sighting, K, T @ self.images.T_drone_camera, centre, ROBUST_SCALE, H, b, weight)
-            loss = 0.5 * ROBUST_SCALE**2 * float(np.sum(1.0 - np.sqrt(weight)))  # Geman and McClure's ρ
-            return share * H, share * b, share * loss
-
-        return term
 
     def update(self, tracked: Tracked, T_world_drone: Array) -> None:
         """Move the landmarks of an image, whose pose is known by now, to where it shows them, and add new ones at a

@@ -1,8 +1,8 @@
-"""Features of an organised scan: LOAM's edges and planes by smoothness, and the midlines of bars.
+"""Features of an organised scan: LOAM's edges and planes by smoothness.
 
-Source of the first: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), section V.A. Rows of
-the image are its scan lines. A lattice has few corners and hardly any wall: what its smoothness finds are silhouettes,
-which move around a bar as the view turns. The midline between both silhouettes of a bar does not.
+Source: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), section V.A. Rows of the image are
+its scan lines. A lattice has few corners and hardly any wall: what its smoothness finds are silhouettes, which move
+around a bar as the view turns.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.points.ranges import ranges_ahead
 from steelnb.types import Array, IntArray
 
 SIDE = 5
@@ -24,12 +23,6 @@ GRAZING = 4.0
 """A surface is roughly parallel to the ray where the range changes by this many times the way across the ray."""
 STEP_M = 0.15
 """Neighbouring ranges further apart than this are of two surfaces."""
-WIDTH_MAX_M = 0.4
-"""What is wider is no bar; where a row runs along a bar its run is wider, and a column crosses it."""
-RUN_MIN = 3
-"""Pixels across a bar: with fewer its silhouettes are not known to a third of its width."""
-
-
 RING_GAP_RAD = 1e-3
 """Elevations of a spinning LiDAR further apart than this are of different lasers."""
 RING_MAX_RAD = 1e-2
@@ -58,18 +51,6 @@ def loam_features(image: Array, edges: int = 20, planes: int = 40) -> Features:
     plane, rank = np.empty(len(found), np.int64), np.empty(len(found), np.int64)
     count = _loam_features(np.ascontiguousarray(image, dtype=np.float64), edges, planes, found, plane, rank)
     return Features(found[:count], plane[:count], rank[:count])
-
-
-def midlines(image: Array) -> Array:
-    """Points ``(N, 3)`` halfway between both silhouettes of bars in an organised scan ``(H, W, 3)``, sensor frame.
-
-    A run of returns in a row or a column is across a bar where there is nothing, or something farther, beside both its
-    ends, and where it is no wider than 0.4 m. The direction is the middle of its ends; the depth is the mean of the
-    run, without its ends, of which other things may be part, where it is long enough.
-    """
-    image = np.ascontiguousarray(image, dtype=np.float64)
-    found = np.empty((image.shape[0] * image.shape[1] * 2 // RUN_MIN, 3))
-    return found[: _midlines(image, found)]
 
 
 def scan_lines(points: Array) -> Array:
@@ -176,43 +157,3 @@ def _close_around(p, k, n, closed):
 @njit(cache=True)
 def _squared(p, i, j):
     return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2
-
-
-@njit(cache=True)
-def _midlines(image, found):
-    distance = ranges_ahead(image)
-    count = _across(image, distance, 1, found, 0)
-    return _across(image.transpose(1, 0, 2), distance.T, 2, found, count)
-
-
-@njit(cache=True)
-def _across(image, distance, across, found, count):
-    """Write the midpoints of the runs of lines ``(L, K)`` to ``found`` from ``count`` on; returns their end.
-
-    ``across`` is the coordinate that grows along a line, as in `odometry.near_side.measure_runs`.
-    """
-    lines, pixels = distance.shape
-    other = 3 - across
-    for i in range(lines):
-        first = 0
-        for k in range(1, pixels):
-            if abs(distance[i, k] - distance[i, k - 1]) <= STEP_M:
-                continue
-            begin, last, first = first, k - 1, k
-            n = k - begin
-            # Comparisons with NaN are false: nothing beside a run is as good as something farther.
-            if begin == 0 or n < RUN_MIN or not distance[i, begin] > 0.0:
-                continue
-            if distance[i, begin - 1] < distance[i, begin] or distance[i, k] < distance[i, last]:
-                continue
-            a, b = image[i, begin], image[i, last]
-            width = n / (n - 1.0) * abs(b[across] / b[0] - a[across] / a[0]) * 0.5 * (a[0] + b[0])
-            if width > WIDTH_MAX_M:
-                continue
-            edge = 1 if n >= 2 + RUN_MIN else 0
-            depth = image[i, begin + edge : k - edge, 0].mean()
-            found[count, 0] = depth
-            found[count, across] = 0.5 * depth * (a[across] / a[0] + b[across] / b[0])
-            found[count, other] = 0.5 * depth * (a[other] / a[0] + b[other] / b[0])
-            count += 1
-    return count

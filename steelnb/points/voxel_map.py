@@ -11,12 +11,11 @@ from steelnb.types import Array, IntArray
 
 
 class VoxelGrid(NamedTuple):
-    """A voxel map as compiled searches read it: edge (m), hash table (keys and slots), means ``(capacity, 3)``."""
+    """The hash table of a voxel map: edge (m), keys and slots."""
 
     voxel_m: float
     key: IntArray
     slot: IntArray
-    mean: Array
 
 
 class VoxelMap:
@@ -115,10 +114,9 @@ class VoxelMap:
             asked, slot, floor_m2, value, self.voxel_m, self._around, self._moment, self._shape, self._outdated
         )
 
-    def grid(self) -> tuple[VoxelGrid, Array]:
-        """The grid and the shapes ``(capacity, 6)`` by slot, without copies; valid until the next `insert`."""
-        self.shapes(np.flatnonzero(self._outdated[: self._size]))
-        return VoxelGrid(self.voxel_m, self._table_key, self._table_slot, self._mean), self._shape
+    def grid(self) -> VoxelGrid:
+        """The grid, without copies; valid until the next `insert`."""
+        return VoxelGrid(self.voxel_m, self._table_key, self._table_slot)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from steelnb.registration.as_pcl import Aligned, gicp_as_pcl, icp_as_pcl
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.result import RegistrationResult
 from steelnb.registration.solve import AnyTarget, Term, align, free_directions, prior_term
-from steelnb.registration.target import Target, VoxelTarget, make_target, voxel_target
+from steelnb.registration.target import Target, make_target
 
 __all__ = [
-    "Aligned", "AnyTarget", "FeatureTarget", "RegistrationResult", "Target", "Term", "VoxelTarget", "align",
-    "free_directions", "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register", "voxel_target",
+    "Aligned", "AnyTarget", "FeatureTarget", "RegistrationResult", "Target", "Term", "align", "free_directions",
+    "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register",
 ]  # fmt: skip

@@ -9,32 +9,28 @@ from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solve import ROBUST, align, free_directions, pairs_needed
-from steelnb.registration.target import Target, VoxelTarget, finite, make_target, voxel_target
+from steelnb.registration.solve import align, free_directions, pairs_needed
+from steelnb.registration.target import Target, finite, make_target
 from steelnb.types import Array
 
 METHODS = {
     "icp": ("point", "se3"), "icp-3dof": ("point", "xyz"), "icp-4dof": ("point", "xyz_yaw"), "plane": ("plane", "se3"),
-    "gicp": ("gicp", "se3"), "gicp-3dof": ("gicp", "xyz"), "gicp-4dof": ("gicp", "xyz_yaw"), "vgicp": ("gicp", "se3"),
+    "gicp": ("gicp", "se3"), "gicp-3dof": ("gicp", "xyz"), "gicp-4dof": ("gicp", "xyz_yaw"),
 }  # fmt: skip
 """Error and default degrees of freedom of each method."""
 NEIGHBOURS_MIN = 4
-VOXEL_FLOOR = 0.05
-"""Standard deviation of a point in VGICP, in voxels: the least thickness of a voxel's distribution."""
 
 
 def register(
     source: Array,
-    target: Array | Target | VoxelTarget | VoxelMap,
+    target: Array | Target | VoxelMap,
     method: str = "gicp",
     dof: str | None = None,
     T_init: Array | None = None,
     max_correspondence_m: float = 1.0,
-    robust: str = "none",
-    robust_scale: float = 1.0,
+    robust_scale: float = math.inf,
     iterations_max: int = 50,
     neighbours: int = 20,
-    voxel_m: float | None = None,
     gravity: Array | None = None,
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
@@ -42,16 +38,16 @@ def register(
     """Estimate ``T_target_source (4, 4)``, from an initial guess ``T_init (4, 4)`` (default identity).
 
     ``source`` and ``target`` are clouds ``(N, 3)`` or images ``(H, W, 3)`` in metres; points that are not finite are
-    left out. The target may also be one that `make_target` or `voxel_target` has prepared for the same error, or a
-    `VoxelMap`, whose voxel means are then the cloud.
+    left out. The target may also be one that `make_target` has prepared for the same error, or a `VoxelMap`, whose
+    voxel means are then the cloud.
 
-    ``method`` is one of ``icp`` (point to point), ``plane`` (point to plane), ``gicp`` (distribution to distribution;
-    Segal et al., RSS 2009) and ``vgicp`` (distribution to voxel, voxels of edge ``voxel_m``; Koide et al., ICRA 2021),
-    or one with its degrees of freedom: ``icp-3dof``, ``icp-4dof``, ``gicp-3dof``, ``gicp-4dof``. ``dof`` overrides
-    them: ``xyz``, ``xyz_yaw`` (yaw about ``gravity (3,)``, by default the target's z axis) or ``se3``; the rest of
-    ``T_init`` is kept. Pairs farther apart than ``max_correspondence_m`` do not count; ``voxel_m`` is half of it by
-    default. ``robust`` is ``none``, ``huber``, ``cauchy`` or ``geman_mcclure``, with ``robust_scale`` in metres, for
-    gicp and vgicp in standard deviations. ``neighbours`` points around each give its normal or covariance.
+    ``method`` is one of ``icp`` (point to point), ``plane`` (point to plane) and ``gicp`` (distribution to
+    distribution; Segal et al., RSS 2009), or one with its degrees of freedom: ``icp-3dof``, ``icp-4dof``,
+    ``gicp-3dof``, ``gicp-4dof``. ``dof`` overrides them: ``xyz``, ``xyz_yaw`` (yaw about ``gravity (3,)``, by default
+    the target's z axis) or ``se3``; the rest of ``T_init`` is kept. Pairs farther apart than ``max_correspondence_m``
+    do not count.
+    ``robust_scale`` is that of Geman-McClure weights, in metres, for gicp in standard deviations; by default all pairs
+    weigh the same. ``neighbours`` points around each give its normal or covariance.
     A step below ``rotation_epsilon_rad`` and ``translation_epsilon_m`` ends the iteration.
 
     Raises `SettingsError`, `EmptyCloudError`, `DegenerateCloudError`. A registration that does not converge does not
@@ -65,9 +61,8 @@ def register(
     """
     error, default = _choice("method", method, METHODS)
     free = free_directions(default if dof is None else dof, gravity)
-    _choice("robust", robust, ROBUST)
     limit = _positive("max_correspondence_m", max_correspondence_m)
-    scale = _positive("robust_scale", robust_scale)
+    scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
     if iterations_max < 1:
         raise SettingsError(f"iterations_max = {iterations_max}: expected at least 1")
     if neighbours < NEIGHBOURS_MIN:
@@ -75,27 +70,16 @@ def register(
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     least = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
     points = _enough(finite(source, "source"), least, "source")
-    floor = 0.0
-    goal: Target | VoxelTarget
-    if method == "vgicp":
-        voxels = _voxels(target, 0.5 * limit if voxel_m is None else _positive("voxel_m", voxel_m), least)
-        floor, goal = (VOXEL_FLOOR * voxels.grid.voxel_m) ** 2, voxels
-    else:
-        goal = _cloud(target, error, neighbours, least)
-    covariance = None
-    if error == "gicp":
-        covariance = neighbour_covariances(points, neighbours)
-        covariance = regularised(covariance) if method != "vgicp" else covariance + floor * np.array([1, 0, 0, 1, 0, 1])
+    goal = _cloud(target, error, neighbours, least)
+    covariance = regularised(neighbour_covariances(points, neighbours)) if error == "gicp" else None
     return align(
-        points, goal, error, free, T, limit, covariance, robust, scale, iterations_max,
+        points, goal, error, free, T, limit, covariance, scale, iterations_max,
         _positive("rotation_epsilon_rad", rotation_epsilon_rad),
         _positive("translation_epsilon_m", translation_epsilon_m),
     )  # fmt: skip
 
 
-def _cloud(target: Array | Target | VoxelTarget | VoxelMap, error: str, neighbours: int, least: int) -> Target:
-    if isinstance(target, VoxelTarget):
-        raise SettingsError("target: a VoxelTarget, which serves the method 'vgicp' only")
+def _cloud(target: Array | Target | VoxelMap, error: str, neighbours: int, least: int) -> Target:
     if isinstance(target, Target):
         missing = {"point": False, "plane": not len(target.normal), "gicp": not len(target.covariance)}
         if missing[error]:
@@ -103,15 +87,6 @@ def _cloud(target: Array | Target | VoxelTarget | VoxelMap, error: str, neighbou
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
     return make_target(_enough(finite(points, "target"), least, "target"), error, neighbours)
-
-
-def _voxels(target: Array | Target | VoxelTarget | VoxelMap, voxel_m: float, least: int) -> VoxelTarget:
-    if isinstance(target, VoxelTarget | VoxelMap):
-        return target if isinstance(target, VoxelTarget) else voxel_target(target)
-    points = target.point if isinstance(target, Target) else _enough(finite(target, "target"), least, "target")
-    voxels = VoxelMap(voxel_m)
-    voxels.update_shapes(voxels.insert(points))
-    return voxel_target(voxels)
 
 
 def _choice(name: str, value: str, known: dict) -> tuple:

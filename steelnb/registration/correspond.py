@@ -1,4 +1,4 @@
-"""Compiled correspondence search: nearest points of a cloud, nearest voxels of a map, repeated only where needed."""
+"""Compiled correspondence search: nearest points of a cloud, searched for again only where needed."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit
 
 from steelnb.points.kdtree import nearest_k
-from steelnb.points.voxel_kernels import find, pack
 
 
 @njit(cache=True)
@@ -56,45 +55,3 @@ def correspond_points(tree, source, T, limit, match, near, beyond, searched_from
         searched_from[i, 0], searched_from[i, 1], searched_from[i, 2] = qx, qy, qz
         searches += 1
     return searches
-
-
-@njit(cache=True)
-def correspond_voxels(grid, source, T, limit, match, octant, around):
-    """Of the eight voxels around each source point under T, the one with the nearest mean within the limit, or −1.
-
-    A mean within half a voxel of the point is always among them. ``octant (N,)`` keeps which eight they were and
-    ``around (N, 9)`` their slots, ended by −1, so that points that stay among them need no new look into the table;
-    −1 in ``octant`` asks for one. Source: the voxel of a point in VGICP (Koide et al., "Voxelized GICP for fast and
-    accurate 3D point cloud registration", ICRA 2021), and its nearer neighbours.
-    """
-    table_key, table_slot, mean = grid.key, grid.slot, grid.mean
-    inverse = 1.0 / grid.voxel_m
-    for n in range(len(source)):
-        x, y, z = source[n, 0], source[n, 1], source[n, 2]
-        qx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-        qy = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-        qz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        i, j, k = (
-            np.int64(np.floor(qx * inverse - 0.5)), np.int64(np.floor(qy * inverse - 0.5)),
-            np.int64(np.floor(qz * inverse - 0.5)),
-        )  # fmt: skip
-        key = pack(i, j, k)
-        if key != octant[n]:
-            octant[n] = key
-            count = 0
-            for corner in range(8):
-                slot = find(pack(i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1)), table_key, table_slot)
-                if slot >= 0:
-                    around[n, count] = slot
-                    count += 1
-            around[n, count] = -1
-        best, least = -1, limit * limit
-        for c in range(8):
-            slot = around[n, c]
-            if slot < 0:
-                break
-            dx, dy, dz = mean[slot, 0] - qx, mean[slot, 1] - qy, mean[slot, 2] - qz
-            d = dx * dx + dy * dy + dz * dz
-            if d <= least:
-                best, least = slot, d
-        match[n] = best

@@ -18,23 +18,18 @@ ALONG_M2 = 100.0
 """Variance along a line or in a plane, where a pair says nothing."""
 
 
-Weighted = tuple[Array, Array]
-"""Points ``(M, 3)`` and their weights ``(M,)``."""
-
-
 @dataclass(frozen=True)
 class FeatureTarget:
     """Edge and plane features of a map or a scan, for the error ``gicp``.
 
-    ``trees`` and ``weight`` are those of edges and of planes, weights in the order of the trees; ``plane (N,)`` is 1
-    for the points of the source that lie on planes, 0 for those on edges. A pair's covariance is ``sigma_m`` squared
+    ``trees`` are those of edges and of planes; ``plane (N,)`` is 1 for the points of the source that lie on planes, 0
+    for those on edges. A pair's covariance is ``sigma_m`` squared
     across its line or plane and very large along it, so the squared residual is the squared distance from the line or
     plane by that of its standard deviation: equations 2 and 3 of Zhang and Singh, "LOAM" (RSS 2014), with the lines and
     planes of its section VI, by the eigenvectors of neighbours.
     """
 
     trees: tuple[KdTree, KdTree]
-    weight: tuple[Array, Array]
     plane: IntArray
     sigma_m: float
     point: Array
@@ -42,11 +37,10 @@ class FeatureTarget:
     normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
-    def of(cls, edges: Weighted, planes: Weighted, plane: IntArray, sigma_m: float) -> "FeatureTarget":
-        """Target of edges and planes for the points of a source, of which ``plane (N,)`` are on planes."""
-        trees = build_kdtree(edges[0]), build_kdtree(planes[0])
-        weight = edges[1][trees[0].order], planes[1][trees[1].order]
-        return cls(trees, weight, plane, sigma_m, np.zeros((len(plane), 3)), np.zeros((len(plane), 6)))
+    def of(cls, edges: Array, planes: Array, plane: IntArray, sigma_m: float) -> "FeatureTarget":
+        """Target of edges and planes ``(M, 3)`` for a source, of whose points those of ``plane (N,)`` are on planes."""
+        trees = build_kdtree(edges), build_kdtree(planes)
+        return cls(trees, plane, sigma_m, np.zeros((len(plane), 3)), np.zeros((len(plane), 6)))
 
     def pairs(self, source: Array, limit_m: float) -> Pairs:
         """Lines and planes near each source point ``(N, 3)``, fitted anew at each pose."""
@@ -54,17 +48,17 @@ class FeatureTarget:
 
         def update(T: Array) -> None:
             across = self.sigma_m**2
-            for kind, (tree, weight) in enumerate(zip(self.trees, self.weight, strict=True)):
-                _fit(tree, weight, kind, source, self.plane, T, limit_m, across, self.point, self.covariance, match)
+            for kind, tree in enumerate(self.trees):
+                _fit(tree, kind, source, self.plane, T, limit_m, across, self.point, self.covariance, match)
 
         return Pairs(match, update)
 
 
 @njit(cache=True)
-def _fit(tree, weight, kind, source, plane, T, limit, across, point, shape, match):
+def _fit(tree, kind, source, plane, T, limit, across, point, shape, match):
     """Write the middle and the covariance of the line (kind 0) or plane (1) at each source point of that kind under T.
 
-    ``match (N,)`` becomes its own number, −1 where there is none. Neighbours are weighted about their mean.
+    ``match (N,)`` becomes its own number, −1 where there is none.
     """
     node_of, reach = np.empty(64, np.int64), np.empty((64, 4))
     found, distance = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
@@ -81,7 +75,7 @@ def _fit(tree, weight, kind, source, plane, T, limit, across, point, shape, matc
             continue
         m = NO_MOMENTS
         for k in found:
-            m = add_point(m, weight[k], p[k, 0] - qx, p[k, 1] - qy, p[k, 2] - qz)
+            m = add_point(m, 1.0, p[k, 0] - qx, p[k, 1] - qy, p[k, 2] - qz)
         xx, xy, xz, yy, yz, zz = covariance(m)
         least, middle, most = eigen(xx, xy, xz, yy, yz, zz)
         if kind == 1:

@@ -1,32 +1,21 @@
-"""Compiled parts of the ICP family: the normal equations of each error, with robust kernels.
+"""Compiled parts of the ICP family: the normal equations of each error, with robust weights.
 
 A pose is improved by a twist ``ξ = (ω, v)`` in the axes of the target that acts about a centre c, the middle of the
 source: a transformed point q moves by ``ω × (q − c) + v``. So the normal equations ``H ξ = −b`` (6×6 and 6, rotation
 first) stay well conditioned however far the origin is, and v is the shift of the scan itself.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 
 POINT, PLANE, GICP = 0, 1, 2
-NONE, HUBER, CAUCHY, GEMAN_MCCLURE = 0, 1, 2, 3
 
 
 @njit(cache=True, error_model="numpy")
-def robust_weight(kernel, squared, scale):
-    """(weight, loss) of a squared residual for Huber, Cauchy and Geman-McClure of a scale."""
-    if kernel == HUBER:
-        r = math.sqrt(squared)
-        return (1.0, 0.5 * squared) if r <= scale else (scale / r, scale * (r - 0.5 * scale))
-    if kernel == CAUCHY:
-        u = squared / (scale * scale)
-        return 1.0 / (1.0 + u), 0.5 * scale * scale * math.log(1.0 + u)
-    if kernel == GEMAN_MCCLURE:
-        u = squared / (scale * scale)
-        return 1.0 / ((1.0 + u) * (1.0 + u)), 0.5 * squared / (1.0 + u)
-    return 1.0, 0.5 * squared
+def robust_weight(squared, scale):
+    """(weight, loss) of a squared residual for Geman-McClure of a scale; infinite for plain least squares."""
+    u = squared / (scale * scale)
+    return 1.0 / ((1.0 + u) * (1.0 + u)), 0.5 * squared / (1.0 + u)
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,21 +52,17 @@ def _metric(error, i, j, source_covariance, normal, target_covariance, R):
 
 @njit(cache=True, error_model="numpy")
 def linearise(
-    error, source, source_covariance, target, normal, target_covariance, match, T, R, centre, limit, kernel, scale,
-    H, b, S,
+    error, source, source_covariance, target, normal, target_covariance, match, T, R, centre, limit, scale, H, b,
 ):  # fmt: skip
     """Write the normal equations at T about a centre to ``H (6, 6)`` and ``b (6,)``.
 
-    Returns (loss, inliers, sum of squared distances). ``error`` is POINT, PLANE or GICP; covariances are ``(N, 6)``
+    Returns (loss, inliers). ``error`` is POINT, PLANE or GICP; covariances are ``(N, 6)``
     upper triangles xx xy xz yy yz zz, the source's turned by ``R (3, 3)``, which Gauss–Newton holds fixed; pairs
-    farther apart than the limit do not count. ``S (6, 6)`` becomes the sum of the outer products of the pairs'
-    gradients, unless it is of size zero.
+    farther apart than the limit do not count.
     """
     H[:, :] = 0.0
-    S[:, :] = 0.0
     b[:] = 0.0
-    spread = len(S) > 0
-    loss, inliers, squares = 0.0, 0, 0.0
+    loss, inliers = 0.0, 0
     limit2 = limit * limit
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
@@ -97,28 +82,20 @@ def linearise(
         if d2 > limit2:
             continue
         inliers += 1
-        squares += d2
         m00, m01, m02, m11, m12, m22 = _metric(error, i, j, source_covariance, normal, target_covariance, R)
         gx = m00 * ex + m01 * ey + m02 * ez
         gy = m01 * ex + m11 * ey + m12 * ez
         gz = m02 * ex + m12 * ey + m22 * ez
         squared = ex * gx + ey * gy + ez * gz
-        if kernel == NONE:
-            loss += 0.5 * squared
-        else:
-            w, one = robust_weight(kernel, squared, scale)
-            loss += one
-            m00, m01, m02, m11, m12, m22 = w * m00, w * m01, w * m02, w * m11, w * m12, w * m22
-            gx, gy, gz = w * gx, w * gy, w * gz
+        w, one = robust_weight(squared, scale)
+        loss += one
+        m00, m01, m02, m11, m12, m22 = w * m00, w * m01, w * m02, w * m11, w * m12, w * m22
+        gx, gy, gz = w * gx, w * gy, w * gz
         qx, qy, qz = qx - cx, qy - cy, qz - cz
         g[0], g[1], g[2] = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
         g[3], g[4], g[5] = gx, gy, gz
         for r in range(6):
             b[r] += g[r]
-        if spread:
-            for r in range(6):
-                for c in range(6):
-                    S[r, c] += g[r] * g[c]
         # [q]× M, then its product with [q]×ᵀ
         k00, k01, k02 = qy * m02 - qz * m01, qy * m12 - qz * m11, qy * m22 - qz * m12
         k10, k11, k12 = qz * m00 - qx * m02, qz * m01 - qx * m12, qz * m02 - qx * m22
@@ -147,4 +124,4 @@ def linearise(
     for r in range(6):
         for c in range(r):
             H[r, c] = H[c, r]
-    return loss, inliers, squares
+    return loss, inliers

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,22 +12,30 @@ from steelnb.errors import SettingsError
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
-from steelnb.registration.result import BLIND, Normal, RegistrationResult, judge, middle_and_length, scaled_basis
-from steelnb.registration.target import Target, VoxelTarget
+from steelnb.registration.result import RegistrationResult
+from steelnb.registration.target import Target
 from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
-RANK = {"point": 3, "plane": 1, "gicp": 3}
-"""Number of residuals of a pair."""
-ROBUST = {
-    "none": kernels.NONE, "huber": kernels.HUBER, "cauchy": kernels.CAUCHY, "geman_mcclure": kernels.GEMAN_MCCLURE
-}  # fmt: skip
 DOFS = ("xyz", "xyz_yaw", "se3")
+BLIND = 1e-10
+"""Below this share of the largest eigenvalue a direction is unconstrained, and the solver does not move along it."""
 
 
-AnyTarget = Target | VoxelTarget | FeatureTarget
+AnyTarget = Target | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
 """A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
+
+
+class Normal(NamedTuple):
+    """Normal equations at a pose, of twists about ``centre (3,)``: ``H (6, 6)``, ``b (6,)``, the loss, and the number
+    of pairs within the largest distance."""
+
+    H: Array
+    b: Array
+    centre: Array
+    loss: float
+    inliers: int
 
 
 def free_directions(dof: str, gravity: Array | None = None) -> Array:
@@ -55,8 +64,7 @@ def align(
     T_init: Array,
     max_correspondence_m: float,
     source_covariance: Array | None = None,
-    robust: str = "none",
-    robust_scale: float = 1.0,
+    robust_scale: float = math.inf,
     iterations_max: int = 50,
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
@@ -67,7 +75,8 @@ def align(
     """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
 
     A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
-    the source. ``robust_scale`` is in metres for ``point`` and ``plane``, in standard deviations for ``gicp``.
+    the source. ``robust_scale`` is that of Geman-McClure weights, in metres for ``point`` and ``plane``, in standard
+    deviations for ``gicp``; infinite for plain least squares.
     ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``terms`` are further costs. With
     ``normals_min`` above 0 the solve leaves out shifts along which the surfaces do not determine the pose
     (`observability.unobserved_shifts`, for ``gicp``); they are in ``unobserved`` of the result.
@@ -78,7 +87,7 @@ def align(
     source = np.ascontiguousarray(source, dtype=np.float64)
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
     middle, length_m = middle_and_length(source)
-    problem = _Problem(source, covariance, target, error, robust, float(robust_scale), terms, middle)
+    problem = _Problem(source, covariance, target, error, float(robust_scale), terms, middle)
     basis = scaled_basis(free, length_m)
     limit, least = float(max_correspondence_m), pairs_needed(error, free)
     pairs = target.pairs(source, limit)
@@ -112,8 +121,8 @@ def align(
         if np.linalg.norm(step[:3]) < rotation_epsilon_rad and np.linalg.norm(step[3:]) < translation_epsilon_m:
             reason, converged = "converged", True
             break
-    here = problem.linearise(T, pairs.match, limit, spread=True)
-    return judge(T, converged, iterations, here, basis, length_m, RANK[error], reason, unobserved)
+    here = problem.linearise(T, pairs.match, limit)
+    return RegistrationResult(T, converged, iterations, here.inliers, here.H, here.b, reason, here.centre, unobserved)
 
 
 def prior_term(information: Array, T_init: Array, source: Array) -> Term:
@@ -127,6 +136,19 @@ def prior_term(information: Array, T_init: Array, source: Array) -> Term:
         return information, information @ apart, 0.5 * float(apart @ information @ apart)
 
     return term
+
+
+def middle_and_length(points: Array) -> tuple[Array, float]:
+    """Mean ``(3,)`` of points ``(N, 3)`` and their root mean square distance to it, m; 1 where they coincide."""
+    columns = [np.ascontiguousarray(column) for column in points.T]  # means of columns in rows take seven times as long
+    middle = np.array([column.mean() for column in columns])
+    return middle, math.sqrt(sum(column.var() for column in columns)) or 1.0
+
+
+def scaled_basis(free: Array, length_m: float) -> Array:
+    """Columns ``(6, k)`` that span the free directions, orthonormal where turns count ``length_m`` times."""
+    scale = np.array([length_m] * 3 + [1.0] * 3)
+    return np.linalg.qr(scale[:, None] * free)[0] / scale[:, None]
 
 
 def pairs_needed(error: str, free: Array) -> int:
@@ -186,30 +208,25 @@ class _Problem:
     covariance: Array
     target: AnyTarget
     error: str
-    robust: str
     robust_scale: float
     terms: Sequence[Term]
     middle: Array
 
-    def linearise(
-        self, T: Array, match: IntArray, limit: float, turn: Array | None = None, spread: bool = False
-    ) -> Normal:
+    def linearise(self, T: Array, match: IntArray, limit: float, turn: Array | None = None) -> Normal:
         """Normal equations at T; ``turn`` is the rotation of the source's covariances, T's own by default."""
-        H, b, S = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6) if spread else (0, 0))
+        H, b = np.zeros((6, 6)), np.zeros(6)
         centre = T[:3, :3] @ self.middle + T[:3, 3]
         t = self.target
-        loss, inliers, squares = kernels.linearise(
+        loss, inliers = kernels.linearise(
             ERRORS[self.error], self.source, self.covariance, t.point, t.normal, t.covariance, match, T,
-            T[:3, :3] if turn is None else turn, centre, limit, ROBUST[self.robust], self.robust_scale, H, b, S,
+            T[:3, :3] if turn is None else turn, centre, limit, self.robust_scale, H, b,
         )  # fmt: skip
         for term in self.terms:
             H_term, b_term, loss_term = term(T, centre)
             H += H_term
             b += b_term
             loss += loss_term
-            if spread:
-                S += H_term
-        return Normal(H, b, centre, loss, inliers, squares, S)
+        return Normal(H, b, centre, loss, inliers)
 
     def worse(self, T: Array, T_best: Array, best: Normal, match: IntArray, limit: float) -> bool:
         """Whether the pairs of the best pose fit less well at T: new pairs alone may raise the loss, too."""

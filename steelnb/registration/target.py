@@ -1,4 +1,4 @@
-"""Registration targets, an indexed cloud or a voxel map, and the search for correspondences in each."""
+"""Registration target: an indexed cloud, and the search for correspondences in it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from steelnb.errors import EmptyCloudError
-from steelnb.points import VoxelGrid, VoxelMap, VoxelShapes
+from steelnb.points import VoxelShapes
 from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals
 from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree
-from steelnb.registration.correspond import correspond_points, correspond_voxels
+from steelnb.registration.correspond import correspond_points
 from steelnb.types import Array, IntArray
 
 KEPT = 3
@@ -71,30 +71,6 @@ class Target:
         return Pairs(match, update)
 
 
-@dataclass(frozen=True)
-class VoxelTarget:
-    """A voxel map without copies: a point is paired with the distribution of a voxel around it (VGICP).
-
-    ``covariance (capacity, 6)`` by slot, m². Thin voxels want a floor; put it on the source's covariances, where an
-    isotropic one does the same. Valid until the map's next `insert`.
-    """
-
-    grid: VoxelGrid
-    covariance: Array
-    normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
-
-    @property
-    def point(self) -> Array:
-        """Means of the voxels ``(capacity, 3)`` in metres, in the target frame."""
-        return self.grid.mean
-
-    def pairs(self, source: Array, limit_m: float) -> Pairs:
-        """Nearest mean among the eight voxels around each source point ``(N, 3)``."""
-        n = len(source)
-        match, state = np.full(n, -1), (np.full(n, -1), np.full((n, 9), -1))
-        return Pairs(match, lambda T: correspond_voxels(self.grid, source, T, limit_m, match, *state))
-
-
 def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
     """Index a cloud ``(M, 3)`` in metres, with normals and covariances only where the error needs them.
 
@@ -107,13 +83,6 @@ def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
     return (
         Target(tree, normals(neighbour_covariances(tree.point, neighbours, tree))) if error == "plane" else Target(tree)
     )
-
-
-def voxel_target(voxels: VoxelMap) -> VoxelTarget:
-    """The target of VGICP. Call the map's `update_shapes` for the inserted points first. Raises `EmptyCloudError`."""
-    if not len(voxels):
-        raise EmptyCloudError("target: an empty voxel map, expected one with points")
-    return VoxelTarget(*voxels.grid())
 
 
 def finite(points: Array, name: str) -> Array:

@@ -1,11 +1,11 @@
 """Intervals and p-values of a number over the seeds of a study, and their correction for many tests."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special, stats
 
-from steelnb.fusion.changes import holm as holm
 from steelnb.types import Array
 
 RESAMPLES = 9999
@@ -76,6 +76,15 @@ def correlation_over_seeds(a: Array, b: Array) -> Sample:
     middle = np.arctanh(np.clip(estimate, -0.999999, 0.999999))
     low, high = np.tanh([middle - reach, middle + reach])
     return Sample(estimate, float(low), float(high), len(a), "correlation", a)
+
+
+def holm(p_values: Sequence[float] | Array) -> list[float]:
+    """P-values adjusted for being many (Holm, Scand. J. Statist. 6, 1979), in the order given."""
+    p = np.asarray(p_values, dtype=float)
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)), 1.0)
+    return adjusted.tolist()
 
 
 def _spread(correlation: float, n: int) -> float:

@@ -9,11 +9,10 @@ from steelnb.errors import RecordingError
 from steelnb.images import CameraImages, GreyImage, project, unproject
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.features import Features, features_with_depth, match
-from steelnb.points.features import loam_features, midlines
+from steelnb.points.features import loam_features
 from steelnb.report.style import (
     BLUE,
     COLOURS,
-    LABELS,
     LIGHT_GREY,
     VERMILION,
     Figure,
@@ -28,8 +27,7 @@ from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryNam
 from steelnb.simulation import Truth
 from steelnb.types import Array, Estimate, Flight, Trajectory
 
-LOAM = ("loam", "loam-midlines")
-FLOOR_M = OdometrySettings.preset(LOAM[0]).preprocess.floor_m
+FLOOR_M = OdometrySettings.preset("loam").preprocess.floor_m
 FEATURES = 400
 RATIO, HAMMING_MAX = 0.8, 60
 RIGHT_PX = 4.0
@@ -107,47 +105,39 @@ def _apart_px(T_world_camera: Array, K: Array, a: Features, shown: Array) -> Arr
 
 def fly(
     trajectory: TrajectoryName, noise: str, sensor: str, seed: int, duration_s: float
-) -> tuple[Flight, Truth, dict[str, Estimate]]:
-    """A flight with a camera, its truth, and what both kinds of LOAM make of it."""
+) -> tuple[Flight, Truth, Estimate]:
+    """A flight with a camera, its truth, and what LOAM makes of it."""
     given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
     flight, truth = experiment.simulate(ExperimentSettings.preset(trajectory, noise, "orb", **given))
-    odometries = {method: ExperimentSettings.preset(trajectory, noise, method, **given).odometry for method in LOAM}
-    estimates = {
-        method: run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu))
-        for method, settings in odometries.items()
-    }
-    return flight, truth, estimates
+    settings = ExperimentSettings.preset(trajectory, noise, "loam", **given).odometry
+    return flight, truth, run(flight, make_odometry(settings, flight.T_drone_sensor))
 
 
 @style()
-def figure_features(flight: Flight, truth: Truth, estimates: dict[str, Estimate], scan: int) -> Figure:
-    """Above, what each odometry takes from one scan, over its range image; below, the map of each over the tower. What
-    lies below `FLOOR_M` is left out, as odometries do."""
+def figure_features(flight: Flight, truth: Truth, estimate: Estimate, scan: int) -> Figure:
+    """On the left what LOAM takes from one scan, over its range image; on the right its map over the tower. What lies
+    below `FLOOR_M` is left out, as odometries do."""
     image = flight.scans[scan].points
-    T_world_sensor = estimates[LOAM[1]].corrected.T_world_drone[scan] @ flight.T_drone_sensor
+    T_world_sensor = estimate.corrected.T_world_drone[scan] @ flight.T_drone_sensor
     found = loam_features(image)
-    taken = {
-        "loam": {"edges": (found.point[found.plane == 0], VERMILION), "planes": (found.point[found.plane == 1], BLUE)},
-        "loam-midlines": {"midlines": (midlines(image), VERMILION)},
-    }
+    taken = {"edges": (found.point[found.plane == 0], VERMILION), "planes": (found.point[found.plane == 1], BLUE)}
     steel = _above_floor(image.reshape(-1, 3), T_world_sensor)
-    figure = Figure(figsize=(3.9 * len(LOAM), 9.2))
-    grid = figure.subplots(2, len(LOAM), height_ratios=(1, 1.2))
+    figure = Figure(figsize=(8.4, 4.9))
+    picture, map_panel = figure.subplots(1, 2)
     distance = np.linalg.norm(steel, axis=1)
-    for panel, below, method in zip(*grid, LOAM, strict=True):
-        shown = {"c": distance, "s": 3, "cmap": "Greys_r", "vmin": 0, "vmax": 1.4 * distance.max(), "lw": 0}
-        panel.scatter(*_picture(steel), rasterized=True, **shown)
-        for name, (points, colour) in taken[method].items():
-            points = _above_floor(points, T_world_sensor)
-            panel.plot(*_picture(points), ".", ms=3.5, color=colour, label=f"{len(points)} {name}")
-        panel.set(title=LABELS[method], aspect="equal")
-        panel.set_axis_off()
-        panel.legend(loc="upper left", fontsize=9, markerscale=2.5)
-        points = estimates[method].points
-        draw_bars(below, truth.tower.axes, points, color=LIGHT_GREY, linewidth=2.2)
-        below.plot(*project_perspective(points, points).T, ".", ms=1.6, color=COLOURS[method])
-        frame_perspective(below, points)
-        below.set_title(f"map of {len(points)} points", fontsize=11)
+    shown = {"c": distance, "s": 3, "cmap": "Greys_r", "vmin": 0, "vmax": 1.4 * distance.max(), "lw": 0}
+    picture.scatter(*_picture(steel), rasterized=True, **shown)
+    for name, (points, colour) in taken.items():
+        points = _above_floor(points, T_world_sensor)
+        picture.plot(*_picture(points), ".", ms=3.5, color=colour, label=f"{len(points)} {name}")
+    picture.set(title="one scan", aspect="equal")
+    picture.set_axis_off()
+    picture.legend(loc="upper left", fontsize=9, markerscale=2.5)
+    points = estimate.points
+    draw_bars(map_panel, truth.tower.axes, points, color=LIGHT_GREY, linewidth=2.2)
+    map_panel.plot(*project_perspective(points, points).T, ".", ms=1.6, color=COLOURS["loam"])
+    frame_perspective(map_panel, points)
+    map_panel.set_title(f"map of {len(points)} points")
     return figure
 
 

@@ -12,31 +12,27 @@ import pandas as pd
 from steelnb import odometry
 from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, RecordingError, SettingsError
 from steelnb.files import PREFIX, new_folder
-from steelnb.fusion.changes import KINDS, Changes, find_changes
 from steelnb.fusion.reconstruct import reconstruct
-from steelnb.fusion.sensor_errors import true_flight
 from steelnb.fusion.structure import Structure
 from steelnb.io import read_flight, read_truth
 from steelnb.io.clouds import shift_of
 from steelnb.io.rrd import Log
 from steelnb.io.segments import orientation
 from steelnb.metrics import position_error_m
-from steelnb.odometry import KnownStructureOdometry, Odometry
-from steelnb.report.calibration import error_lines
-from steelnb.report.changes import changes_line, write_changes
+from steelnb.odometry import Odometry
 from steelnb.report.recording_figures import figure_distances, figure_recorded_trajectories
 from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
 from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
 from steelnb.report.style import Figure
-from steelnb.report.three_views import figure_changes, figure_segments
+from steelnb.report.three_views import figure_segments
 from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
 FILES = (
-    "changes.csv", "changes.png", "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply",
+    "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply",
     "map.png", "prior.tum", "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply",
     "structure.json", "table.csv", "trajectories.png", "comparison.csv", "comparison.png",
 )  # fmt: skip
@@ -48,7 +44,7 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``changes`` those of a known structure; ``numbers`` the rows of ``table.csv``;
+    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``;
     ``figures`` by name; ``summary`` lines of text.
     """
 
@@ -57,7 +53,6 @@ class RecordingReport:
     estimate: Estimate
     truth: Trajectory | None
     structure: Structure | None
-    changes: Changes | None
     segments: Segments
     numbers: dict[str, float]
     figures: dict[str, Figure]
@@ -94,7 +89,6 @@ def run_recording(
     truth: Trajectory | None = None,
     added_noise: str | None = None,
     structure: StructureSettings | None = None,
-    known: Structure | None = None,
     rrd: bool = True,
     gap_max_s: float | None = None,
     part_s: tuple[float, float] | None = None,
@@ -112,8 +106,6 @@ def run_recording(
     truth : true poses, for judging alone.
     added_noise : drift to add to the truth, or without one to the poses, taken as true, such as "random-walk:0.002".
     structure : settings of the final reconstruction; None leaves it out.
-    known : the map of an earlier flight, in which this one is localised and with which it is compared, in place of the
-        odometry of the settings.
     rrd : write ``recording.rrd`` for rerun.
     gap_max_s : true poses further apart are not interpolated between; None as in `read_flight`.
     part_s : the part to run, (from, to) in seconds since the first scan; see `part_of`.
@@ -123,9 +115,9 @@ def run_recording(
 
     Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``corrected_sigma.csv`` of a smoothed flight,
     ``map.ply``, ``segments.csv`` (.json, .obj, .ply), ``structure.json`` (empty with the reason where none is found),
-    ``changes.csv`` of a known structure, ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is
-    written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, `MapMismatchError` and
-    `EmptyStructureError` for a map, and what reading raises.
+    ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is
+    written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, and what
+    reading raises.
     """
     if not isinstance(recording, Flight):
         truth = truth or read_truth(recording)
@@ -152,8 +144,8 @@ def run_recording(
         structure = structure.replace(floor_m=structure.floor_m - float(origin[2]))
     with new_folder(target, FILES, overwrite) as folder, contextlib.ExitStack() as stack:
         on_stage("warming up, which compiles what was not compiled yet")
-        odometry.run(flight.first(WARM_UP_SCANS), _estimator(flight, near, known, origin))
-        estimator = _estimator(flight, near, known, origin)
+        odometry.run(flight.first(WARM_UP_SCANS), _estimator(flight, near))
+        estimator = _estimator(flight, near)
         log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
 
         def observe(k: int, scan: Scan, step: OdometryStep) -> None:
@@ -168,15 +160,9 @@ def run_recording(
 
         on_stage("correcting the poses")
         estimate = odometry.run(flight, estimator, observe)
-        flight = true_flight(flight, estimate.sensor_errors)
         on_stage("reconstructing the bars")
         built = _reconstructed(flight, estimate, structure) if structure else None
         built = with_sigma(built, estimate) if built is not None else None
-        changes = None
-        if known is not None:
-            on_stage("comparing with the map")
-            poses, mount = estimate.corrected.T_world_drone, flight.T_drone_sensor
-            changes = find_changes(known.moved(-origin), flight.scans, poses, mount, structure or StructureSettings())
         segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
         if log is not None:
             log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
@@ -188,14 +174,9 @@ def run_recording(
         numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
         if built is not None:
             numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
-        if changes is not None:
-            numbers |= {f"changes_{kind.replace(' ', '_')}": len(changes.of(kind)) for kind in KINDS}
         on_stage("drawing and writing")
-        method = settings.odometry.method if known is None else "map"
+        method = settings.odometry.method
         figures = _figures(flight, estimate, true, segments, method)
-        if changes is not None:
-            figures["changes"] = figure_changes(changes, f"{flight.name}: changes of {len(changes.known)} bars")
-            write_changes(changes, folder / "changes.csv", origin)
         about = {"source": flight.name, "odometry": method, "noise": added_noise}
         write_recording(folder, flight, estimate, true, segments, built, about, origin)
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
@@ -209,12 +190,8 @@ def run_recording(
     if estimate.unsmoothed:
         notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
     summary = summary_lines(flight, numbers, (*notes, *remarks), built)
-    if changes is not None:
-        summary = (*summary, changes_line(changes))
-    if estimate.sensor_errors is not None:
-        summary = (*summary, *error_lines(estimate.sensor_errors))
     summary = (summary[0], settings_line(settings), *summary[1:], f"written   {target}/: {', '.join(files)}")
-    return RecordingReport(target, flight, estimate, true, built, changes, segments, numbers, figures, summary)
+    return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
 
 
 def _placed(
@@ -247,14 +224,11 @@ def _figures(
     return figures
 
 
-def _estimator(flight: Flight, settings: ExperimentSettings, known: Structure | None, origin: Array) -> Odometry:
-    if known is None:
-        if settings.odometry.orb and flight.images is None:
-            told, method = flight.facts.get("images", "none"), settings.odometry.method
-            raise RecordingError(f"{flight.name}: no images for method {method!r}: {told}")
-        return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
-    chosen = settings.odometry
-    return KnownStructureOdometry(known.moved(-origin), flight.T_drone_sensor, chosen.preprocess, chosen.tilt_sigma_rad)
+def _estimator(flight: Flight, settings: ExperimentSettings) -> Odometry:
+    if settings.odometry.orb and flight.images is None:
+        told, method = flight.facts.get("images", "none"), settings.odometry.method
+        raise RecordingError(f"{flight.name}: no images for method {method!r}: {told}")
+    return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:

@@ -23,7 +23,7 @@ WORLDS = {
 }
 """Variant of a study's run, or its beginning, and what to call it; stand-offs are named by what they add."""
 SENSORS = {"report-4cm": "the report's sensor", "starling2-honest": HONEST}
-OURS = ("least_squares_yaw", "best", "combined", "faces", "smoothed", "calibrated")
+OURS = ("least_squares_yaw", "best", "combined", "faces", "smoothed")
 """Methods whose settings were chosen here, by segments and by all points: notebook 17 compares the others."""
 MARKERS = "o^sDv"
 

@@ -1,15 +1,12 @@
 """Front, side and perspective of bars: the pictures of `steelnb segment` and `steelnb run`."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from steelnb.report.style import (
     COLOURS,
-    INDIGO,
-    LIGHT_GREY,
-    PINK,
     Figure,
     draw_legend,
     draw_lines,
@@ -20,17 +17,7 @@ from steelnb.report.style import (
 )
 from steelnb.types import Array, Segments
 
-if TYPE_CHECKING:  # imports scipy.stats, which takes longer than a small cloud
-    from steelnb.fusion.changes import Changes
-
 GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
-LOOKS: dict[str, dict[str, Any]] = {
-    "same": {"color": LIGHT_GREY, "lw": 1.0}, "not seen": {"color": LIGHT_GREY, "lw": 1.0, "ls": ":"},
-    "moved": {"color": PINK, "lw": 2.4}, "bent": {"color": INDIGO, "lw": 2.4},
-    "missing": {"color": COLOURS["wrong"], "lw": 2.4}, "new": {"color": COLOURS["right"], "lw": 2.4},
-}  # fmt: skip
-CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
-"""Kinds of `Changes` in the order in which they are drawn: nothing that has changed may lie below what has not."""
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
 
@@ -48,14 +35,6 @@ def layers_by_group(segments: Segments, groups: Sequence[str]) -> list[Layer]:
         (f"{name.replace('_', ' ')} ({np.count_nonzero(of == name)})", {"color": colour, "lw": 1.1}, ends[of == name])
         for name, colour in GROUPS.items()
     ]
-
-
-@style()
-def figure_changes(changes: "Changes", title: str) -> Figure:
-    """The bars of a map and the new ones, coloured by kind."""
-    ends = end_points(changes.segments)
-    layers = [(f"{kind}: {len(changes.of(kind))}", LOOKS[kind], ends[changes.of(kind)]) for kind in CHANGES]
-    return figure_layers(layers, title)
 
 
 def figure_layers(layers: Sequence[Layer], title: str, cloud: Array | None = None) -> Figure:

@@ -11,7 +11,6 @@ from steelnb.settings.camera import CameraSettings
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
     SEGMENT_METHODS,
-    CalibrationSettings,
     CloudSettings,
     FusionSettings,
     HoughSettings,
@@ -24,7 +23,7 @@ from steelnb.settings.odometry import (
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.sensors import ImuSettings, TofFaultSettings
-from steelnb.settings.structure import StructureSettings, Tolerance
+from steelnb.settings.structure import StructureSettings
 from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
@@ -40,10 +39,10 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CalibrationSettings", "CameraSettings",
+    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CameraSettings",
     "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "ReportCloudSettings",
     "ReportSegmentSettings", "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
-    "Tolerance", "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
+    "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
     "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

@@ -33,7 +33,7 @@ class ExperimentSettings(Settings):
 
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:
-        if self.flight.planner is not None and self.odometry.orb is not None:
+        if self.flight.planner is not None and self.odometry.orb:
             raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images on the way; expected "
                              "an odometry by clouds or segments")  # fmt: skip
         return self

@@ -64,12 +64,12 @@ class CloudSettings(Settings):
 
     ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``shape`` is
     the source of the covariances of GICP: the nearest neighbours, regularised to planes (``neighbours``), or the points
-    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``; ``voxels`` pairs
-    points with voxels without a search tree), or lines and planes of LOAM's ``features`` or of ``midlines`` of bars,
-    which then are all that takes part (`steelnb.odometry.loam`). ``accumulate`` keeps count-weighted means in the map;
-    without it the map is voxelised anew with every scan, as the original does. ``fast`` extrapolates the solver's steps
-    (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm. ``drop_rotation`` is the
-    original's fault: it solves for six degrees of freedom, keeps the translation, and inserts the rotated cloud.
+    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``), or lines and
+    planes of LOAM's ``features``, which then are all that takes part (`steelnb.odometry.loam`). ``accumulate`` keeps
+    count-weighted means in the map; without it the map is voxelised anew with every scan, as the original does.
+    ``fast`` extrapolates the solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad
+    and 0.2 mm. ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation,
+    and inserts the rotated cloud.
     ``bars_weight`` is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused. With
     ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of its surface that many
     pixels around (`steelnb.points.smooth_ranges`).
@@ -82,22 +82,12 @@ class CloudSettings(Settings):
     iterations_max: Annotated[int, Field(ge=1)] = 150
     map_voxel_m: Positive = 0.1
     accumulate: bool = False
-    shape: Literal["neighbours", "measured", "voxels", "features", "midlines"] = "neighbours"
+    shape: Literal["neighbours", "measured", "features"] = "neighbours"
     fast: bool = False
     drop_rotation: bool = False
     bars_weight: NotNegative = 0.0
     jump_max_m: Positive = 1.0
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
-
-    @property
-    def by_features(self) -> bool:
-        """Whether only features of a scan take part."""
-        return self.shape in ("features", "midlines")
-
-    @property
-    def by_bars(self) -> bool:
-        """Whether bars take part, as segments or as midlines."""
-        return self.bars_weight > 0 or self.shape == "midlines"
 
 
 CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariances", "solver"]
@@ -136,21 +126,6 @@ class ReportSegmentSettings(Settings):
     switched: tuple[SegmentTrait, ...] = ()
 
 
-class CalibrationSettings(Settings):
-    """Standard deviations, before the flight, of errors of the sensor that smoothing finds; 0 for what is known.
-
-    Of a constant error of the range and of one in proportion to it, by default 1 cm and 1 % as data sheets have them;
-    of shift and turn of the mount, each along or about one axis, 1 cm and 1° as measured by hand; and of the stamps,
-    20 ms.
-    """
-
-    range_offset_sigma_m: NotNegative = 0.01
-    range_scale_sigma: Annotated[float, Field(ge=0, le=0.1)] = 0.01
-    mount_sigma_m: NotNegative = 0.01
-    mount_sigma_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0175
-    time_sigma_s: NotNegative = 0.02
-
-
 class OdometrySettings(Settings):
     """One method and all that it takes from the sensor's and the method's preset.
 
@@ -159,14 +134,12 @@ class OdometrySettings(Settings):
     for a drift that is taken to stand still; ``tilt_sigma_rad`` is that of the prior's roll and pitch, which are then
     corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan, all poses and bars are adjusted together
     (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the flight
-    (`steelnb.odometry.faces`), None for none; ``calibration``: errors of the sensor that smoothing finds, too;
-    ``inertial``: errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`)
-    and take part in smoothing, None for none. ``weights``: file with the weights of a learned odometry
-    (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others. ``library``: the one that does
-    the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: visual odometry by ORB features
-    (`steelnb.odometry.orb`) whose landmarks have the Time-of-Flight ``sensor``'s depths, or ``triangulated`` ones from
-    two images (`steelnb.odometry.monocular`), whose scale is that of the drifting prior; None for no images.
-    ``report_clouds``, ``report_segments``: the report's own programs. Tables that a method does not use are None.
+    (`steelnb.odometry.faces`), None for none; ``inertial``: errors of the IMU whose readings predict the pose of a scan
+    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
+    weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
+    ``library``: the one that does the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: whether
+    it is visual odometry by ORB features (`steelnb.odometry.orb`). ``report_clouds``, ``report_segments``: the report's
+    own programs. Tables that a method does not use are None.
     """
 
     method: str
@@ -180,51 +153,45 @@ class OdometrySettings(Settings):
     fusion: FusionSettings | None = None
     segments: SegmentSettings | None = None
     clouds: CloudSettings | None = None
-    orb: Literal["sensor", "triangulated"] | None = None
+    orb: bool = False
     weights: str | None = None
     library: Literal["kiss_icp", "small_gicp"] | None = None
     report_clouds: Annotated[ReportCloudSettings | None, table(ReportCloudSettings)] = None
     report_segments: Annotated[ReportSegmentSettings | None, table(ReportSegmentSettings)] = None
-    calibration: Annotated[CalibrationSettings | None, table(CalibrationSettings)] = None
     inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.method not in method_names():
             raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        others = {"orb": self.orb, "weights": self.weights, "a library": self.library,
+        others = {"orb": self.orb or None, "weights": self.weights, "a library": self.library,
                   "report_clouds": self.report_clouds, "report_segments": self.report_segments}  # fmt: skip
         other = [name for name, given in others.items() if given is not None]
         if len(other) > 1:
             raise ValueError(f"method {self.method!r}: {' and '.join(other)}: expected one of them")
-        with_camera = self.orb is not None and self.clouds is not None
-        alone = "" if with_camera else "".join(other)
+        alone = "".join(other)
         if alone and (self.clouds is not None or self.segments is not None or self.smooth):
             raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
-        if self.orb and self.clouds and (self.clouds.bars_weight == 0 or self.refit_s or self.orb != "sensor"):
-            raise ValueError(f"method {self.method!r}: orb with clouds: expected bars_weight, orb = 'sensor' and no "
-                             "refit_s")  # fmt: skip
         if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
             raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
         by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)
         if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
             raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
-        if self.orb is not None and self.prior_sigma is None:
+        if self.orb and self.prior_sigma is None:
             raise ValueError(f"method {self.method!r}: orb: expected prior_sigma")
         if self.report_segments is not None and self.hough is None:
             raise ValueError(f"method {self.method!r}: expected a table hough")
-        by_points = self.clouds is not None or self.orb is not None
+        by_points = self.clouds is not None or self.orb
         if self.tilt_sigma_rad and (not by_points or self.prior_sigma is None):
             given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
             raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
-        if self.clouds and self.clouds.by_features and (self.clouds.error != "gicp" or by_bars or self.refit_s):
+        features = self.clouds is not None and self.clouds.shape == "features"
+        if self.clouds and features and (self.clouds.error != "gicp" or by_bars or self.refit_s):
             given = f"clouds.shape = {self.clouds.shape!r}"
             raise ValueError(f"method {self.method!r}: {given}: expected error = 'gicp', no bars_weight and no refit_s")
         if self.refit_s is not None and self.clouds is None:
             raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        if self.calibration is not None and not self.smooth:
-            raise ValueError(f"method {self.method!r}: a table calibration without smooth: expected smooth = true")
-        if self.inertial is not None and self.orb is None and (self.clouds is None or not self.clouds.by_bars):
+        if self.inertial is not None and not self.orb and (self.clouds is None or not by_bars):
             raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars, or orb")
         if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
             raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
@@ -243,7 +210,7 @@ class OdometrySettings(Settings):
         kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
         built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
         clouds = built.get("clouds")
-        inertial = "orb" in tables or (isinstance(clouds, CloudSettings) and clouds.by_bars)
+        inertial = "orb" in tables or (isinstance(clouds, CloudSettings) and clouds.bars_weight > 0)
         if inertial and "imu" in of_sensor:
             tables["inertial"] = of_sensor["imu"]
         crops = of_sensor.get("preprocess", {}).get(crop, {})

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from steelnb.settings.base import NotNegative, Positive, Settings
+from steelnb.settings.base import Positive, Settings
 
 
 class StructureSettings(Settings):
@@ -17,13 +17,3 @@ class StructureSettings(Settings):
     floor_m: Annotated[float, Field(allow_inf_nan=False)] = 0.2
     range_max_m: Positive = 6.0
     adjust: bool = True
-
-
-class Tolerance(Settings):
-    """How two structures are compared. Up to ``offset_m``, ``angle_deg`` and ``end_m`` a bar has not moved, and up to
-    ``joint_m`` a joint."""
-
-    offset_m: NotNegative = 0.01
-    angle_deg: NotNegative = 0.5
-    end_m: NotNegative = 0.03
-    joint_m: NotNegative = 0.02

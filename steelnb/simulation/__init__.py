@@ -6,10 +6,10 @@ from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.sections import Member
 from steelnb.simulation.tof import CastScans, scan_flight
-from steelnb.simulation.tower import Tower, build_tower, build_tubes, changed_tower
+from steelnb.simulation.tower import Tower, build_tower, build_tubes
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
     "Camera", "CastScans", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower", "build_tubes",
-    "changed_tower", "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "photograph", "scan_flight",
+    "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "photograph", "scan_flight",
 ]  # fmt: skip

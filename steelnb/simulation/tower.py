@@ -1,9 +1,7 @@
 """A lattice tower, from a list of its members or tapered by a few numbers: members, joints and surface mesh."""
 
 import itertools
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -158,35 +156,6 @@ def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
     for bay in (1, 2):
         build.add("arm", [points[-1, 0][bay], points[1, 0][bay]], side * np.array([-1.0, 0, 0]), up)
         build.add("arm", [points[-1, 0][bay - 1], points[1, 0][bay]], side * np.array([1.0, 0, 0]), up)
-
-
-def changed_tower(
-    tower: Tower,
-    removed: Collection[int] = (),
-    moved: Mapping[int, Array] = MappingProxyType({}),
-    bent: Mapping[int, Array] = MappingProxyType({}),
-) -> Tower:
-    """The tower with some members removed, others moved by a vector ``(3,)`` in metres, and others bent so that their
-    middle moves by one and their ends stay (half a sine). Only the mesh changes: the list of members stays."""
-    vertices, triangles, owner = [tower.vertices.copy()], [tower.triangles], [tower.triangle_member]
-    for m, by in moved.items():
-        vertices[0][np.unique(tower.triangles[tower.triangle_member == m])] += by
-    count, share = len(tower.vertices), np.linspace(0, 1, BEND_PIECES + 1)[:, None, None]
-    for m, by in bent.items():
-        prism = tower.triangles[tower.triangle_member == m]
-        lower, upper = np.split(tower.vertices[prism.min() : prism.max() + 1], 2)
-        bow = lower + share * (upper - lower) + np.sin(np.pi * share) * by
-        for below, above in itertools.pairwise(bow):
-            vertices.append(np.concatenate([below, above]))
-            triangles.append(count + prism - prism.min())
-            owner.append(np.full(len(prism), m))
-            count += 2 * len(lower)
-    whole, of = np.concatenate(triangles), np.concatenate(owner)
-    gone = np.isin(of, [*removed]) | (np.isin(of, [*bent]) & (np.arange(len(of)) < len(tower.triangles)))
-    return replace(tower, vertices=np.concatenate(vertices), triangles=whole[~gone], triangle_member=of[~gone])
-
-
-BEND_PIECES = 8
 
 
 def build_tubes(axes: Array, radius_m: float, sides: int = 48) -> Tower:

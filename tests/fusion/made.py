@@ -1,7 +1,5 @@
 """Made-up bars, structures and rigid motions."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -52,24 +50,6 @@ def distance_to_lines(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(points[:, None] - axes[:, 0], direction), axis=2)
 
 
-def changed(structure: Structure, bar: int, start=(0, 0, 0), end=(0, 0, 0)) -> Structure:
-    s = structure.segments
-    starts, ends = s.start.copy(), s.end.copy()
-    starts[bar] += start
-    ends[bar] += end
-    return replace(structure, segments=Segments(starts, ends, s.count, s.radius))
-
-
-def ladder(steps: int = 6) -> Structure:
-    """Two posts 1 m apart, and rungs between them 0.5 m apart, each tied to both posts."""
-    top = 0.5 * (steps + 1)
-    posts = [[[0, 0, 0], [0, 0, top]], [[1, 0, 0], [1, 0, top]]]
-    rungs = [[[0, 0, 0.5 * k], [1, 0, 0.5 * k]] for k in range(1, steps + 1)]
-    joint = [[x, 0, 0.5 * k] for k in range(1, steps + 1) for x in (0, 1)]
-    tie = [row for k in range(steps) for row in ((2 * k, 0), (2 * k, 2 + k), (2 * k + 1, 1), (2 * k + 1, 2 + k))]
-    return structure_of_bars(posts + rungs, joint, tie)
-
-
 def small_tower():
     """A tower without arms, 5 m high, whose sections are as thick as `fusion.sections` takes them to be."""
     plain = {f"{kind}_section_m": (0.072, 0.006) for kind in ("ring", "bracing")} | {"leg_section_m": (0.12, 0.01)}
@@ -78,24 +58,6 @@ def small_tower():
             height_m=5.0, base_width_m=2.4, waist_height_m=3.0, waist_width_m=1.8, top_width_m=1.4, arm_height_m=(),
             arm_reach_m=(), **plain,
         )
-    )  # fmt: skip
-
-
-def true_structure(tower, sigma_m: float = 0.001) -> Structure:
-    """The members of a tower as bars without error, their axes through the centroids of the sections."""
-    start, end, opening, width = [], [], [], []
-    for member in tower.members:
-        flange, thickness = member.section_m
-        centroid = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))
-        between = np.add(member.flange_a, member.flange_b)
-        ends = tower.joints[[member.joints[0], member.joints[-1]]] + centroid * between
-        start, end = [*start, ends[0]], [*end, ends[1]]
-        opening, width = [*opening, between / np.linalg.norm(between)], [*width, flange]
-    n = len(width)
-    segments = Segments(np.array(start), np.array(end), np.full(n, 100), np.full(n, 0.03))
-    return Structure(
-        segments, np.array(width), np.full(n, 9), np.full(n, sigma_m), np.zeros((0, 3)), np.zeros((0, 2), np.int64),
-        opening=np.array(opening),
     )  # fmt: skip
 
 

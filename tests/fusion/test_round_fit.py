@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import reconstruct, round_fit, sections
-from steelnb.fusion.known import KnownBars
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import map_scans
 from steelnb.metrics.matching import match_members
@@ -98,14 +97,14 @@ def test_a_step_is_that_of_its_slow_twin():
     np.testing.assert_allclose(normal[:, 5], vector, rtol=1e-6, atol=1e-6 * np.abs(vector).max())
 
 
-def test_a_tube_of_a_map_has_its_circle_for_an_outline():
+def test_a_reconstructed_tube_has_its_circle_for_an_outline():
     tower = build_tubes(AXES[:1], 0.05)
     flight = around(tower, 160, turn_rad=math.pi)
-    known = KnownBars.of(reconstruct(flight.scans, flight.prior.T_world_drone))
+    [width_m] = reconstruct(flight.scans, flight.prior.T_world_drone).width_m
+    [corner] = sections.outlines(np.array([np.nan]), np.array([width_m]))
     for angle in (0.3, 2.0, 4.4):
         cosine, sine = math.cos(angle), math.sin(angle)
-        height, rise = sections.front_face(known.corner[0], cosine, sine, 0.03)
+        height, rise = sections.front_face(corner, cosine, sine, 0.03)
         assert height == pytest.approx(0.04, abs=0.002)
         assert rise == pytest.approx(-0.75, abs=0.05)
-        assert sections.extent(known.corner[0], cosine, sine) == pytest.approx((-0.05, 0.05), abs=0.002)
-        assert sections.front_face(known.corner[0], cosine, sine, 0.06)[0] < -1e8
+        assert sections.front_face(corner, cosine, sine, 0.06)[0] < -1e8

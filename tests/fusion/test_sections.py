@@ -65,7 +65,7 @@ def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
     np.testing.assert_allclose(weight, 1 / (points[kept] ** 2).sum(axis=1))
     voxels = VoxelMap(0.5)
     voxels.insert(found[:50])
-    grid, _ = voxels.grid()
+    grid = voxels.grid()
     bar_of_voxel = np.arange(len(voxels)) - 1
     owner = {tuple(np.floor(mean / 0.5).astype(int)): k for mean, k in zip(voxels.means(), bar_of_voxel, strict=True)}
     expected = [owner.get(tuple(np.floor(point / 0.5).astype(int)), -1) for point in found]

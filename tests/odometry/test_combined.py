@@ -4,7 +4,6 @@ import pytest
 from steelnb import experiment
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import (
-    CameraOdometry,
     CloudOdometry,
     CombinedOdometry,
     LoamOdometry,
@@ -27,7 +26,7 @@ def world():
 def test_the_settings_choose_the_odometry():
     kinds = {
         "combined": CombinedOdometry, "best": CloudOdometry, "least_squares_yaw": SegmentOdometry,
-        "combined-camera": CameraOdometry, "loam": LoamOdometry,
+        "loam": LoamOdometry,
     }  # fmt: skip
     for method, kind in kinds.items():
         assert type(make_odometry(OdometrySettings.preset(method), np.eye(4))) is kind

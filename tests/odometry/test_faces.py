@@ -116,7 +116,7 @@ def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
             assert ours.faces is not None
             bars, away = ours.faces.known.bars, np.array([0.05, 0.0, 0.0])
             segments = replace(bars.segments, start=bars.segments.start + away, end=bars.segments.end + away)
-            shifted = KnownBars(replace(bars, segments=segments), ours.faces.known.sigma_m)
+            shifted = KnownBars(replace(bars, segments=segments))
             assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason
             ours.faces.known = shifted
             assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.points.features import SMOOTH, loam_features, midlines, scan_lines
+from steelnb.points.features import SMOOTH, loam_features, scan_lines
 from steelnb.settings import TofSettings
 from steelnb.simulation.scene import rays
 from tests import naive
@@ -56,51 +56,6 @@ def test_what_something_nearer_hides_gives_no_edge_at_its_border():
     edge = loam_features(image).point[loam_features(image).plane == 0]
     assert len(edge) >= 6
     assert (edge[:, 0] < 2.5).all()  # the border of the front, none of the wall's shadow
-
-
-def bar(width_m, turn_deg, depth_m=3.0, behind_m=np.nan, offset_m=0.0):
-    """A flat strip that faces the camera, and what is behind it."""
-    _, flat = camera(columns=161, rows=121)
-    image, angle = flat * depth_m, np.radians(turn_deg)
-    across = np.cos(angle) * image[..., 1] + np.sin(angle) * image[..., 2] - offset_m
-    return np.where((np.abs(across) > width_m / 2)[..., None], flat * behind_m, image), across
-
-
-@pytest.mark.parametrize("turn_deg", [0, 20, 45, 70, 90])
-@pytest.mark.parametrize("behind_m", [np.nan, 5.0])
-def test_midlines_lie_on_the_axis_of_a_bar(turn_deg, behind_m):
-    image, _ = bar(0.12, turn_deg, behind_m=behind_m, offset_m=0.1)
-    found = midlines(image)
-    angle = np.radians(turn_deg)
-    across = np.cos(angle) * found[:, 1] + np.sin(angle) * found[:, 2] - 0.1
-    assert len(found) > 90
-    np.testing.assert_allclose(found[:, 0], 3.0, atol=1e-9)
-    assert np.abs(across).max() < 0.03  # a pixel
-    assert abs(across.mean()) < 0.005
-
-
-def test_silhouettes_of_something_behind_another_thing_are_not_those_of_a_bar():
-    image, across = bar(0.12, 0)
-    _, flat = camera(columns=161, rows=121)
-    hidden = np.where((across > 0)[..., None], 2.0 * flat, image)  # a nearer wall hides half of it
-    assert len(midlines(image)) > 100
-    assert not len(midlines(hidden))
-
-
-@pytest.mark.parametrize("image", [bar(0.6, 0)[0], bar(0.02, 0)[0], bar(9.0, 0)[0], np.full((9, 9, 3), np.nan)])
-def test_what_is_too_wide_or_too_narrow_or_at_the_border_of_the_picture_is_no_bar(image):
-    assert not len(midlines(image))
-
-
-def test_the_depth_of_a_midline_is_that_of_its_inside():
-    image, across = bar(0.2, 0)
-    blurred = image.copy()
-    edge = np.isfinite(image[..., 0]) & (np.abs(across) > 0.08)
-    blurred[edge] *= 1.03  # mixed pixels
-    inside = np.abs(midlines(blurred)[:, 0] - 3.0)
-    assert len(inside) > 100
-    assert inside.max() < 0.04
-    assert np.median(inside) < 0.02
 
 
 def test_the_returns_of_each_laser_are_one_line_by_azimuth():

@@ -1,4 +1,5 @@
-"""Properties of `register`: of every error, degree of freedom, kind of target and robust kernel, on random scenes."""
+"""Properties of `register` on random scenes: of every error, degree of freedom and kind of target, with and without
+robust weights."""
 
 import numpy as np
 import pytest
@@ -7,10 +8,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.points import VoxelMap
-from steelnb.registration import make_target, register, voxel_target
+from steelnb.registration import make_target, register
 from tests.registration.scenes import apart, corner, motion, moved
 
-METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp", "vgicp": "gicp"}
+METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 REASONS = {"converged", "iterations exhausted", "too few pairs", "singular"}
 SEEDS = st.integers(0, 10_000)
 
@@ -18,11 +19,11 @@ SEEDS = st.integers(0, 10_000)
 def as_target(points, kind, method):
     if kind == "cloud":
         return points
-    if kind == "prepared" and method != "vgicp":
+    if kind == "prepared":
         return make_target(points, METHODS[method])
     voxels = VoxelMap(0.1)
-    voxels.update_shapes(voxels.insert(points))
-    return voxels if kind == "map" else voxel_target(voxels)
+    voxels.insert(points)
+    return voxels
 
 
 def rigid(seed, shift_m):
@@ -40,8 +41,8 @@ def test_the_pose_is_found_forward_inverse_and_from_perturbed_starts(method, dof
     here, T_true = corner(3000, seed), motion(3, 0.08, dof, seed)
     there = moved(here, T_true)
     # The very same points are found to the solver's tolerance; means of voxels are other points than the source's.
-    shift_m, turn_deg = (1e-3, 0.02) if kind != "map" and method != "vgicp" else (0.012, 0.2)
-    options = {"method": method, "dof": dof, "max_correspondence_m": 0.5, "voxel_m": 0.1}
+    shift_m, turn_deg = (1e-3, 0.02) if kind != "map" else (0.012, 0.2)
+    options = {"method": method, "dof": dof, "max_correspondence_m": 0.5}
     start = motion(4, 0.1, dof, seed + 1) @ T_true
     runs = [
         (register(here, as_target(there, kind, method), **options), T_true),
@@ -57,19 +58,17 @@ def test_the_pose_is_found_forward_inverse_and_from_perturbed_starts(method, dof
 
 @pytest.mark.parametrize("method", ["icp", "plane", "gicp"])
 @settings(max_examples=8, deadline=None)
-@given(seed=SEEDS, shift_m=st.sampled_from([0.0, 3.0, 100.0, 1e4]), robust=st.sampled_from(["none", "cauchy"]))
+@given(seed=SEEDS, shift_m=st.sampled_from([0.0, 3.0, 100.0, 1e4]), robust=st.booleans())
 def test_a_rigid_motion_of_both_clouds_moves_the_answer_along(method, seed, shift_m, robust):
     here, there = corner(800, seed), corner(900, seed + 1, 0.005)
     T_init, A, B = motion(2, 0.05, seed=seed), rigid(seed + 2, shift_m), rigid(seed + 3, shift_m)
     scale = {"icp": 0.05, "plane": 0.03, "gicp": 2.0}[method]
-    options = {"max_correspondence_m": 0.5, "robust": robust, "robust_scale": scale}
+    options = {"max_correspondence_m": 0.5, "robust_scale": scale if robust else np.inf}
     plain = register(here, there, method, T_init=T_init, **options)
     T_moved = B @ T_init @ np.linalg.inv(A)
     both = register(moved(here, A), moved(there, B), method, T_init=T_moved, **options)
     np.testing.assert_allclose(np.linalg.inv(B) @ both.T_target_source @ A, plain.T_target_source, atol=1e-6)
     assert (both.iterations, both.inliers) == (plain.iterations, plain.inliers)
-    assert both.rmse_m == pytest.approx(plain.rmse_m, abs=1e-7)
-    np.testing.assert_allclose(both.eigenvalues, plain.eigenvalues, rtol=1e-4)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -108,7 +107,7 @@ def test_a_restricted_solve_keeps_the_rest_of_the_start(method, seed, dof):
 def test_yaw_is_about_the_gravity_that_is_given(method):
     points, T_true = corner(2000, 2), motion(0, 0.05)
     T_true[:3, :3] = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
-    options = {"dof": "xyz_yaw", "max_correspondence_m": 0.5, "voxel_m": 0.1}
+    options = {"dof": "xyz_yaw", "max_correspondence_m": 0.5}
     right = register(points, moved(points, T_true), method, gravity=[0, -7, 0], **options)
     wrong = register(points, moved(points, T_true), method, **options)
     assert np.less(apart(right.T_target_source, T_true), (0.012, 0.2)).all()
@@ -117,17 +116,16 @@ def test_yaw_is_about_the_gravity_that_is_given(method):
 
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS, share=st.floats(0.15, 0.3))
-def test_robust_kernels_resist_points_that_belong_to_nothing(seed, share):
+def test_robust_weights_resist_points_that_belong_to_nothing(seed, share):
     here = corner(3000, seed)
     stray = here[: int(share * 3000)] + np.array([0.25, 0.1, 0.2])  # part of the scan shifted to one side
     source = np.random.default_rng(seed).permutation(np.concatenate([here, stray]))
-    error_m = {
-        robust: apart(register(source, here, "icp", robust=robust, robust_scale=0.03).T_target_source, np.eye(4))[0]
-        for robust in ("none", "huber", "cauchy", "geman_mcclure")
-    }
-    assert error_m["none"] > 0.008
-    assert max(error_m["huber"], error_m["cauchy"]) < 0.8 * error_m["none"]
-    assert error_m["geman_mcclure"] < 2e-3
+    plain_m, robust_m = (
+        apart(register(source, here, "icp", robust_scale=scale).T_target_source, np.eye(4))[0]
+        for scale in (np.inf, 0.03)
+    )
+    assert plain_m > 0.008
+    assert robust_m < 2e-3
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -151,5 +149,3 @@ def test_degenerate_clouds_give_a_rigid_pose_and_a_reason(method, shape, seed, d
     if shape == "plane" and method == "plane":
         drift = moved(points, T) - moved(points, T_init)
         assert np.abs(drift[:, :2]).max() < 0.05 * np.abs(drift[:, 2]).max() + 1e-6
-    assert np.isfinite(result.covariance).all()
-    assert np.linalg.eigvalsh(result.covariance).min() > -1e-6 * max(np.abs(result.covariance).max(), 1e-12)

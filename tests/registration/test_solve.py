@@ -6,16 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration import Target, align, free_directions, make_target, prior_term, register, solve, voxel_target
+from steelnb.registration import Target, align, make_target, prior_term, register, solve
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration import target as target_module
 from tests import naive
 from tests.registration.scenes import apart, corner, motion, moved
 
 ERRORS = ("point", "plane", "gicp")
-KERNELS = ("none", "huber", "cauchy", "geman_mcclure")
 SCALE = {"point": 0.05, "plane": 0.03, "gicp": 2.0}
 NONE = np.zeros((0, 6))
 
@@ -23,8 +21,8 @@ NONE = np.zeros((0, 6))
 class Problem:
     """A small registration under way, and its terms by kernel and by slow twin."""
 
-    def __init__(self, error, kernel):
-        self.error, self.kernel, self.scale = error, kernel, SCALE[error]
+    def __init__(self, error, robust):
+        self.error, self.scale = error, SCALE[error] if robust else math.inf
         self.source = corner(150, 1)
         self.target = make_target(corner(220, 2), error)
         self.C_source = regularised(neighbour_covariances(self.source)) if error == "gicp" else NONE
@@ -34,14 +32,14 @@ class Problem:
             self.target.filled.fill(np.arange(len(self.target.point)))
         self.centre = np.array([0.3, -0.2, 0.5])
 
-    def fast(self, T, spread=False):
-        H, b, S = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6) if spread else (0, 0))
+    def fast(self, T):
+        H, b = np.zeros((6, 6)), np.zeros(6)
         t = self.target
         answer = kernels.linearise(
             solve.ERRORS[self.error], self.source, self.C_source, t.point, t.normal, t.covariance, self.match, T,
-            self.T[:3, :3], self.centre, math.inf, solve.ROBUST[self.kernel], self.scale, H, b, S,
+            self.T[:3, :3], self.centre, math.inf, self.scale, H, b,
         )  # fmt: skip
-        return *answer, H, b, S
+        return *answer, H, b
 
     def terms(self, T):
         C_target = naive.full(self.target.covariance) if self.error == "gicp" else None
@@ -57,17 +55,15 @@ class Problem:
         T = np.eye(4)
         T[:3, :3] = turn @ self.T[:3, :3]
         T[:3, 3] = turn @ (self.T[:3, 3] - self.centre) + self.centre + xi[3:]
-        return sum(
-            naive.robust(self.kernel, float((root @ e) @ (root @ e)), self.scale) for e, root, _ in self.terms(T)
-        )
+        return sum(naive.robust(float((root @ e) @ (root @ e)), self.scale) for e, root, _ in self.terms(T))
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("error", ERRORS)
-def test_loss_and_gradient_are_those_of_the_definition(error, kernel):
-    problem = Problem(error, kernel)
-    loss, inliers, _, _, b, _ = problem.fast(problem.T)
+def test_loss_and_gradient_are_those_of_the_definition(error, robust):
+    problem = Problem(error, robust)
+    loss, inliers, _, b = problem.fast(problem.T)
     assert inliers == (problem.match >= 0).sum() > 100
     assert loss == pytest.approx(problem.loss(np.zeros(6)), rel=1e-9)
     step = 1e-6
@@ -76,12 +72,12 @@ def test_loss_and_gradient_are_those_of_the_definition(error, kernel):
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("error", ERRORS)
-def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error, kernel):
-    problem = Problem(error, kernel)
-    *_, H, _, S = problem.fast(problem.T, spread=True)
-    H_slow, S_slow = np.zeros((6, 6)), np.zeros((6, 6))
+def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error, robust):
+    problem = Problem(error, robust)
+    *_, H, _ = problem.fast(problem.T)
+    H_slow = np.zeros((6, 6))
     step = 1e-5
     for e, root, q in problem.terms(problem.T):
         columns = []
@@ -93,12 +89,10 @@ def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error,
         J, r = np.array(columns).T, root @ e
         squared = r @ r
         change = 1e-6 * squared
-        ahead, behind = (naive.robust(kernel, squared + d, problem.scale) for d in (change, -change))
+        ahead, behind = (naive.robust(squared + d, problem.scale) for d in (change, -change))
         weight = (ahead - behind) / change  # twice the slope of the loss over the squared residual
         H_slow += weight * J.T @ J
-        S_slow += weight**2 * np.outer(J.T @ r, J.T @ r)
     np.testing.assert_allclose(H, H_slow, atol=1e-5 * np.abs(H_slow).max())
-    np.testing.assert_allclose(S, S_slow, atol=1e-5 * np.abs(S_slow).max())
 
 
 def test_pairs_kept_from_step_to_step_are_those_of_a_new_search_at_every_step(monkeypatch):
@@ -131,30 +125,11 @@ def test_pairs_stay_exact_when_the_pose_jumps_to_and_fro(seed, limit):
         np.testing.assert_array_equal(pairs.match, naive.pairs(moved(source, T), target.point, limit))
 
 
-@pytest.mark.kernels
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 10_000), voxel_m=st.floats(0.2, 0.5), share=st.floats(0.3, 2.0))
-def test_voxels_are_paired_as_by_their_slow_twin_while_the_pose_jumps(seed, voxel_m, share):
-    source, voxels, limit = corner(60, seed) - 1.5, VoxelMap(voxel_m), share * voxel_m
-    voxels.update_shapes(voxels.insert(corner(300, seed + 1) - 1.5))
-    pairs, means = voxel_target(voxels).pairs(source, limit), voxels.means()
-    cubes = np.floor(means / voxel_m)
-    rng = np.random.default_rng(seed)
-    for size in [0.0, *rng.choice([1e-9, 1e-3, 0.03, 0.2, 5.0], 8)]:
-        T = motion(20 * size, size, seed=int(rng.integers(1000)))
-        pairs.update(T)
-        for q, found in zip(moved(source, T), pairs.match, strict=True):
-            step = cubes - np.floor(q / voxel_m - 0.5)
-            eight = ((step == 0) | (step == 1)).all(axis=1)
-            distance = np.where(eight, np.linalg.norm(means - q, axis=1), np.inf)
-            assert found == (distance.argmin() if distance.min() <= limit else -1)
-
-
 def test_the_solver_ends_at_the_closed_form_of_its_own_pairs():
     here = corner(300, 1)
     there = moved(here, motion(2, 0.05)) + 0.02 * np.random.default_rng(2).normal(size=here.shape)
     target = make_target(there, "point")
-    result = align(here, target, "point", np.eye(6), np.eye(4), 0.5, None, "none", 1.0, 100, 1e-12, 1e-12)
+    result = align(here, target, "point", np.eye(6), np.eye(4), 0.5, None, math.inf, 100, 1e-12, 1e-12)
     pairs = target.pairs(here, 0.5)
     pairs.update(result.T_target_source)
     p, q = here[pairs.match >= 0], target.point[pairs.match[pairs.match >= 0]]
@@ -191,72 +166,13 @@ def loss_of_pairs(points, target, match, T_pairs, T, limit):
     return 0.5 * (e.sum(axis=1)[kept & (match >= 0)] ** 2).sum()
 
 
-@pytest.mark.parametrize(("error", "dof"), [("point", "se3"), ("plane", "se3"), ("gicp", "se3"), ("plane", "xyz_yaw")])
-def test_the_covariance_is_the_spread_of_200_noisy_runs(error, dof):
-    sigma, poses, told = 0.01, [], []
-    scene, free = corner(4000, 1), free_directions(dof)
-    target = make_target(scene, error)
-    for seed in range(200):
-        source = scene[np.random.default_rng(seed).choice(4000, 300, replace=False)]
-        source = source + sigma * np.random.default_rng(1000 + seed).normal(size=source.shape)
-        covariance = regularised(neighbour_covariances(source)) if error == "gicp" else None
-        result = align(source, target, error, free, np.eye(4), 0.3, covariance, rotation_epsilon_rad=1e-5,
-                       translation_epsilon_m=1e-5)  # fmt: skip
-        turn = Rotation.from_matrix(result.T_target_source[:3, :3]).as_rotvec()
-        poses.append(np.append(turn, result.T_target_source[:3, 3]))
-        told.append(result.covariance_at(np.zeros(3)))
-    spread = np.array(poses).std(axis=0)
-    expected = np.sqrt(np.diagonal(np.mean(told, axis=0)))
-    used = spread > 1e-12
-    assert used.sum() == free.shape[1]
-    np.testing.assert_array_equal(expected[~used], 0)
-    ratio = expected[used] / spread[used]
-    assert ratio.min() > 1 / 1.5
-    assert ratio.max() < 1.5
-
-
-def test_covariance_at_another_point_is_that_of_the_lever():
-    result = register(corner(500, 1), corner(500, 1) + 0.01, "plane")
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(np.zeros(6), result.covariance, 200_000)
-    point = result.centre + np.array([3.0, -1, 2])
-    moves = np.hstack([draws[:, :3], draws[:, 3:] + np.cross(draws[:, :3], point - result.centre)])
-    np.testing.assert_allclose(
-        result.covariance_at(point), np.cov(moves.T), atol=0.02 * result.covariance_at(point).max()
-    )
-
-
-@pytest.mark.parametrize("error", ["plane", "gicp"])
-@pytest.mark.parametrize("shift", [0.0, 500.0])
-def test_weak_directions_are_what_a_floor_and_a_corridor_leave_open(error, shift):
-    rng = np.random.default_rng(0)
-    u, v = rng.uniform(-3, 3, (2, 1500))
-    floor = np.stack([u, v, np.zeros(1500)], 1) + shift
-    walls = np.stack([u, np.where(v > 0, 4.0, -4.0), v], 1) + shift
-    flat = register(floor, floor, error)
-    assert flat.converged
-    assert flat.weak.shape == (3, 6)
-    open_ = np.zeros((6, 6))
-    open_[[2, 3, 4], [2, 3, 4]] = 1  # turn about z, shift along x and y
-    np.testing.assert_allclose(flat.weak.T @ flat.weak, open_, atol=1e-2)
-    corridor = register(np.vstack([floor, walls]), np.vstack([floor, walls]), error)
-    assert corridor.weak.shape == (1, 6)
-    np.testing.assert_allclose(np.abs(corridor.weak[0]), np.eye(6)[3], atol=1e-2)
-    assert (register(corner(1500, 1), corner(1500, 1), error).weak).shape == (0, 6)
-    assert (np.diff(flat.eigenvalues) >= 0).all()
-    # Points seen as points are blind to it, as documented.
-    assert register(floor, floor, "icp").weak.shape == (0, 6)
-
-
-def test_nothing_moves_where_the_pairs_say_nothing_and_the_covariance_says_so():
+def test_nothing_moves_where_the_pairs_say_nothing():
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-3, 3, (1000, 2)), np.zeros(1000)])
     start = motion(0, 0.0)
     start[:3, 3] = [0.02, -0.03, 0.05]
     result = register(floor, floor, "plane", T_init=start, max_correspondence_m=0.3)
     np.testing.assert_allclose(result.T_target_source[:3, 3], [0.02, -0.03, 0], atol=1e-6)
-    np.testing.assert_array_less(1e11, np.diag(result.covariance)[[2, 3, 4]])
-    np.testing.assert_array_less(np.diag(result.covariance)[[0, 1, 5]], 1e-6)
 
 
 def test_a_prior_holds_the_open_directions_and_yields_in_the_others():
@@ -273,7 +189,6 @@ def test_a_prior_holds_the_open_directions_and_yields_in_the_others():
     )
     np.testing.assert_allclose(middle[:2], prior[:2], atol=2e-3)  # the middle of the scan stays where the prior has it
     assert abs(middle[2]) < 2e-3 < 0.5 < abs(prior[2])
-    assert np.sqrt(np.diag(result.covariance))[[3, 4]] == pytest.approx(0.8, rel=0.05)
 
 
 @pytest.mark.filterwarnings("error")
@@ -284,15 +199,13 @@ def test_covariances_without_any_extent_are_singular_and_say_so():
     result = align(points, flat, "gicp", np.eye(6), np.eye(4), 1.0, np.zeros((200, 6)))
     assert (result.converged, result.reason) == (False, "singular")
     np.testing.assert_array_equal(result.T_target_source, np.eye(4))
-    assert np.isfinite(result.covariance).all()
-    assert np.diag(result.covariance)[3:].min() > 1e11
 
 
 @pytest.mark.parametrize("error", ["point", "plane"])
 def test_extrapolated_steps_end_at_the_same_pose_in_fewer(error):
     source, target = corner(3000, 1), make_target(corner(3000, 2), error)
     ends = [
-        align(source, target, error, np.eye(6), motion(4, 0.15), 0.5, None, "geman_mcclure", SCALE[error], 200, 1e-7,
+        align(source, target, error, np.eye(6), motion(4, 0.15), 0.5, None, SCALE[error], 200, 1e-7,
               1e-7, accelerated=accelerated)
         for accelerated in (False, True)
     ]  # fmt: skip
@@ -308,10 +221,9 @@ def test_iterations_exhausted_is_not_converged():
     assert (result.converged, result.iterations, result.reason) == (False, 1, "iterations exhausted")
 
 
-def test_the_result_counts_and_measures_its_pairs():
+def test_the_result_counts_its_pairs():
     source = corner(500, 1)
     source[:50] += 10.0
     result = register(source, corner(500, 1), "icp", max_correspondence_m=0.2)
     assert result.inliers == 450
-    assert result.rmse_m == pytest.approx(0, abs=1e-6)
     assert apart(result.T_target_source, np.eye(4))[0] < 1e-6

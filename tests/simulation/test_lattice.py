@@ -9,7 +9,7 @@ import pytest
 from steelnb.errors import SettingsError
 from steelnb.metrics.members import seen_members
 from steelnb.settings import CameraSettings, TofFaultSettings, TofSettings, TowerSettings
-from steelnb.simulation import Camera, build_tower, changed_tower, scan_flight
+from steelnb.simulation import Camera, build_tower, scan_flight
 from steelnb.simulation.flight import HALF_BOX_M
 from steelnb.simulation.lattice import COLUMNS, find_joints
 from steelnb.simulation.scene import cast_bundle, make_scene
@@ -244,12 +244,6 @@ def test_the_tapered_tower_can_have_round_members_too():
     corner = rods.vertices[rods.triangles[rods.triangle_member == 0]]
     away = np.linalg.norm(np.cross(corner - start, (end - start) / np.linalg.norm(end - start)), axis=2)
     np.testing.assert_allclose(away, rods.members[0].section_m[0] / 2, rtol=0.015)
-    now = changed_tower(rods, moved={1: np.array([0.05, 0, 0])}, bent={2: np.array([0, 0, 0.03])})
-    for m, by in ((0, 0.0), (1, 0.05), (3, 0.0)):
-        before, after = (each.vertices[each.triangles[each.triangle_member == m]] for each in (rods, now))
-        np.testing.assert_allclose(after - before, np.full(before.shape, [by, 0, 0]), atol=1e-12)
-    low, high = (each.vertices[each.triangles[each.triangle_member == 2]][..., 2].mean() for each in (rods, now))
-    assert 0.01 < high - low < 0.03
 
 
 def listed(tmp_path, *rows):

@@ -153,7 +153,7 @@ def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings(
         by_case.setdefault((*name, case["method"]), set()).add(case["seed"])
     seeds = {case: len(found) for case, found in by_case.items()}
     ours = {"best", "combined", "faces"}
-    few = ours | {"loam", "loam-midlines"}
+    few = ours | {"loam"}
     report = {case: count for case, count in seeds.items() if case[0] == "report-4cm" and case[-1] not in few}
     other_worlds = {case: count for case, count in report.items() if case[5].startswith(("tower.", "flight."))}
     the_sweep = {case for case in other_worlds if case[4] == "constant-drift-per-axis" and "," in case[5]}
