@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from steelnb import experiment, rng
-from steelnb.errors import CollisionError, SettingsError
+from steelnb.errors import CollisionError, InputError
 from steelnb.odometry.deepvo import motions, paired
 from steelnb.odometry.network import Network, read_network
 from steelnb.settings import ExperimentSettings, FlightSettings, TofSettings, TowerSettings, TrajectoryName
@@ -112,7 +112,7 @@ def drawn(
                 flight = training["random_flight"](rng.stream(9, "deepvo", k), own)
             flight = flight.replace(standoff_m=far * flight.standoff_m)
             found.append(scanned(own.replace(**widths), flight, int(draw.integers(1 << 30))))
-        except (CollisionError, SettingsError):
+        except (CollisionError, InputError):
             continue
     return found
 

@@ -26,6 +26,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from steelnb.report.recording_truth import truth_at_scans, with_drift
 
 from shared import command, in_own_process, peak_bytes
 from steelnb import odometry, rng
@@ -36,7 +37,6 @@ from steelnb.io.trajectories import matrices
 from steelnb.metrics import score_trajectory
 from steelnb.report.cloud import segment_file
 from steelnb.report.recording_settings import Scene, recording_settings
-from steelnb.report.recording_truth import truth_at_scans, with_drift
 from steelnb.report.results import machine
 from steelnb.settings import NoiseSettings
 from steelnb.types import Array, Trajectory

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from steelnb.io.calibration import read_correction
 
 from steelnb import cli, experiment
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_structure
-from steelnb.io.calibration import read_correction
 from steelnb.settings import ExperimentSettings
 from tests.fusion.made import true_structure
 

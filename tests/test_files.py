@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from steelnb.errors import FileContentError, OutputError
+from steelnb.errors import InputError, OutputError
 from steelnb.files import new_file, new_folder
 
 
@@ -112,8 +112,8 @@ def test_messages_name_the_path_that_was_given(tmp_path: Path, monkeypatch: pyte
             pytest.fail("work was begun")
         with pytest.raises(OutputError, match=f"^{target}/a: cannot be written: "), new_file(f"{target}/a"):
             pytest.fail("work was begun")
-    with pytest.raises(FileContentError, match=r"^out/a: bad$"), new_folder("out") as folder:
-        raise FileContentError(f"{folder / 'a'}: bad")
+    with pytest.raises(InputError, match=r"^out/a: bad$"), new_folder("out") as folder:
+        raise InputError(f"{folder / 'a'}: bad")
     assert sorted(os.listdir()) == ["file"]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from steelnb.errors import EmptyCloudError
+from steelnb.errors import InputError
 from steelnb.fusion.displacement import BENT, SIGMA_BOW_M, displaced
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.reconstruct import reconstruct, sensor_poses
@@ -68,11 +68,11 @@ def find_changes(
 
     Parameters
     ----------
-    known: the map; world frame, metres. Raises `EmptyStructureError` for one without bars.
+    known: the map; world frame, metres. Raises `InputError` for one without bars.
     scans: K scans, points in the sensor frame, NaN for no return. That a bar is missing can be told from images
         ``(H, W, 3)`` of a pinhole camera alone, since the rays without a return must be known.
     T_world_drone: ``(K, 4, 4)``, poses in the frame of the map, as `KnownStructureOdometry` gives them. Raises
-        `SettingsError` for poses that do not fit the scans or are not finite.
+        `InputError` for poses that do not fit the scans or are not finite.
     T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
     settings: the floor and the range; what a new bar is.
     """
@@ -146,7 +146,7 @@ def _new_bars(scans: Sequence[Scan], T_world_sensor: Array, bars: KnownBars, set
     left = _Unexplained(scans, T_world_sensor, bars)
     try:
         return reconstruct(left, T_world_sensor, settings=settings.replace(adjust=False))
-    except EmptyCloudError as fault:
+    except InputError as fault:
         return Structure.empty(str(fault))
 
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.errors import EmptyStructureError
+from steelnb.errors import InputError
 from steelnb.fusion import sections
 from steelnb.fusion.bar_equations import BAR, Bars, equations
 from steelnb.fusion.bar_voxels import BarVoxels
@@ -40,9 +40,9 @@ class KnownBars:
 
     @classmethod
     def of(cls, structure: Structure) -> "KnownBars":
-        """The bars of a structure. Raises `EmptyStructureError` for one without bars."""
+        """The bars of a structure. Raises `InputError` for one without bars."""
         if not len(structure):
-            raise EmptyStructureError("the map has no bars; expected at least one to localise in")
+            raise InputError("the map has no bars; expected at least one to localise in")
         segments, n = structure.segments, len(structure)
         opening = np.full((n, 3), np.nan) if structure.opening is None else structure.opening
         first = opening - (opening * segments.direction).sum(axis=1)[:, None] * segments.direction

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.points.inputs import checked_cloud
 from steelnb.points.moments import NO_MOMENTS, add_moments, add_point, covariance, principal_axis, store
 from steelnb.types import Array
@@ -27,7 +27,7 @@ def suggest_dx(points: Array) -> float:
     of the radius at which its points are most linear: smaller balls see the section as a blob, larger ones see other
     bars. Source: Demantké et al., "Dimensionality based scale selection in 3D lidar point clouds", ISPRS 2011.
 
-    ``points (N, 3)`` finite, in metres. Raises `EmptyCloudError`, `DegenerateCloudError`, `SettingsError`.
+    ``points (N, 3)`` finite, in metres. Raises `InputError`.
     """
     points, low, high = distinct_points(points)
     diagonal = float(np.linalg.norm(high - low))
@@ -45,21 +45,21 @@ def suggest_dx(points: Array) -> float:
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     """``points`` as ``(N, 3)`` float64, finite and not all identical, and the corners ``(3,)`` of their bounding box.
 
-    Raises `SettingsError` (shape), `EmptyCloudError` (no points, or some not finite), `DegenerateCloudError`.
+    Raises `InputError` (shape), `InputError` (no points, or some not finite), `InputError`.
     """
     points = checked_cloud(points)
     if points.ndim != 2:
-        raise SettingsError(f"points of shape {points.shape}: expected (N, 3)")
+        raise InputError(f"points of shape {points.shape}: expected (N, 3)")
     if not len(points):
-        raise EmptyCloudError("cloud of 0 points: expected at least two")
+        raise InputError("cloud of 0 points: expected at least two")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
-        raise EmptyCloudError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
+        raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
     if len(points) < 2:
-        raise DegenerateCloudError("cloud of 1 point: expected at least two")
+        raise InputError("cloud of 1 point: expected at least two")
     low, high = points.min(axis=0), points.max(axis=0)
     if (low == high).all():
-        raise DegenerateCloudError(f"cloud of {len(points)} points: all identical, expected two distinct points")
+        raise InputError(f"cloud of {len(points)} points: all identical, expected two distinct points")
     return points, low, high
 
 

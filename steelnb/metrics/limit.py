@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import cholesky, lapack, solve_triangular
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.settings import TofSettings
 from steelnb.simulation.scene import cast_bundle, make_scene, rays
@@ -72,10 +72,10 @@ class Information:
 def see(tower: Tower, T_world_drone: Array, settings: TofSettings) -> Iterator[Returns]:
     """The returns of a tower without ground, from true poses ``(K, 4, 4)``; true ranges, and the noise of the settings.
 
-    Raises `SettingsError` for a sensor without noise, whose bound is zero.
+    Raises `InputError` for a sensor without noise, whose bound is zero.
     """
     if settings.sigma_floor_m <= 0:
-        raise SettingsError(f"tof.sigma_floor_m = {settings.sigma_floor_m}: expected noise; without it the bound is 0")
+        raise InputError(f"tof.sigma_floor_m = {settings.sigma_floor_m}: expected noise; without it the bound is 0")
     scene, ray = make_scene(tower), rays(settings).reshape(-1, 3)
     corner = tower.vertices[tower.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -34,8 +34,6 @@ class CameraOdometry(CombinedOdometry):
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
     imu : readings in the axes of the drone, as for `CloudOdometry`.
     images : of a camera on the drone; without, this is `CombinedOdometry`.
-
-    Raises `MissingExtraError` at the first image where OpenCV is not installed.
     """
 
     def __init__(

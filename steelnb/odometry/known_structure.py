@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numba import njit
 
-from steelnb.errors import MapMismatchError
+from steelnb.errors import InputError
 from steelnb.fusion.known import KnownBars
 from steelnb.fusion.poses import POSE, moved_poses, pose_size
 from steelnb.fusion.structure import Structure
@@ -40,7 +40,7 @@ class KnownStructureOdometry:
 
     Parameters
     ----------
-    structure : the map, in the world frame in which the poses are wanted; metres. Raises `EmptyStructureError` for one
+    structure : the map, in the world frame in which the poses are wanted; metres. Raises `InputError` for one
         without bars.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     preprocess : its ``crop_m``, the furthest range, and ``floor_m``, the height of the ground, are used.
@@ -65,7 +65,7 @@ class KnownStructureOdometry:
         """Register one scan to the structure; see `SegmentOdometry.update`.
 
         A scan that matches too little of the structure follows the prior's increment, and its ``reason`` says so.
-        Raises `MapMismatchError` where none of the first `FIRST_SCANS` scans matches the structure.
+        Raises `InputError` where none of the first `FIRST_SCANS` scans matches the structure.
         """
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         begin = time.perf_counter()
@@ -102,10 +102,10 @@ class KnownStructureOdometry:
         return self.structure.segments
 
     def _refuse(self, bars: int) -> None:
-        """Count a scan that did not match; raise `MapMismatchError` when it is one too many."""
+        """Count a scan that did not match; raise `InputError` when it is one too many."""
         self._unmatched, self._bars_matched = self._unmatched + 1, max(self._bars_matched, bars)
         if self._unmatched >= FIRST_SCANS:
-            raise MapMismatchError(
+            raise InputError(
                 f"{self._bars_matched} of {len(self.faces.known)} bars matched in the first {FIRST_SCANS} scans; "
                 f"expected a map of this place and a start within {START_M:g} m and {np.degrees(START_RAD):g}° of it"
             )

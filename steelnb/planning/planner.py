@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import yaw_of
 from steelnb.planning.barriers import Barrier, nearest_command
 from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
@@ -72,7 +72,7 @@ class Decision:
 class Planner:
     """Decides ten times a second; `see` adds a scan to its map.
 
-    ``flight``: what to fly, with a table ``planner``; raises `SettingsError` for one that none steers. ``camera``: what
+    ``flight``: what to fly, with a table ``planner``; raises `InputError` for one that none steers. ``camera``: what
     its sensor sees. All poses are estimates, in the world frame of the map.
     """
 
@@ -83,7 +83,7 @@ class Planner:
 
     def __post_init__(self) -> None:
         if self.flight.planner is None:
-            raise SettingsError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
+            raise InputError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
         self.task = self.flight.planner
         self._near = np.zeros((0, 3))  # the last scan, world frame
         self._in_sight, self._area_m2 = 0, AREA_M2

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from steelnb.errors import DegenerateCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
@@ -54,7 +54,7 @@ def register(
     gicp and vgicp in standard deviations. ``neighbours`` points around each give its normal or covariance.
     A step below ``rotation_epsilon_rad`` and ``translation_epsilon_m`` ends the iteration.
 
-    Raises `SettingsError`, `EmptyCloudError`, `DegenerateCloudError`. A registration that does not converge does not
+    Raises `InputError`. A registration that does not converge does not
     raise: see ``converged`` and ``reason`` of the result.
 
     >>> import numpy as np
@@ -69,9 +69,9 @@ def register(
     limit = _positive("max_correspondence_m", max_correspondence_m)
     scale = _positive("robust_scale", robust_scale)
     if iterations_max < 1:
-        raise SettingsError(f"iterations_max = {iterations_max}: expected at least 1")
+        raise InputError(f"iterations_max = {iterations_max}: expected at least 1")
     if neighbours < NEIGHBOURS_MIN:
-        raise SettingsError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
+        raise InputError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     least = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
     points = _enough(finite(source, "source"), least, "source")
@@ -95,11 +95,11 @@ def register(
 
 def _cloud(target: Array | Target | VoxelTarget | VoxelMap, error: str, neighbours: int, least: int) -> Target:
     if isinstance(target, VoxelTarget):
-        raise SettingsError("target: a VoxelTarget, which serves the method 'vgicp' only")
+        raise InputError("target: a VoxelTarget, which serves the method 'vgicp' only")
     if isinstance(target, Target):
         missing = {"point": False, "plane": not len(target.normal), "gicp": not len(target.covariance)}
         if missing[error]:
-            raise SettingsError(f"target: prepared for another error, expected make_target(points, {error!r})")
+            raise InputError(f"target: prepared for another error, expected make_target(points, {error!r})")
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
     return make_target(_enough(finite(points, "target"), least, "target"), error, neighbours)
@@ -116,17 +116,17 @@ def _voxels(target: Array | Target | VoxelTarget | VoxelMap, voxel_m: float, lea
 
 def _choice(name: str, value: str, known: dict) -> tuple:
     if not isinstance(value, str) or value not in known:
-        raise SettingsError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
+        raise InputError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
     return known[value]
 
 
 def _positive(name: str, value: float) -> float:
     if not isinstance(value, int | float | np.number) or not 0 < value < math.inf:
-        raise SettingsError(f"{name} = {value!r}: expected a positive finite number")
+        raise InputError(f"{name} = {value!r}: expected a positive finite number")
     return float(value)
 
 
 def _enough(points: Array, least: int, name: str) -> Array:
     if len(points) < least:
-        raise DegenerateCloudError(f"{name}: {len(points)} finite points, expected at least {least}")
+        raise InputError(f"{name}: {len(points)} finite points, expected at least {least}")
     return points

@@ -1,4 +1,4 @@
-"""`steelnb segment CLOUD`: point cloud of a structure → its bars and joints, as files, a picture and a summary."""
+"""`steelnb segment CLOUD`: point cloud of a structure → its bars, as a table, a picture and a summary."""
 
 import math
 import time
@@ -7,18 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import SettingsError
-from steelnb.files import new_folder, plain_name
-from steelnb.fusion.reconstruct import reconstruct_cloud
-from steelnb.fusion.structure import Structure
+from steelnb.errors import InputError
+from steelnb.files import new_folder
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.tube import MIN_VOTES, point_spacing, tube_radius
 from steelnb.io.clouds import Cloud, read_cloud
-from steelnb.io.segments import GROUPS, orientation, write_segments
-from steelnb.io.structures import write_structure
+from steelnb.io.structures import write_segments
 from steelnb.points import voxel_grid
+from steelnb.report.three_views import GROUPS, figure_segments, orientation
 from steelnb.report.words import counted
-from steelnb.settings import StructureSettings
 from steelnb.types import Segments
 
 
@@ -26,14 +23,12 @@ from steelnb.types import Segments
 class SegmentReport:
     """Result of `segment_file`.
 
-    ``segments`` and ``structure`` (None where none was asked for) in the coordinates of the file; ``explained`` is the
-    share of the file's distinct points that lie within ``dx_m`` of a segment, ``explained_filtered`` that of the
-    voxel-filtered points; ``summary`` is a text.
+    ``segments`` in the coordinates of the file; ``explained`` is the share of the file's distinct points that lie
+    within ``dx_m`` of a segment, ``explained_filtered`` that of the voxel-filtered points; ``summary`` is a text.
     """
 
     folder: Path
     segments: Segments
-    structure: Structure | None
     voxel_m: float
     dx_m: float
     explained: float
@@ -44,114 +39,61 @@ class SegmentReport:
 
 def segment_file(
     path: Path | str,
-    output: Path | str | None = None,
+    output: Path | str,
     *,
     voxel_m: float | None = None,
     dx_m: float | None = None,
     min_votes: int | None = None,
-    structure: bool = True,
 ) -> SegmentReport:
-    """Find the bars in the cloud of a file and write them to the folder ``output``, default ``<stem>_segments`` here.
-
-    A cloud too large for memory is thinned while it is read (`Cloud.thinned_m`).
+    """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``.
 
     ``dx_m`` is the radius of the tube that holds a bar's points (default: `tube_radius`), ``voxel_m`` the edge of the
     voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
-    filtered points of a bar, and the least number by which those in its tube outweigh those around it. With
-    ``structure``, the final reconstruction, its lengths in proportion to dx, goes to ``structure.json``: bars, joints,
-    and which joint ties which bars; a cloud without bars gives an empty one, with the reason. ``segments.png`` and
-    ``structure.png`` show what was found.
+    filtered points of a bar, and the least number by which those in its tube outweigh those around it.
 
-    Raises the errors of `read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
+    Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
     path = Path(path)
-    name = plain_name(path)
-    target = Path(output) if output else Path(f"{path.stem}_segments")
     began = time.perf_counter()
     votes = MIN_VOTES if min_votes is None else min_votes
     if votes < 2:
-        raise SettingsError(f"min_votes = {votes}: expected at least 2")
-    with new_folder(target) as folder:
+        raise InputError(f"min_votes = {votes}: expected at least 2")
+    with new_folder(output) as folder:
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
-        dx = dx_m or max(tube_radius(cloud.points, cloud.thinned_m > 0), math.sqrt(3) * (voxel_m or 0.0))
+        dx = dx_m or max(tube_radius(cloud.points), math.sqrt(3) * (voxel_m or 0.0))
         voxel = voxel_m or dx / math.sqrt(3)
         points = voxel_grid(cloud.points, voxel)
         found = segment_structure(points, dx, votes)
         found = found.take(np.argsort(-found.length, kind="stable"))
         groups = orientation(found)
-        explained = float(np.average(within(cloud.points, found, dx), weights=cloud.count))
+        explained = float(within(cloud.points, found, dx).mean())
         filtered = float(within(points, found, dx).mean())
-        about = {
-            "source": name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
-            "explained": explained, "explained_filtered": filtered,
-        }  # fmt: skip
-        write_segments(folder, found, cloud.origin, groups, about)
-        built = _structure(cloud, dx, folder, name) if structure else None
-        from steelnb.report.three_views import figure_segments, figure_structure
-
-        title = (
-            f"{name}: {counted(len(found), 'segment')}, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
-        )
+        segments = found.moved(cloud.origin)
+        write_segments(segments, folder / "segments.csv")
+        share = f"{100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        title = f"{path.name}: {counted(len(found), 'segment')}, {share}"
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
-        if built:
-            placed = cloud.points + cloud.origin
-            figure_structure(placed, built, f"{name}: {_counts(built)}").savefig(folder / "structure.png", dpi=150)
     seconds = time.perf_counter() - began
-    segments = found.moved(cloud.origin)
     summary = (
-        *_summary_of_cloud(name, cloud, len(points), voxel, dx),
+        f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
+        f"dropped), {point_spacing(cloud.points):.3g} m apart",
+        f"settings  voxel {voxel:.3g} m ({len(points)} points after it), dx {dx:.3g} m",
         f"found     {counted(len(found), 'segment')}, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
         *_summary_of_segments(segments, groups),
-        *([_summary_of_structure(built)] if built is not None else []),
-        f"written   {target}/: segments.csv, .json, .obj, .ply, .png"
-        + ("; structure.json" if structure else "")
-        + (", .png" if built else ""),
+        f"written   {output}/: segments.csv, segments.png",
     )
-    return SegmentReport(target, segments, built, voxel, dx, explained, filtered, seconds, summary)
-
-
-def _structure(cloud: Cloud, dx_m: float, folder: Path, source: str) -> Structure:
-    """Bars and joints of a cloud in the coordinates of its file, written to ``structure.json``."""
-    settings = StructureSettings.for_cloud(dx_m)
-    try:
-        found = reconstruct_cloud(cloud.points, settings)
-    except SettingsError as fault:  # so fine a dx that the cloud's voxels cannot be numbered
-        found = Structure.empty(str(fault))
-    placed = found.moved(cloud.origin)
-    write_structure(placed, folder / "structure.json", about={"source": source, "settings": settings.model_dump()})
-    return placed
+    return SegmentReport(Path(output), segments, voxel, dx, explained, filtered, seconds, summary)
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     # Finer than this, voxels could not be numbered.
     if value is not None and not 1e-9 * diagonal <= value <= diagonal:
-        raise SettingsError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
-
-
-def _size(cloud: Cloud) -> int:
-    return len(cloud) if cloud.count is None else int(cloud.count.sum())
-
-
-def _summary_of_cloud(name: str, cloud: Cloud, filtered: int, voxel: float, dx: float) -> list[str]:
-    dropped = f"{cloud.dropped_duplicates} duplicates and {cloud.dropped_invalid} invalid ones dropped"
-    apart = f"{point_spacing(cloud.points):.3g} m apart"
-    if cloud.thinned_m:
-        dropped = f"{cloud.dropped_invalid} invalid ones dropped"
-        apart = f"too many to hold: thinned to the {len(cloud)} means of voxels of {cloud.thinned_m:.2g} m, {apart}"
-    lines = [
-        f"read      {name}: {_size(cloud)} points ({dropped}), {apart}",
-        f"settings  voxel {voxel:.3g} m ({filtered} points after it), dx {dx:.3g} m",
-    ]
-    if cloud.thinned_m > voxel:
-        lines.append(f"warning   the thinned cloud is coarser than voxels of {voxel:.3g} m")
-    if cloud.resolution_m > dx / 20:
-        lines.insert(1, f"warning   coordinates in steps of {cloud.resolution_m:.3g} m, as the file stores them")
-    return lines
+        raise InputError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
 
 
 def _summary_of_segments(segments: Segments, groups: list[str]) -> list[str]:
@@ -164,14 +106,3 @@ def _summary_of_segments(segments: Segments, groups: list[str]) -> list[str]:
         start, end = (f"({', '.join(f'{v:.2f}' for v in end[k])})" for end in (segments.start, segments.end))
         lines.append(f"{'longest' if k == 0 else '':9} {length[k]:.2f} m from {start} to {end}")
     return lines
-
-
-def _summary_of_structure(structure: Structure) -> str:
-    if not len(structure):
-        return f"structure empty: {structure.reason}"
-    pieces = structure.graph().number_of_edges()
-    return f"structure {_counts(structure)}, {counted(pieces, 'piece')} of bars between joints"
-
-
-def _counts(structure: Structure) -> str:
-    return f"{counted(len(structure), 'bar')}, {counted(len(structure.joint), 'joint')}"

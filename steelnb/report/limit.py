@@ -36,7 +36,7 @@ not tell all of it."""
 def bounds(result: Result) -> Limits:
     """The bounds of a flight and sensor, named as in `BOUNDS`, whatever estimated it (`steelnb.metrics.limit`).
 
-    Raises `SettingsError` for a sensor without noise.
+    Raises `InputError` for a sensor without noise.
     """
     stamp_s, truth = result.corrected.stamp_s, result.truth
     T_world_drone = truth.trajectory.at(stamp_s).T_world_drone

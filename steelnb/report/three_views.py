@@ -7,7 +7,6 @@ import numpy as np
 
 from steelnb.fusion.differences import Comparison
 from steelnb.fusion.structure import Structure
-from steelnb.io.segments import orientation
 from steelnb.report.style import (
     COLOURS,
     INDIGO,
@@ -38,6 +37,15 @@ CHANGES = ("same", "not seen", "moved", "bent", "missing", "new")
 JOINT: dict[str, Any] = {"color": INDIGO, "marker": "o", "ls": "", "ms": 2.5, "mew": 0.8}
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
+VERTICAL_DEG, HORIZONTAL_DEG = 20.0, 10.0
+"""Near vertical is up to 20° from the vertical, since legs lean; near horizontal up to 10° from the horizontal."""
+
+
+def orientation(segments: Segments) -> list[str]:
+    """Class of each segment out of `GROUPS`, from its direction alone."""
+    names = list(GROUPS)
+    lean = np.degrees(np.arccos(np.clip(np.abs(segments.direction[:, 2]), 0, 1)))
+    return [names[0] if angle <= VERTICAL_DEG else names[1 + (angle >= 90 - HORIZONTAL_DEG)] for angle in lean]
 
 
 @style()

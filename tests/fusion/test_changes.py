@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb import find_changes
-from steelnb.errors import EmptyStructureError, SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import Structure
 from steelnb.fusion.changes import holm
 from steelnb.settings import StructureSettings
@@ -91,13 +91,13 @@ def test_a_bar_that_the_map_does_not_hold_is_new(tower):
 
 def test_a_map_without_bars_is_refused(tower):
     flight = around(tower, 2)
-    with pytest.raises(EmptyStructureError, match="no bars"):
+    with pytest.raises(InputError, match="no bars"):
         find_changes(Structure.empty(), flight.scans, flight.prior.T_world_drone)
 
 
 def test_poses_that_do_not_fit_the_scans_are_refused(tower):
     flight = around(tower, 2)
-    with pytest.raises(SettingsError, match=r"shape \(1, 4, 4\): expected \(2, 4, 4\)"):
+    with pytest.raises(InputError, match=r"shape \(1, 4, 4\): expected \(2, 4, 4\)"):
         find_changes(true_structure(tower), flight.scans, flight.prior.T_world_drone[:1])
 
 

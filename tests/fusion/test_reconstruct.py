@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct, reconstruct_cloud
 from steelnb.fusion.scales import Scales
@@ -82,15 +82,15 @@ def test_one_bar_covers_most_of_a_leg_whose_braces_are_few_tubes_apart():
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(EmptyCloudError, match="0 points"):
+    with pytest.raises(InputError, match="0 points"):
         reconstruct_cloud(np.zeros((0, 3)))
-    with pytest.raises(EmptyCloudError, match="1 of them not finite"):
+    with pytest.raises(InputError, match="1 of them not finite"):
         reconstruct_cloud(np.array([[0, 0, 0], [0, np.nan, 0]]))
-    with pytest.raises(SettingsError, match=r"expected \(N, 3\)"):
+    with pytest.raises(InputError, match=r"expected \(N, 3\)"):
         reconstruct_cloud(np.zeros((4, 2)))
-    with pytest.raises(EmptyCloudError, match="without a return"):
+    with pytest.raises(InputError, match="without a return"):
         reconstruct([], np.zeros((0, 4, 4)))
-    with pytest.raises(SettingsError, match=r"expected \(0, 4, 4\)"):
+    with pytest.raises(InputError, match=r"expected \(0, 4, 4\)"):
         reconstruct([], np.zeros((1, 4, 4)))
 
 

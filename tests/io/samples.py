@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-
 from steelnb.io.bag_files import TRANSFORMS, typestore
 from steelnb.io.bag_topics import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
+
 from steelnb.io.bag_writer import Messages
 from steelnb.types import Array, Flight, Imu, Scan, Trajectory
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from steelnb.errors import OutputError, RecordingError, UnsupportedFormatError
-from steelnb.io import read_flight, read_truth, write_flight
 from steelnb.io.bag_topics import CLOUD, ODOMETRY
+
+from steelnb.errors import InputError, OutputError
+from steelnb.io import read_flight, read_truth, write_flight
 from steelnb.types import Scan, Trajectory
 from tests.io.samples import KINDS, made_up, poses
 
@@ -95,12 +95,12 @@ def test_scans_without_points_stay_in_step(tmp_path):
 class Breaks(list):
     def __iter__(self):
         yield self[0]
-        raise RecordingError("scan 1 is gone")
+        raise InputError("scan 1 is gone")
 
 
 @pytest.mark.parametrize("name", [*KINDS, "folder"])
 def test_an_error_between_leaves_nothing(tmp_path, name):
-    with pytest.raises(RecordingError, match="scan 1"):
+    with pytest.raises(InputError, match="scan 1"):
         write_flight(tmp_path / "deep" / name, replace(made_up(), scans=Breaks(made_up().scans)), TRUTH)
     assert list(tmp_path.iterdir()) == []
 
@@ -124,7 +124,7 @@ def test_a_disk_that_fills_up_leaves_nothing(tmp_path, name):
 
 
 def test_a_target_that_cannot_be_is_named(tmp_path):
-    with pytest.raises(UnsupportedFormatError, match=r"'.ply'; expected .bag, .mcap, .db3 or a folder name for ROS 2"):
+    with pytest.raises(InputError, match=r"'.ply'; expected .bag, .mcap, .db3 or a folder name for ROS 2"):
         write_flight(tmp_path / "a.ply", made_up())
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
@@ -135,7 +135,7 @@ def test_a_target_that_cannot_be_is_named(tmp_path):
     with pytest.raises(OutputError, match=r"a.truth.tum: would be taken"):
         write_flight(tmp_path / "a.mcap", made_up())
     early = Trajectory(made_up().prior.stamp_s - 1.0, made_up().prior.T_world_drone)
-    with pytest.raises(RecordingError, match=r"stamp -1.0 s"):
+    with pytest.raises(InputError, match=r"stamp -1.0 s"):
         write_flight(tmp_path / "b.bag", replace(made_up(), prior=early))
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.bag", "a.truth.tum", "file"]
 

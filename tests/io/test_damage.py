@@ -42,7 +42,7 @@ def test_bags(tmp_path, name):
     for noisy in mutated(data, BUDGET[name]):
         path.write_bytes(noisy)
         outcomes[outcome(path)] += 1
-    assert outcomes["FileContentError"] > BUDGET[name] / 10
+    assert outcomes["InputError"] > BUDGET[name] / 10
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -51,7 +51,7 @@ def test_bags(tmp_path, name):
 )
 def test_garbage(tmp_path, name, data):
     (tmp_path / name).write_bytes(data)
-    assert outcome(tmp_path / name) == "FileContentError"
+    assert outcome(tmp_path / name) == "InputError"
 
 
 def test_trajectories(tmp_path):
@@ -60,7 +60,7 @@ def test_trajectories(tmp_path):
     for noisy in mutated((tmp_path / "a.tum").read_bytes(), BUDGET["trajectory"]):
         path.write_bytes(noisy)
         outcomes[outcome(path, read_trajectory)] += 1
-    assert outcomes["FileContentError"] > BUDGET["trajectory"] / 10
+    assert outcomes["InputError"] > BUDGET["trajectory"] / 10
 
 
 @pytest.mark.slow

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-
-from steelnb import experiment
-from steelnb.errors import FileContentError, RecordingError, TopicError
-from steelnb.images import CameraImages
-from steelnb.io import read_flight, write_flight
 from steelnb.io.bag_topics import COMPRESSED, IMAGE
 from steelnb.io.images import read_grey
+
+from steelnb import experiment
+from steelnb.errors import InputError
+from steelnb.images import CameraImages
+from steelnb.io import read_flight, write_flight
 from steelnb.odometry import make_odometry, run
 from steelnb.report.recording import run_recording
 from steelnb.report.recording_settings import recording_settings
@@ -102,7 +102,7 @@ def test_a_file_of_an_image_is_of_a_known_kind_and_size(tmp_path):
     (tmp_path / "text.png").write_text("no image")
     Image.fromarray(np.zeros((4000, 3000), np.uint8)).save(tmp_path / "large.png")
     for name, says in (("depth.png", "mode I;16"), ("text.png", "not a JPEG or PNG"), ("large.png", "3000 × 4000 pix")):
-        with pytest.raises(FileContentError, match=says):
+        with pytest.raises(InputError, match=says):
             read_grey(tmp_path / name)
 
 
@@ -123,10 +123,10 @@ def test_images_of_no_use_are_told_and_refused_where_they_are_needed(tmp_path, i
     assert flight.images is None
     assert flight.facts["images"].startswith(f"none: {says}")
     assert len(list(flight.scans)) == 5
-    with pytest.raises(RecordingError, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         read_flight(path, images="/eye/image_raw")
     assert "\n" not in str(caught.value)
-    with pytest.raises(RecordingError, match=f"a.bag: no images for method 'orb': none: {says}"):
+    with pytest.raises(InputError, match=f"a.bag: no images for method 'orb': none: {says}"):
         run_recording(flight, tmp_path / "out", recording_settings("orb")[0])
     assert not (tmp_path / "out").exists()
 
@@ -137,11 +137,11 @@ def test_one_of_several_cameras_is_named(tmp_path):
     assert flight.facts["images"] == "none: 2 topics fit: /left/image, /right/image; expected one to be named"
     right = read_flight(tmp_path / "a.bag", images="/right/image").images
     np.testing.assert_array_equal(right.images[0], GREY[::-1])
-    with pytest.raises(TopicError, match=r"/points is of type .*, not for the images; expected one of /left/image"):
+    with pytest.raises(InputError, match=r"/points is of type .*, not for the images; expected one of /left/image"):
         read_flight(tmp_path / "a.bag", images="/points")
     (tmp_path / "clouds").mkdir()
     np.save(tmp_path / "clouds" / "0.npy", np.ones((3, 3)))
-    with pytest.raises(TopicError, match="images '/right/image': expected a bag"):
+    with pytest.raises(InputError, match="images '/right/image': expected a bag"):
         read_flight(tmp_path / "clouds", images="/right/image")
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from steelnb.errors import FileContentError
 from steelnb.io.bag_files import decode_points
+
+from steelnb.errors import InputError
 
 
 def points(rows: int = 4, columns: int = 6) -> np.ndarray:
@@ -95,7 +95,7 @@ XYZ = [field("x", 0), field("y", 4), field("z", 8)]
     ],
 )
 def test_a_size_that_does_not_fit_is_refused_with_its_value(changed, says):
-    with pytest.raises(FileContentError, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         decode_points(message(points(), **{"end": 4} | changed))
     assert "\n" not in str(caught.value)
 
@@ -115,7 +115,7 @@ def test_any_message_is_decoded_or_refused_in_bounded_memory(big, changed):
     made = message(points(), "fdf", "zxy", (4, 1, 3), 5, 7, big, **dict(changed))
     tracemalloc.start()
     try:
-        with contextlib.suppress(FileContentError):
+        with contextlib.suppress(InputError):
             decoded = decode_points(made)
             valid, invalid = np.isfinite(decoded).all(axis=-1), np.isnan(decoded).all(axis=-1)
             assert (valid ^ invalid).all()

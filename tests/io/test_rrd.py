@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from steelnb.io.rrd import MAP_POINTS_MAX, SCAN_POINTS_MAX, Log, thinned
 
 from steelnb.errors import OutputError
 from steelnb.io import rrd
-from steelnb.io.rrd import MAP_POINTS_MAX, SCAN_POINTS_MAX, Log, thinned
 from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 from tests.io.samples import T_of, made_up
 

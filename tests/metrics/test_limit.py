@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics.limit import INCIDENCE_MAX_RAD, PATCH_M, Returns, batch, causal, gather, gradients, one_scan, see
 from steelnb.settings import FlightSettings, TofSettings
@@ -193,7 +193,7 @@ def test_the_noise_of_a_return_is_the_sensor_s(flown):
 
 
 def test_a_sensor_without_noise_has_no_bound(flown):
-    with pytest.raises(SettingsError, match=r"tof.sigma_floor_m = 0.0: expected noise"):
+    with pytest.raises(InputError, match=r"tof.sigma_floor_m = 0.0: expected noise"):
         next(see(*flown, TofSettings.preset("report-4cm").replace(sigma_floor_m=0.0)))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CombinedOdometry, OrbOdometry, camera, make_odometry, run
 from steelnb.odometry.tracking import LandmarkTracker
@@ -103,7 +103,7 @@ def test_an_honest_flight_is_corrected_with_the_imu_of_its_sensor():
 
 @pytest.mark.parametrize("overrides", [{"clouds.bars_weight": 0.0}, {"refit_s": 10.0}])
 def test_a_camera_belongs_to_clouds_and_bars_without_refits(overrides):
-    with pytest.raises(SettingsError, match="'combined-camera': orb with clouds: expected bars_weight"):
+    with pytest.raises(InputError, match="'combined-camera': orb with clouds: expected bars_weight"):
         SETTINGS.override(overrides)
-    with pytest.raises(SettingsError, match="'combined-camera': expected an odometry by features"):
+    with pytest.raises(InputError, match="'combined-camera': expected an odometry by features"):
         OrbOdometry(SETTINGS)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CloudOdometry, LoamOdometry, make_odometry
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -94,10 +94,10 @@ def test_the_same_scans_give_the_same_poses_and_later_ones_change_none(world):
 
 
 def test_methods_by_features_and_by_all_points_are_told_apart():
-    with pytest.raises(SettingsError, match="expected one of features or midlines"):
+    with pytest.raises(InputError, match="expected one of features or midlines"):
         LoamOdometry(OdometrySettings.preset("best"))
-    with pytest.raises(SettingsError, match="expected none of features or midlines"):
+    with pytest.raises(InputError, match="expected none of features or midlines"):
         CloudOdometry(OdometrySettings.preset("loam"))
     for changes in ({"clouds.error": "point"}, {"clouds.bars_weight": 1.0}, {"refit_s": 10.0}):
-        with pytest.raises(SettingsError, match="loam-midlines"):
+        with pytest.raises(InputError, match="loam-midlines"):
             OdometrySettings.preset("loam-midlines", overrides=changes)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import MissingExtraError, SettingsError
+from steelnb.errors import InputError, MissingExtraError
 from steelnb.images import CameraImages, project
 from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match, near_any
@@ -264,13 +264,13 @@ def test_a_missing_opencv_is_named_with_the_command(monkeypatch):
 
 
 def test_settings_of_other_methods_are_refused():
-    with pytest.raises(SettingsError, match="'best': expected an odometry by features"):
+    with pytest.raises(InputError, match="'best': expected an odometry by features"):
         OrbOdometry(OdometrySettings.preset("best"))
     for overrides, says in (
         ({"smooth": True}, "'orb': orb: expected no tables"),
         ({"prior_sigma": None}, "'orb': orb: expected prior_sigma"),
         ({"orb": "stereo"}, "orb = 'stereo'"),
     ):
-        with pytest.raises(SettingsError, match=says):
+        with pytest.raises(InputError, match=says):
             OdometrySettings.preset("orb", overrides=overrides)
     assert OdometrySettings.preset("orb", overrides={"tilt_sigma_rad": 0.02}).tilt_sigma_rad == 0.02

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import MissingExtraError, SettingsError
+from steelnb.errors import InputError, MissingExtraError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import PeerOdometry, make_odometry, run
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -76,12 +76,12 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(world, mon
 
 
 def test_settings_of_other_methods_and_mixtures_are_refused():
-    with pytest.raises(SettingsError, match="'best': expected one with a library, such as 'kiss-icp'"):
+    with pytest.raises(InputError, match="'best': expected one with a library, such as 'kiss-icp'"):
         PeerOdometry(OdometrySettings.preset("best"))
     for overrides, says in (
         ({"weights": "mine.npz"}, "'kiss-icp': weights and a library: expected one of them"),
         ({"smooth": True}, "'kiss-icp': a library: expected no tables clouds and segments, no smooth"),
         ({"library": "pcl"}, "library = 'pcl'"),
     ):
-        with pytest.raises(SettingsError, match=says):
+        with pytest.raises(InputError, match=says):
             OdometrySettings.preset("kiss-icp", overrides=overrides)

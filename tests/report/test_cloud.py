@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from steelnb import cli
-from steelnb.errors import SettingsError, SteelnbError
+from steelnb.errors import InputError, SteelnbError
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.tube import point_spacing, tube_radius
 from steelnb.io import clouds, point_files
@@ -168,7 +168,7 @@ def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
     ],
 )
 def test_bad_settings_are_refused(saved: Path, tmp_path: Path, settings: dict, message: str) -> None:
-    with pytest.raises(SettingsError, match=message):
+    with pytest.raises(InputError, match=message):
         segment_file(saved, tmp_path / "a" / "out", **settings)
     assert [path.name for path in tmp_path.iterdir()] == ["tower.xyz"]
 

@@ -7,19 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from steelnb.io.transforms import interpolate
+from steelnb.report.recording_comparison import compare_recording
+from steelnb.report.recording_info import describe_flight
+from steelnb.report.recording_truth import STEP_S, drifted, part_of, truth_at_scans, with_drift
 
 from steelnb import experiment
-from steelnb.errors import RecordingError, SettingsError, SingularError
+from steelnb.errors import InputError
 from steelnb.fusion.uncertainty import axis_sigma_m
 from steelnb.io import read_cloud, read_flight, read_structure, read_trajectory, scans, write_flight
 from steelnb.io.trajectories import write_sigma
-from steelnb.io.transforms import interpolate
 from steelnb.noise import drifting
 from steelnb.report.recording import FILES, run_recording
-from steelnb.report.recording_comparison import compare_recording
-from steelnb.report.recording_info import describe_flight
 from steelnb.report.recording_settings import recording_settings
-from steelnb.report.recording_truth import STEP_S, drifted, part_of, truth_at_scans, with_drift
 from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
 
@@ -170,7 +170,7 @@ def test_a_smoothed_run_writes_its_uncertainty(simulated, tmp_path):
 def test_covariances_that_are_none_are_not_written(tmp_path):
     covariance = np.tile(1e-4 * np.eye(6), (3, 1, 1))
     covariance[2, 2, 2] = -1e-4
-    with pytest.raises(SingularError, match=r"pose 2 is not positive definite along 1\.00 z"):
+    with pytest.raises(InputError, match=r"pose 2 is not positive definite along 1\.00 z"):
         write_sigma(tmp_path / "corrected_sigma.csv", np.arange(3.0), covariance)
     assert not list(tmp_path.iterdir())
 
@@ -218,7 +218,7 @@ def test_range_and_floor_reach_odometry_and_structure(tmp_path):
     ],
 )  # fmt: skip
 def test_wrong_settings_are_refused(options, words):
-    with pytest.raises(SettingsError, match=words):
+    with pytest.raises(InputError, match=words):
         recording_settings(**options)
 
 
@@ -232,7 +232,7 @@ class Failing(list):
         raise self.fault
 
 
-@pytest.mark.parametrize("fault", [RecordingError("gone"), KeyboardInterrupt()])
+@pytest.mark.parametrize("fault", [InputError("gone"), KeyboardInterrupt()])
 def test_a_run_that_fails_leaves_what_was_there(simulated, tmp_path, fault):
     scans = Failing(list(simulated[1].scans))
     scans.fault = fault
@@ -250,7 +250,7 @@ def test_a_run_that_fails_leaves_what_was_there(simulated, tmp_path, fault):
 def test_drift_at_the_simulators_rate_is_the_simulators_to_the_bit():
     true = straight(np.arange(501) * STEP_S)
     np.testing.assert_array_equal(drifted(true, WALK, 7).T_world_drone, drifting(true, WALK, 7).T_world_drone)
-    with pytest.raises(RecordingError, match="less than four hours"):
+    with pytest.raises(InputError, match="less than four hours"):
         drifted(straight(np.array([0.0, 1e9])), WALK, 7)
 
 
@@ -343,9 +343,7 @@ def test_a_part_from_the_start_leaves_the_truth_where_it_is():
 
 @pytest.mark.parametrize("part_s", [(2.0, 3.0), (-1.0, 3.0), (1.0, 0.5), (np.nan, 1.0), (0.0, np.nan)])
 def test_a_part_without_a_scan_is_refused_with_the_length(part_s):
-    with pytest.raises(
-        SettingsError, match=r"from \S+ to \S+ s: no scan; expected a part of the recording, 0 to 1.4 s"
-    ):
+    with pytest.raises(InputError, match=r"from \S+ to \S+ s: no scan; expected a part of the recording, 0 to 1.4 s"):
         part_of(made(lattice), None, part_s, 0.5)
 
 
@@ -410,12 +408,12 @@ def test_where_one_of_several_odometries_fails_nothing_is_left(simulated, tmp_pa
 
     def fail(stage: str) -> None:
         if stage.startswith("best"):
-            raise RecordingError("gone")
+            raise InputError("gone")
 
     (tmp_path / "old" / "none").mkdir(parents=True)
     (tmp_path / "old" / "none" / "corrected.tum").write_text("old")
     for name, files in (("new", []), ("old", ["old"])):
-        with pytest.raises(RecordingError):
+        with pytest.raises(InputError):
             compare_recording(simulated[1].first(5), tmp_path / name, chosen, rrd=False, on_stage=fail)
         assert [file.read_text() for file in (tmp_path / name).rglob("*.*")] == files
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from steelnb.report.recording_files import with_sigma
 
 from steelnb.fusion.structure import Structure
-from steelnb.report.recording_files import with_sigma
 from steelnb.types import Estimate, Trajectory
 from tests.fusion.made import bars_of
 

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from steelnb.report.structure_files import COLUMNS, MOST_ROWS, compare_files, differences
 
 from steelnb import cli
 from steelnb.fusion.differences import compare_structures as compare
 from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
-from steelnb.report.structure_files import COLUMNS, MOST_ROWS, compare_files, differences
 from tests.fusion.made import changed
 from tests.io.made import frame, shifted, tower
 

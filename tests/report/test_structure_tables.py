@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.io.structures import read_structure
 from steelnb.report import results
 from steelnb.report import structure_figures as figures
@@ -163,9 +163,9 @@ def test_other_towers_differ_from_the_tapered_one_and_unknown_names_are_refused(
     towers = [TowerSettings.preset(name) for name in ("tapered", "heavy", "light")]
     sections = [{tower.leg_section_m, tower.bracing_section_m} for tower in towers]
     assert len(set.union(*sections)) == 6
-    with pytest.raises(SettingsError, match="expected one of"):
+    with pytest.raises(InputError, match="expected one of"):
         fly_tower("zigzag", "starling2", "none", "best", 1, 5.0, "eiffel")
-    with pytest.raises(SettingsError, match="'final', 'incremental'"):
+    with pytest.raises(InputError, match="'final', 'incremental'"):
         rebuild(source, ["first"])
-    with pytest.raises(SettingsError, match="'raw', 'corrected', 'true'"):
+    with pytest.raises(InputError, match="'raw', 'corrected', 'true'"):
         rebuild(source, poses=["best"])

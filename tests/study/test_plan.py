@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb import keys
-from steelnb.errors import FileMissingError, SettingsError
+from steelnb.errors import InputError
 from steelnb.settings import METHODS, SENSORS, ExperimentSettings
 from steelnb.study.plan import CODE, LIBRARIES, Block, by_flight, make_run, read_plan, software_digest
 
@@ -202,7 +202,7 @@ def test_bad_settings_of_a_study_are_one_line(tmp_path, text, words):
         name = text.split(" =")[0]
         text = "\n".join(["[a]", *(f"{key} = {toml(value)}" for key, value in AXES.items() if key != name), text])
     (tmp_path / "study.toml").write_text(text)
-    with pytest.raises(SettingsError) as told:
+    with pytest.raises(InputError) as told:
         read_plan(tmp_path / "study.toml")
     assert "\n" not in str(told.value)
     assert len(str(told.value)) <= 1000
@@ -211,5 +211,5 @@ def test_bad_settings_of_a_study_are_one_line(tmp_path, text, words):
 
 def test_a_range_of_seeds_has_both_ends_and_a_missing_file_is_one_line(tmp_path):
     assert Block(**{**AXES, "seeds": "3-5"}).seeds == [3, 4, 5]
-    with pytest.raises(FileMissingError, match=r"study\.toml"):
+    with pytest.raises(InputError, match=r"study\.toml"):
         read_plan(tmp_path / "study.toml")
