@@ -1,7 +1,7 @@
 """The voxel of the methods `kiss-icp` and `small-gicp`, chosen on development seeds.
 
 Run: .venv/bin/python benchmarks/peers.py [--seeds 11 12] [--voxels 0.05 0.1 0.2 0.4] > benchmarks/peers.md
-KISS-ICP and small_gicp come with `pip install 'steelnb[peers]'`; the voxel is the one setting of theirs that notebook
+KISS-ICP and small_gicp come with the package; the voxel is the one setting of theirs that notebook
 17 does not leave at its default.
 """
 

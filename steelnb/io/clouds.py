@@ -90,6 +90,9 @@ def _read_ply(path: Path) -> Any:
     import trimesh
 
     loaded: Any = trimesh.load(path, process=False)
+    (count,) = re.findall(rb"^element vertex (\d+)", path.read_bytes(), re.MULTILINE)[:1]
+    if len(loaded.vertices) != int(count):
+        raise ValueError(f"{len(loaded.vertices)} points; its header promises {int(count)}")
     return loaded.vertices
 
 

@@ -125,10 +125,9 @@ def run_recording(
         numbers = measure_recording(flight, estimate, true, segments, built)
         on_stage("drawing and writing")
         title = f"{flight.name}: {len(estimate.points)} points of the map, {len(segments)} bars"
-        figures = {
-            "path": figure_path(estimate.prior, estimate.corrected, true, settings.odometry.method, flight.name),
-            "map": figure_segments(found.points, segments.moved(-origin), orientation(segments), title),
-        }
+        figures = {"path": figure_path(estimate.prior, estimate.corrected, true, settings.odometry.method, flight.name)}
+        if len(found.points) > 1:
+            figures["map"] = figure_segments(found.points, segments.moved(-origin), orientation(segments), title)
         write_tum(folder / "corrected.tum", estimate.corrected)
         write_segments(segments, folder / "segments.csv", _sigma_m(estimate, segments))
         write_structure(built, folder / "structure.json", {"source": flight.name, "odometry": settings.odometry.method})
@@ -136,9 +135,10 @@ def run_recording(
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=150)
+        written = ", ".join(sorted(file.name for file in folder.iterdir()))
     notes += [f"not smoothed: {estimate.unsmoothed}"] if estimate.unsmoothed else []
     notes += [f"no uncertainty: {estimate.unsure}"] if estimate.unsure else []
-    summary = (*_summary(numbers, notes, built), f"written   {output}/: {', '.join(FILES)}")
+    summary = (*_summary(numbers, notes, built), f"written   {output}/: {written}")
     return RecordingReport(Path(output), estimate, true, built, segments, numbers, figures, summary)
 
 
