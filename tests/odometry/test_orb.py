@@ -1,13 +1,12 @@
 """Visual odometry: features and depths, the pose of sightings, and a short flight."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError, MissingExtraError
+from steelnb.errors import InputError
 from steelnb.images import CameraImages, project
 from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match, near_any
@@ -255,12 +254,6 @@ def test_features_of_a_coarser_level_are_where_the_finest_has_them():
         apart = np.linalg.norm(mirrored[:, None] - of_level, axis=2).min(axis=1)
         assert np.median(apart) < 0.05, level
     assert len(find_features(np.zeros(SHAPE, np.uint8), 400).pixel) == 0
-
-
-def test_a_missing_opencv_is_named_with_the_command(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(MissingExtraError, match=r"cv2 is not installed: pip install 'steelnb\[camera\]'"):
-        import_opencv.__wrapped__()
 
 
 def test_settings_of_other_methods_are_refused():

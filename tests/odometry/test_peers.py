@@ -1,12 +1,10 @@
 """Odometries of others behind the interface of ours."""
 
-import sys
-
 import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import InputError, MissingExtraError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import PeerOdometry, make_odometry, run
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -63,16 +61,6 @@ def test_a_flight_that_begins_in_the_dark_begins_at_its_first_returns(world, met
     np.testing.assert_allclose(first.T_world_drone, T[1], atol=1e-9)
     assert first.reason == "first scan"
     assert odometry.update(flight.scans[2], T[2]).used
-
-
-@pytest.mark.parametrize("library", PEERS.values())
-def test_a_missing_library_is_named_with_the_command_that_installs_it(world, monkeypatch, library):
-    method = next(name for name in PEERS if PEERS[name] == library)
-    for name in (library, f"{library}.config"):
-        monkeypatch.setitem(sys.modules, name, None)
-    odometry = PeerOdometry(OdometrySettings.preset(method))
-    with pytest.raises(MissingExtraError, match=rf"{library}.* is not installed: pip install 'steelnb\[peers\]'"):
-        odometry.update(world[0].scans[0], np.eye(4))
 
 
 def test_settings_of_other_methods_and_mixtures_are_refused():
