@@ -130,8 +130,9 @@ def write_tables(folder: Path, runs: Iterable[Run], rows: Mapping[str, Row]) -> 
                 pa.Table.from_pylist(chosen, schema), new / file, compression="zstd", compression_level=9,
                 write_page_checksum=True,
             )  # fmt: skip
-        left = "\n".join(_json(row) for key, row in rows.items() if key not in keys)
-        (new / ROWS).write_text(left, encoding="utf-8")
+    left = "\n".join(_json(row) for key, row in rows.items() if key not in keys)
+    with new_folder((folder / ROWS).parent) as new:
+        (new / Path(ROWS).name).write_text(left, encoding="utf-8")
 
 
 def _kind(name: str) -> Any:
