@@ -1,4 +1,4 @@
-"""Front, side and perspective of bars: the pictures of `steelnb segment`, `steelnb run` and `steelnb structure A B`."""
+"""Front, side and perspective of bars: the pictures of `steelnb segment` and `steelnb run`."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
