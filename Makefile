@@ -78,7 +78,7 @@ GROUPS := workflow docs dev build
 lock:  ## write environment.lock anew from pyproject.toml, versions kept where they fit (needs uv)
 	@mkdir -p .cache
 	sed -nE 's/^([A-Za-z0-9_.-]+)(\[.*\])?(==[^ ;]+).*/\1\3/p' environment.lock > .cache/constraints.txt
-	uv pip compile pyproject.toml --extra all $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
+	uv pip compile pyproject.toml $(addprefix --group ,$(GROUPS)) --python-version 3.11 --generate-hashes \
 	    --no-header --no-annotate --no-strip-extras --no-emit-package steelnb --quiet -c .cache/constraints.txt -o environment.lock
 
 clean:  ## remove the environment and every cache; results stay

@@ -1,83 +1,51 @@
-"""The command line: thin commands, one line for each error, and the exit codes of `EXIT_CODES`."""
+"""The command line: thin commands, and one line for each error. Nothing heavy is imported before a command runs."""
 
-import io
-import os
 import signal
 import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import steelnb
-from steelnb import cli_flights, cli_recordings
-from steelnb.cli_options import examples, output_option
-from steelnb.cli_progress import progress
-from steelnb.errors import SteelnbError
-from steelnb.report.words import counted
+from steelnb.errors import InputError, SteelnbError
 
-INTERRUPTED = 130
 EXIT_CODES = """\b
 Exit codes:
   0    done
   1    runs of a study failed
   2    bad input, told in one line; nothing was written
-  130  interrupted (Ctrl-C); 128 + N by signal N
+  130  interrupted (Ctrl-C)
 """
-STUDY_FILE, STUDY_FOLDER = Path("notebooks", "study.toml"), Path("results", "study")
-REMOVED = {
-    "reproduce": "notebooks are run by `make reproduce`",
-    "list": "notebooks/experiments.toml lists the notebooks",
-    "check": "results are compared by `make check`",
-    "gallery": "pages are made by `make docs`",
-    "play": "`steelnb run` prints the percentiles of the frame times and the share on time",
-    "convert": "evo_traj converts trajectories, rosbags-convert bags",
-    "view": "`rerun FILE.rrd` shows the recording that `steelnb run` writes",
-}
-"""Former commands, and where to go instead."""
+PRESETS = Path(__file__).parent / "presets"
+METHODS, TRAJECTORIES = (
+    tuple(tomllib.loads((PRESETS / f"{name}.toml").read_text(encoding="utf-8"))) for name in ("methods", "flights")
+)
+"""The names in `steelnb.settings`, which takes too long to load for a help text."""
 
 # Plain help: rich's shows <bool> at every flag, and wraps examples.
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EXIT_CODES)
+Set = Annotated[
+    list[str] | None, typer.Option("--set", metavar="TABLE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what an earlier call wrote.")]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and give the exit code; errors of the user's go to stderr as one line each."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if arguments and arguments[0] in REMOVED:
-        return _complain(f"{arguments[0]}: no longer a command; {REMOVED[arguments[0]]}")
-    for stream in (sys.stdout, sys.stderr):  # a terminal may not know ° or ×, and names of files may be any bytes
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    exit_on_signals()
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # so that hidden folders are removed
     try:
-        code = app(arguments or ["--help"], prog_name="steelnb", standalone_mode=False)
+        code = app(arguments or sys.argv[1:] or ["--help"], prog_name="steelnb", standalone_mode=False)
     except (SteelnbError, typer.TyperException) as fault:
-        return _complain(fault.format_message() if isinstance(fault, typer.TyperException) else str(fault))
-    except OSError as fault:
-        if fault.filename is None:
-            raise
-        return _complain(f"{os.fsdecode(fault.filename)}: {fault.strerror}")
+        said = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
+        print("steelnb: error:", " ".join(said.split())[:1000], file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        code = INTERRUPTED
-    if code == INTERRUPTED:  # Typer catches most itself
-        return _complain("interrupted; nothing is half-written, and a study resumes where it stopped", code=INTERRUPTED)
+        code = 130
     return int(code or 0)
-
-
-def exit_on_signals() -> None:
-    """Let SIGTERM and SIGHUP end the process as `SystemExit` does, so that hidden folders are removed.
-
-    A signal that the caller ignores (nohup) stays ignored. To be called from the main thread of a command.
-    """
-    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, lambda received, _: sys.exit(128 + received))
-
-
-def _complain(message: str, code: int = 2) -> int:
-    print("steelnb: error:", " ".join(message.split()), file=sys.stderr)
-    return code
 
 
 def _version(asked: bool) -> None:
@@ -95,21 +63,124 @@ def _options(
     """Drone mapping of steel structures: recorded flights, point clouds, and studies over many seeds."""
 
 
-@app.command(
-    epilog=examples(
-        "steelnb study my-study.toml --dry-run",
-        "steelnb study my-study.toml -o my-results --workers 4",
-        codes="0 done; 1 runs failed; 2 bad input; 130 interrupted: the next call goes on.",
-    )
-)
+@app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run scans/ --mount 0.06,0,0,0,0,0 -o out")
+def run(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder, or one of clouds.")],
+    odometry: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}.")] = "best",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_run here.")
+    ] = None,
+    scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")] = None,
+    poses: Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")] = None,
+    truth: Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")] = None,
+    mount: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,ROLL,PITCH,YAW",
+            help="Of the sensor on the drone, metres and degrees. Default: by tf_static, else all zero.",
+        ),
+    ] = None,
+    range_max: Annotated[
+        float | None, typer.Option(help="Metres that the sensor sees. Default: from the first scans.")
+    ] = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars together at the end.")] = False,
+    changed: Set = None,
+    force: Force = False,
+) -> None:
+    """Take the drift out of a recorded flight.
+
+    Corrected poses, bars, structure, a table and figures go to a new folder; one that holds files is refused.
+    """
+    with _progress() as shown:
+        from steelnb.io import read_flight, read_truth
+        from steelnb.report.recording import check_folder, opened_lines, run_recording
+        from steelnb.report.recording_settings import Scene, recording_settings, settings_line
+
+        given: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
+        given["overrides"] |= {"smooth": True} if smooth else {}
+        recording_settings(odometry, **given)  # what is given wrongly is refused before a file is opened
+        target = output or Path(f"{recording.resolve().stem}_run")
+        check_folder(target, force)
+        shown.stage(f"opening {recording.name}")
+        flight = read_flight(recording, scans=scans, poses=poses, truth=truth, T_drone_sensor=_mount(mount))
+        true = read_truth(recording, truth=truth)
+        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **given)
+        print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
+        report = run_recording(flight, target, settings, structure, true, shown.share, shown.stage)
+    print("\n".join(report.summary))
+
+
+@app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")
+def record(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="FILE.bag or FILE.mcap.")],
+    trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(TRAJECTORIES)}.")] = "zigzag",
+    duration: Annotated[float, typer.Option(help="Seconds.")] = 60.0,
+    noise: Annotated[
+        str, typer.Option(help="How the recorded poses drift, with or without a level; a sum with +.")
+    ] = "random-walk:0.002",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="A preset's, or FILE.toml.")] = "starling2",
+    seed: Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")] = 1,
+    changed: Set = None,
+    force: Force = False,
+) -> None:
+    """Simulate a flight and record it.
+
+    Sensor data and drifting poses go to FILE, the truth apart to NAME.truth.tum beside it.
+    """
+    with _progress() as shown:
+        from steelnb import experiment
+        from steelnb.io import write_flight
+        from steelnb.io.bag_writer import check_target
+        from steelnb.io.recordings import truth_path
+        from steelnb.settings import ExperimentSettings
+
+        given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
+        given |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
+        settings = ExperimentSettings.preset(**given)
+        check_target(file, force)
+        shown.stage("flying")
+        flight, truth = experiment.simulate_anew(settings, shown.share)
+        shown.stage(f"writing {file.name}")
+        write_flight(file, flight, truth, shown.share, overwrite=force)
+    print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
+
+
+@app.command(epilog="\b\nExample:\n  steelnb segment tower.laz --dx 0.08 -o bars")
+def segment(
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT or CSV file, in metres.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_segments here.")
+    ] = None,
+    voxel: Annotated[float | None, typer.Option(help="Voxel size in metres. Default: from the point spacing.")] = None,
+    dx: Annotated[
+        float | None, typer.Option(help="Radius of a bar's tube of points, metres. Default: from the point spacing.")
+    ] = None,
+    min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
+    force: Force = False,
+) -> None:
+    """Find the straight bars in a point cloud."""
+    with _progress() as shown:
+        from steelnb.report.cloud import segment_file
+        from steelnb.report.recording import check_folder
+
+        target = output or Path(f"{cloud.stem}_segments")
+        check_folder(target, force)
+        shown.stage(f"finding bars in {cloud.name}")
+        result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
+    print("\n".join(result.summary))
+
+
+@app.command()
 def study(
-    path: Annotated[Path, typer.Argument(metavar="[STUDY.toml]")] = STUDY_FILE,
+    path: Annotated[Path, typer.Argument(metavar="[STUDY.toml]")] = Path("notebooks", "study.toml"),
     workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster of yours, such as tls://HOST:8786.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it would take, and run nothing.")] = False,
-    output: Annotated[Path, output_option("For the table.")] = STUDY_FOLDER,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="For the table.")] = Path(
+        "results", "study"
+    ),
 ) -> None:
     """Run many seeds, sensors and methods.
 
@@ -118,61 +189,83 @@ def study(
     Whoever reaches a scheduler at tcp://HOST:PORT can run code as its owner, on it and on its workers; Dask's
     documentation says how to set up tls://HOST:PORT.
     """
-    with progress() as shown:
+    with _progress() as shown:
         from steelnb.report.results import machine
         from steelnb.study.cluster import forecast, run_study
         from steelnb.study.plan import by_flight, read_plan
 
-        shown.show(f"planning {path}")
         runs = read_plan(path)
         done, core_s = forecast(runs, output)
         left = len(runs) - done
+        if dry_run:
+            print(f"{len(runs)} runs on {len(by_flight(runs))} flights, {done} of them done")
+            print(f"{left} to run: {round(core_s / 60)} core minutes")
+            return
         ended = 0
 
         def show(row: dict[str, Any]) -> None:
             nonlocal ended
             ended += 1
-            shown.show(f"running {counted(left, 'run')}", ended / left)
-            if ended == left:
-                shown.show("writing the tables")
+            shown.share(ended / left)
             if row["status"] == "failed":
-                shown.say(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}")
+                print(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}", file=sys.stderr)
 
-        if not dry_run:
-            shown.show(f"starting workers for {counted(left, 'run')}")
-            described = machine() if scheduler is None else "a cluster of the user's"
-            failed = run_study(runs, output, workers, scheduler, described, show)
-    if dry_run:
-        print(f"{counted(len(runs), 'run')} on {counted(len(by_flight(runs)), 'flight')}, {done} of them done")
-        print(f"{left} to run: {counted(round(core_s / 60), 'core minute')}")
-        return
-    print(f"{output / 'runs.parquet'} written: {counted(len(runs), 'run')}, {left} of them run now")
+        shown.stage(f"running {left} runs")
+        described = machine() if scheduler is None else "a cluster of the user's"
+        failed = run_study(runs, output, workers, scheduler, described, show)
+    print(f"{output / 'runs.parquet'} written: {len(runs)} runs, {left} of them run now")
     if failed:
-        print(f"{counted(len(failed), 'run')} failed; the next call tries again, and tracebacks are in the table")
+        print(f"{len(failed)} runs failed; the next call tries again, and tracebacks are in the table")
         raise typer.Exit(1)
 
 
-@app.command(epilog=examples("steelnb segment tower.ply", "steelnb segment tower.laz --dx 0.08 -o bars"))
-def segment(
-    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT, CSV, PTS or ASC file.")],
-    output: Annotated[Path | None, output_option("For bars and a picture.", "NAME_segments here")] = None,
-    voxel: Annotated[float | None, typer.Option(help="Voxel size in metres; default: from the point spacing.")] = None,
-    dx: Annotated[
-        float | None, typer.Option(help="Radius of a bar's tube of points in metres; default: from the point spacing.")
-    ] = None,
-    min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
-) -> None:
-    """Find the straight bars in a point cloud."""
-    with progress() as shown:
-        from steelnb.report.cloud import segment_file
+class _Progress:
+    """A bar of tqdm on a terminal; nothing elsewhere."""
 
-        shown.show(f"finding bars in {cloud.name}")
-        result = segment_file(cloud, output, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
-    print("\n".join(result.summary))
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+
+    def stage(self, name: str) -> None:
+        """Begin a stage."""
+        self._bar.set_description(name, refresh=False)
+        self._bar.reset(total=1.0)
+
+    def share(self, share: float) -> None:
+        """Show how much of the stage is done, 0 to 1."""
+        self._bar.update(share - self._bar.n)
 
 
-for part in (cli_flights, cli_recordings):
-    app.add_typer(part.app)
+@contextmanager
+def _progress() -> Iterator[_Progress]:
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"
+    with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=form) as bar:
+        yield _Progress(bar)
+
+
+def _overrides(changed: list[str] | None) -> dict[str, Any]:
+    """Settings by name from the texts NAME=VALUE of ``--set``."""
+    from steelnb.settings import parse_parameter
+
+    for text in changed or []:
+        if "=" not in text:
+            raise InputError(f"--set {text}: expected TABLE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
+    return dict(map(parse_parameter, changed or []))
+
+
+def _mount(text: str | None) -> Any:
+    """``T_drone_sensor (4, 4)`` of ``--mount``."""
+    from steelnb.settings.base import mount
+
+    if text is None:
+        return None
+    try:
+        x, y, z, roll, pitch, yaw = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
+    return mount((x, y, z), (roll, pitch, yaw))
+
 
 if __name__ == "__main__":
     sys.exit(main())

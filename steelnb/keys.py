@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from steelnb.errors import FileMissingError
+from steelnb.errors import InputError
 
 PACKAGE = "steelnb"
 PACKAGE_FOLDER = Path(__file__).resolve().parent
@@ -26,12 +26,12 @@ DATA = (".toml", ".json", ".csv", ".txt", ".npz")
 
 def find_root(start: Path | None = None) -> Path:
     """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/experiments.toml``,
-    else the parent of the package. Raises `FileMissingError`."""
+    else the parent of the package. Raises `InputError`."""
     start = (start or Path.cwd()).resolve()
     for folder in (start, *start.parents, PACKAGE_FOLDER.parent):
         if (folder / EXPERIMENTS_FILE).is_file():
             return folder
-    raise FileMissingError(f"{start}: no {EXPERIMENTS_FILE} here or in a folder above; expected a steelnb project")
+    raise InputError(f"{start}: no {EXPERIMENTS_FILE} here or in a folder above; expected a steelnb project")
 
 
 def digest(*values: Any) -> str:

@@ -4,11 +4,9 @@ import os
 import sys
 from types import ModuleType
 
-from steelnb.errors import needs
-
 
 def import_open3d() -> ModuleType:
-    """Open3D, which is imported only where it is used. Raises `MissingExtraError`.
+    """Open3D, which is imported only where it is used.
 
     It imports Dash, which in a kernel opens a comm that JupyterLab has no handler for, and says so in an alert: this
     one stays a dummy. Its own web visualiser, which would open a port, is off unless the environment says otherwise.
@@ -19,8 +17,7 @@ def import_open3d() -> ModuleType:
     try:
         if comm:
             comm.create_comm = comm.DummyComm  # type: ignore[attr-defined]
-        with needs("sim"):
-            import open3d
+        import open3d
     finally:
         if comm:
             comm.create_comm = kept  # type: ignore[attr-defined]

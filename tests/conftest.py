@@ -4,14 +4,12 @@
 """
 
 import gc
-import math
 import os
 
 import pytest
 from hypothesis import settings
 
 import workflow  # noqa: F401 before nbformat: what it leaves out takes seconds to import
-from steelnb import cli_progress
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None)
@@ -23,9 +21,3 @@ def pytest_collection_finish() -> None:
     """The garbage collector leaves alone what has been imported by now and stays: a tenth of the tests' time."""
     gc.collect()
     gc.freeze()
-
-
-@pytest.fixture(autouse=True)
-def no_lines_about_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However slow the machine, a command called in a test prints what it has to say and no stages."""
-    monkeypatch.setattr(cli_progress, "LINE_PERIOD_S", math.inf)

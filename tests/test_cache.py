@@ -75,14 +75,6 @@ def test_code_counts_and_broken_files_are_flown_again(folder: Path, monkeypatch:
     assert len(list(folder.iterdir())) == 2
 
 
-def test_the_files_of_other_users_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEELNB_CACHE", str(tmp_path / ".cache"))
-    made = iter("abc")
-    assert [cache.kept("words", lambda: 1, [], lambda: next(made)) for _ in range(2)] == ["a", "a"]
-    monkeypatch.setattr("steelnb.cache.os.getuid", lambda: -1)
-    assert cache.kept("words", lambda: 1, [], lambda: next(made)) == "b"
-
-
 def test_the_flights_used_longest_ago_go(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in (1, 2):
         arrays(SETTINGS.replace(seed=seed))

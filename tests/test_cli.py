@@ -1,172 +1,161 @@
-"""The command line: what it prints, and the exit codes."""
+"""The command line: what it prints, and that bad input is one line, exit code 2 and nothing half-written."""
 
-import io
-import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import get_args
 
+import numpy as np
+import pandas as pd
 import pytest
+import trimesh
 
 import steelnb
-from steelnb import cli, cli_options, cli_progress, settings
-from steelnb.io.clouds import write_ply
+from steelnb import cli, settings
+from steelnb.io import read_flight, read_trajectory, read_truth, write_tum
+from tests.io.samples import Bagged, poses
+from tests.io.test_clouds import save
 from tests.lattice import lattice, scanned
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of three seconds, its truth, and clouds whole and half."""
+    folder = tmp_path_factory.mktemp("recorded")
+    small = [f"--set={each}" for each in ("tof.columns=90", "tof.rows=120")]
+    assert cli.main(["record", str(folder / "a.mcap"), "--duration", "3", *small]) == 0
+    points = np.round(scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01), 3)
+    trimesh.PointCloud(points).export(folder / "tower.ply")
+    np.save(folder / "millimetres.npy", 1000 * points)
+    for name in ("tower.ply", "tower.pcd"):
+        whole = folder / name if name == "tower.ply" else save(folder / name, points)
+        (folder / f"half.{name[-3:]}").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    Bagged(folder / "no-poses.bag").clouds().write()
+    Bagged(folder / "no-clouds.mcap").odometry().write()
+    (folder / "folder.bag").mkdir()
+    (folder / "kept_run").mkdir()
+    (folder / "kept_run" / "notes.txt").write_text("mine")
+    return folder
+
+
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, which is the current one."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def here(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(recorded)
+    return recorded
 
 
-def files(root: Path) -> list[Path]:
-    return sorted(root.rglob("*"))
+BAD = (
+    (["run", "nothing.bag"], "nothing.bag: does not exist; expected a recording"),
+    (["segment", "nothing.ply"], "nothing.ply: does not exist; expected a PLY file of points"),
+    (["segment", "half.ply"], "half.ply: not a PLY file of points: "),
+    (["segment", "half.pcd"], "half.pcd: not a PCD file of points: cut short"),
+    (["segment", "folder.bag"], "folder.bag: ending '.bag'; expected one of .npy, .ply"),
+    (["run", "no-poses.bag"], "no-poses.bag: no poses; expected one of poses"),
+    (["run", "no-clouds.mcap"], "no-clouds.mcap: no clouds (PointCloud2 or depth images)"),
+    (["run", "folder.bag"], "folder.bag: no clouds in it; expected files that end with .npy"),
+    (["segment", "millimetres.npy"], "it looks like millimetres; expected metres"),
+    (["run", "a.mcap", "--odometry", "bst"], "method = 'bst', did you mean 'best'?; expected one of 'none'"),
+    (["run", "a.mcap", "--odometry", "orb"], "a.mcap: no images for method 'orb'"),
+    (["run", "a.mcap", "--set", "preproces.voxel_leaf_m=1"], "unknown setting 'preproces.voxel_leaf_m', did you mean"),
+    (["run", "a.mcap", "--set", "voxels"], "--set voxels: expected TABLE.NAME=VALUE"),
+    (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
+    (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
+    (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
+    (["run", "a.mcap", "--truth", "nothing.tum"], "no topic 'nothing.tum'"),
+    (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),
+    (["record", "a.mcap"], "a.mcap: exists already; expected a new name, or --force"),
+    (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
+    (["record", "b.bag", "--trajectory", "lops"], "did you mean 'loops'?"),
+    (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
+    (["study", "nothing.toml"], "nothing.toml: does not exist"),
+    (["fly"], "No such command 'fly'"),
+)
 
 
-def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=lambda value: " ".join(value) if len(value) < 6 else None)
+def test_bad_input_is_one_line_exit_2_and_nothing_left(
+    here: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    before = sorted(here.rglob("*"))
+    capfd.readouterr()
+    assert cli.main(arguments) == 2
+    shown = capfd.readouterr().err
+    assert shown.startswith("steelnb: error: ")
+    assert words in shown
+    assert shown.count("\n") == 1
+    assert sorted(here.rglob("*")) == before
+
+
+def test_a_flight_is_recorded_and_corrected(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", "a.mcap", "-o", "out"]) == 0
+    shown = capfd.readouterr().out
+    assert "read      a.mcap: scans /tof/points (PointCloud2), poses /odom, imu /imu\n" in shown
+    assert (
+        "mount     at x 0.060, y 0.000, z 0.000 m, roll 0.0, pitch 0.0, yaw 0.0° (tf_static base_link → tof)" in shown
+    )
+    files = {path.name for path in (here / "out").iterdir()}
+    assert files == {"corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png"}
+    numbers = pd.read_csv(here / "out" / "table.csv", index_col="quantity")["value"]
+    assert numbers["corrected_ate_rmse_m"] < 0.7 * numbers["prior_ate_rmse_m"]
+    corrected, truth = read_trajectory(here / "out" / "corrected.tum"), read_truth(here / "a.mcap")
+    assert truth is not None
+    error_m = np.linalg.norm(corrected.position - truth.at(corrected.stamp_s).position, axis=1)
+    assert np.sqrt((error_m**2).mean()) == pytest.approx(numbers["corrected_ate_rmse_m"], rel=1e-4)
+    assert cli.main(["run", "a.mcap", "-o", "out", "--odometry", "none", "--mount", "0.06,0,0,0,0,0"]) == 2
+    assert cli.main(["run", "a.mcap", "-o", "out", "--odometry", "none", "--mount", "0.06,0,0,0,0,0", "--force"]) == 0
+    assert "(as given)" in capfd.readouterr().out
+    np.testing.assert_allclose(
+        read_trajectory(here / "out" / "corrected.tum").T_world_drone,
+        read_flight(here / "a.mcap").prior.T_world_drone, atol=1e-12,
+    )  # fmt: skip
+
+
+def test_a_folder_of_clouds_is_corrected_as_its_bag(here: Path, tmp_path: Path) -> None:
+    flight = read_flight(here / "a.mcap")
+    for k, scan in enumerate(flight.scans):
+        np.save(tmp_path / f"{k}.npy", scan.points)
+    write_tum(tmp_path / "poses.tum", flight.prior)
+    assert cli.main(["run", str(tmp_path), "-o", str(tmp_path / "a"), "--mount", "0.06,0,0,0,0,0"]) == 0
+    assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "b")]) == 0
+    of_folder, of_bag = (read_trajectory(tmp_path / name / "corrected.tum") for name in ("a", "b"))
+    np.testing.assert_allclose(of_folder.T_world_drone, of_bag.T_world_drone, atol=1e-9)
+
+
+def test_bars_of_a_cloud_are_found(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["segment", "tower.ply", "-o", "bars"]) == 0
+    assert "read      tower.ply: " in capfd.readouterr().out
+    assert len(pd.read_csv(here / "bars" / "segments.csv")) > 20
+    assert (here / "bars" / "segments.png").exists()
+    assert cli.main(["segment", "tower.ply", "-o", "bars"]) == 2
+    assert cli.main(["segment", "tower.ply", "-o", "bars", "--force"]) == 0
+
+
+def test_version_help_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"steelnb {steelnb.__version__}\n"
-    assert cli.main([]) == 0
+    assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
-    assert all(command in shown for command in ("study", "segment"))
+    assert all(command in shown for command in ("run", "record", "segment", "study", "Exit codes"))
+    assert cli.METHODS == settings.METHODS
+    assert cli.TRAJECTORIES == settings.TRAJECTORIES
 
 
-@pytest.mark.parametrize("command", ["study", "record", "fly", "run", "info", "segment"])
-def test_help_has_examples_and_exit_codes_and_no_type_at_a_flag(
-    capsys: pytest.CaptureFixture[str], command: str
-) -> None:
-    assert cli.main([command, "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert f"\n  Examples:\n    steelnb {command} " in shown
-    assert "\n  Exit codes: 0 done" in shown
-    assert "bool" not in shown
-    cli.main(["--help"])
-    shown = capsys.readouterr().out
-    assert [line.split()[0] for line in shown.partition("Exit codes:")[2].splitlines() if line] == [
-        "0",
-        "1",
-        "2",
-        "130",
-    ]
-    (about,) = (line for line in shown.splitlines() if line.split()[:1] == [command])
-    assert about.endswith(".")
-    assert "..." not in about
-
-
-def test_the_names_of_options_are_those_of_the_settings() -> None:
-    assert set(cli_options.METHODS) == {*settings.METHODS, "segments"}
-    assert cli_options.SENSORS == settings.SENSORS
-    assert tuple(sorted(get_args(settings.PlannerGoal))) == cli_options.GOALS
-    assert cli_options.TRAJECTORIES == settings.TRAJECTORIES
-    assert set(cli_options.NOISES) == {*settings.REPORT_NOISE, "none"}
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("steelnb re", ["record"]),
-        ("steelnb run a.bag --odometry be", ["best"]),
-        ("steelnb run a.bag --odometry best --odometry gicp-", ["gicp-4dof"]),
-        ("steelnb run a.bag --noise random-walk:0.002+y", ["random-walk:0.002+yaw-random-walk"]),
-        ("steelnb run a.bag --sensor s", ["starling2", "starling2-honest"]),
-        ("steelnb record a.bag --trajectory o", ["orbit", "orbit-3.3"]),
-        ("steelnb run --fo", ["--force"]),
-    ],
-)
-def test_the_shell_completes_commands_options_and_names(line: str, expected: list[str]) -> None:
-    """By the protocol of the script that `steelnb --show-completion` prints, and without loading anything heavy."""
-    words = line.split(" ")
-    given = {"_STEELNB_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\nfrom steelnb import cli\ntry:\n    cli.main([])\nfinally:\n    assert 'numpy' not in sys.modules"
     )
-    shown = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | given, capture_output=True, text=True, check=True
-    )
-    assert shown.stdout.split() == expected
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
 
 
-def test_a_bar_moves_on_a_terminal_until_the_end_of_a_stage_and_beyond(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
+def test_ctrl_c_is_exit_130_and_leaves_nothing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
 
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("TERM", "xterm")
-    with cli_progress.progress() as shown:
-        assert "loading libraries" in terminal.getvalue(), "before anything is imported"
-        shown.show("correcting", 1.0)
-        shown.show("writing")
-        (task,) = shown._bars.tasks  # type: ignore[attr-defined]
-        assert (task.description, task.finished, task.total) == ("writing", False, None)
-        shown.say("a run failed")
-    assert "a run failed" in terminal.getvalue()
-    assert terminal.getvalue().endswith("\x1b[2K"), "the line is gone at the end"
+    before = sorted(here.rglob("*"))
+    monkeypatch.setattr("steelnb.report.recording.measure_recording", interrupted)
+    assert cli.main(["run", "a.mcap", "-o", "stopped"]) == 130
+    assert sorted(here.rglob("*")) == before
 
 
-def test_where_there_is_no_terminal_a_stage_is_told_now_and_then(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_s = 100.0
-    monkeypatch.setattr(cli_progress.time, "monotonic", lambda: now_s)
-    monkeypatch.setattr(cli_progress, "LINE_PERIOD_S", 10.0)
-    with cli_progress.progress() as shown:
-        for now_s in (101.0, 109.0, 111.0, 120.0, 122.0):
-            shown.show("correcting", (now_s - 100.0) / 40)
-    assert capsys.readouterr().err == "correcting: 28%, 0:00:26 left\ncorrecting: 55%, 0:00:17 left\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["bogus"], ["bogus"]),
-        (["segmnt", "x.ply"], ["'segmnt'", "Did you mean 'segment'?"]),
-        (["segment"], ["Missing argument"]),
-        (["segment", "x.ply", "--voxel", "small"], ["--voxel"]),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_2(
-    project: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: list[str]
-) -> None:
-    before = files(project)
-    assert cli.main(arguments) == 2
-    shown = capfd.readouterr()
-    assert shown.out == ""
-    assert shown.err.startswith("steelnb: error: ")
-    assert shown.err.count("\n") == 1
-    assert all(word in shown.err for word in words), shown.err
-    assert files(project) == before
-
-
-@pytest.mark.parametrize("command", sorted(cli.REMOVED))
-def test_a_removed_command_names_its_successor(project: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
-    assert cli.main([command, "x", "--rate", "max", "-o"]) == 2
-    shown = capsys.readouterr().err
-    assert shown == f"steelnb: error: {command}: no longer a command; {cli.REMOVED[command]}\n"
-    assert files(project) == []
-
-
-def test_installed_command(project: Path) -> None:
-    command = [sys.executable, "-m", "steelnb.cli", "segment", "nothing.ply"]
-    shown = subprocess.run(command, cwd=project, capture_output=True, text=True, env=os.environ, check=False)
-    assert shown.returncode == 2
-    assert shown.stderr.splitlines()[-1].startswith("steelnb: error: nothing.ply")
-
-
-@pytest.mark.parametrize("name", ["segments.csv", "segments.png"])
-def test_a_folder_in_the_place_of_an_output_of_segment_keeps_the_earlier_ones(project: Path, name: str) -> None:
-    write_ply(project / "tower.ply", scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01))
-    (project / "out" / name / "mine").mkdir(parents=True)
-    (project / "out" / "segments.ply").write_text("earlier")
-    before = files(project)
-    command = [sys.executable, "-m", "steelnb.cli", "segment", "tower.ply", "-o", "out"]
-    shown = subprocess.run(command, cwd=project, capture_output=True, text=True, check=False)
-    assert (shown.returncode, shown.stdout) == (2, "")
-    error = shown.stderr.splitlines()[-1]  # on a slow machine, stages before it
-    assert error == f"steelnb: error: out/{name}: exists already; expected a new name, or a file to replace"
-    assert files(project) == before
-    assert (project / "out" / "segments.ply").read_text() == "earlier"
+def test_poses_from_another_time_are_refused(here: Path, tmp_path: Path) -> None:
+    write_tum(tmp_path / "late.tum", poses(5, begin_s=1e9))
+    assert cli.main(["run", "a.mcap", "--poses", str(tmp_path / "late.tum")]) == 2

@@ -5,7 +5,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.closed_loop import OnboardPilot
-from steelnb.errors import CollisionError, SettingsError
+from steelnb.errors import CollisionError, InputError
 from steelnb.odometry import make_odometry, run
 from steelnb.planning import Planner
 from steelnb.settings import ExperimentSettings, FlightSettings
@@ -109,13 +109,13 @@ def test_a_pilot_that_flies_into_the_ground_is_told_where():
 
 
 def test_a_planner_belongs_to_planned_flights_alone():
-    with pytest.raises(SettingsError, match="trajectory 'loops' with a table planner"):
+    with pytest.raises(InputError, match="trajectory 'loops' with a table planner"):
         ExperimentSettings.preset("loops", overrides={"flight.planner": {"goal": "face"}})
-    with pytest.raises(SettingsError, match="trajectory 'planned' with no table planner"):
+    with pytest.raises(InputError, match="trajectory 'planned' with no table planner"):
         ExperimentSettings.preset("planned", overrides={"flight.planner": False})
-    with pytest.raises(SettingsError, match="goal = 'home'"):
+    with pytest.raises(InputError, match="goal = 'home'"):
         ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
-    with pytest.raises(SettingsError, match="trajectory 'loops': expected 'planned'"):
+    with pytest.raises(InputError, match="trajectory 'loops': expected 'planned'"):
         Planner(FlightSettings.preset("loops"), 1.5, 6.0)
     chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
     assert chosen.flight.planner.goal == "face"

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.keys import find_root
 from workflow import digests
 from workflow.digests import SETTINGS, changed, digest, pairs, read
@@ -34,13 +34,13 @@ def test_digests_of_other_settings_or_versions_are_refused(tmp_path, part, name,
     kept = {**digests.made_with(SETTINGS), "digests": {}}
     (tmp_path / "tests").mkdir()
     (tmp_path / digests.PATH).write_text(json.dumps({**kept, part: {**kept[part], name: 0}}))
-    with pytest.raises(SettingsError, match=said) as refused:
+    with pytest.raises(InputError, match=said) as refused:
         read(tmp_path)
     assert digests.WRITE in str(refused.value)
 
 
 def test_a_missing_file_of_digests_names_the_command_that_writes_it(tmp_path):
-    with pytest.raises(SettingsError, match="--write"):
+    with pytest.raises(InputError, match="--write"):
         read(tmp_path)
 
 

@@ -32,26 +32,3 @@ def run(code):
 
 def test_the_import_alone_is_light():
     assert run(f"import sys, steelnb; print(sorted({set(HEAVY)!r} & set(sys.modules)))") == "[]"
-
-
-@pytest.mark.parametrize(
-    ("missing", "name", "extra"),
-    [("pybullet", "run", "sim"), ("rosbags", "read_flight", "io")],
-)
-def test_a_missing_library_names_its_extra(missing, name, extra, tmp_path):
-    (tmp_path / "x.bag").touch()
-    code = f"""
-import sys
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == {missing!r}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-sys.meta_path.insert(0, Missing())
-import steelnb
-try:
-    settings = steelnb.ExperimentSettings.preset(duration_s=1.0)
-    steelnb.run(settings) if {name!r} == "run" else steelnb.read_flight({str(tmp_path / "x.bag")!r})
-except steelnb.MissingExtraError as fault:
-    print(fault)
-"""
-    assert f"steelnb[{extra}]" in run(code)

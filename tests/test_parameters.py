@@ -9,7 +9,7 @@ import papermill
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb.errors import FileMissingError, NotebookError, SettingsError
+from steelnb.errors import InputError
 from steelnb.report import parameters
 from steelnb.report.parameters import check_settings, fit_parameters
 from steelnb.settings import parse_parameter
@@ -42,7 +42,7 @@ DEFAULTS = {
     ],
 )
 def test_names_and_types_are_refused(given: dict, words: list[str]) -> None:
-    with pytest.raises(SettingsError) as caught:
+    with pytest.raises(InputError) as caught:
         fit_parameters("e", given, DEFAULTS)
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
@@ -64,7 +64,7 @@ def test_values_take_the_type_of_their_defaults() -> None:
     ],
 )
 def test_settings_out_of_range_are_refused(values: dict, words: str) -> None:
-    with pytest.raises(SettingsError, match=f"e: .*{words}"):
+    with pytest.raises(InputError, match=f"e: .*{words}"):
         check_settings("e", values)
     check_settings("e", {"trajectory": "loops", "unrelated": -1})
 
@@ -95,7 +95,7 @@ def run(shell: InteractiveShell, cell: str) -> None:
 )
 def test_what_papermill_injects_is_refused_by_the_notebook(shell: InteractiveShell, injected: str, words: str) -> None:
     run(shell, f'# Parameters\nresults_dir = "out"\n{injected}\n')
-    with pytest.raises(SettingsError, match=f"parameters: .*{words}"):
+    with pytest.raises(InputError, match=f"parameters: .*{words}"):
         parameters.validate()
 
 
@@ -125,7 +125,7 @@ def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path, name: str, valu
     path = next(path for path in NOTEBOOKS if path.stem.startswith("00"))
     with pytest.raises(papermill.PapermillExecutionError) as caught:
         papermill.execute_notebook(path, tmp_path / "out.ipynb", {name: value}, progress_bar=False, cwd=path.parent)
-    assert caught.value.ename == "SettingsError"
+    assert caught.value.ename == "InputError"
     assert caught.value.evalue.startswith("parameters: ")
     assert "did you mean 'seed'" in caught.value.evalue or "seed = 'one'" in caught.value.evalue
 
@@ -156,7 +156,7 @@ def test_parse_parameter(text: str, value: object) -> None:
 
 @pytest.mark.parametrize("text", ["a", "=1", ""])
 def test_parse_parameter_refuses(text: str) -> None:
-    with pytest.raises(SettingsError, match="NAME=VALUE"):
+    with pytest.raises(InputError, match="NAME=VALUE"):
         parse_parameter(text)
 
 
@@ -174,10 +174,10 @@ def test_notebooks_without_plain_parameters_are_refused(
 ) -> None:
     cell = nbformat.v4.new_code_cell(source, metadata={"tags": tags})
     nbformat.write(nbformat.v4.new_notebook(cells=[cell]), tmp_path / "a.ipynb")
-    with pytest.raises(NotebookError, match=words):
+    with pytest.raises(InputError, match=words):
         read_parameters(tmp_path / "a.ipynb")
     (tmp_path / "a.ipynb").write_text("{}")
-    with pytest.raises(NotebookError, match="not a notebook"):
+    with pytest.raises(InputError, match="not a notebook"):
         read_parameters(tmp_path / "a.ipynb")
-    with pytest.raises(FileMissingError, match="none"):
+    with pytest.raises(InputError, match="none"):
         read_parameters(tmp_path / "none.ipynb")

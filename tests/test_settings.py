@@ -3,7 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from steelnb import settings as all_settings
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.noise import drift_errors
 from steelnb.settings import (
     METHODS,
@@ -68,7 +68,7 @@ REPORT_CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(arguments, says):
-    with pytest.raises(SettingsError, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         ExperimentSettings.preset(**arguments)
     assert "\n" not in str(caught.value)
 
@@ -76,9 +76,9 @@ def test_a_bad_setting_is_named_in_one_line(arguments, says):
 def test_settings_are_frozen_and_know_no_other_key():
     with pytest.raises(ValidationError):
         TofSettings().rate_hz = 10.0
-    with pytest.raises(SettingsError, match="rate = 5"):
+    with pytest.raises(InputError, match="rate = 5"):
         TofSettings(rate=5)
-    with pytest.raises(SettingsError, match="columns"):
+    with pytest.raises(InputError, match="columns"):
         TofSettings().replace(columns=0)
 
 
@@ -114,11 +114,11 @@ def test_noise_is_read_as_sums_with_levels():
 
 
 def test_a_tower_that_cannot_stand_is_refused():
-    with pytest.raises(SettingsError, match="waist_height_m"):
+    with pytest.raises(InputError, match="waist_height_m"):
         TowerSettings(waist_height_m=20.0)
-    with pytest.raises(SettingsError, match="apart"):
+    with pytest.raises(InputError, match="apart"):
         TowerSettings(arm_height_m=(10.0, 10.3), arm_reach_m=(3.0, 3.0))
-    with pytest.raises(SettingsError, match="between"):
+    with pytest.raises(InputError, match="between"):
         TowerSettings(arm_height_m=(15.8,), arm_reach_m=(3.0,))
 
 
@@ -139,7 +139,7 @@ def test_a_flight_that_its_waypoints_do_not_give_is_refused(changes, says):
     path = ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 90.0, 20.0))
     good = {"trajectory": "vertical", "duration_s": 20.0, "waypoints": path}
     assert FlightSettings(**good).waypoints == path
-    with pytest.raises(SettingsError, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         FlightSettings(**{**good, **changes})
     assert "\n" not in str(caught.value)
 
@@ -161,7 +161,7 @@ def test_the_seed_report_has_the_report_s_levels_alone(noise, says):
         lambda: drift_errors(np.arange(3) / 125, NoiseSettings.parse(noise), "report"),
     )
     for call in refused:
-        with pytest.raises(SettingsError, match=says) as caught:
+        with pytest.raises(InputError, match=says) as caught:
             call()
         assert "\n" not in str(caught.value)
 
@@ -184,7 +184,7 @@ def test_the_experiment_behind_each_plot_of_the_report_has_its_scans():
         np.testing.assert_allclose(flown, plot.step_at(np.arange(plot.samples) + plot.earlier_samples), atol=0.5001)
     other = ExperimentSettings.report("3.5", "vertical", "gicp", "best", {"tof.range_max_m": 3.0})
     assert (other.odometry.method, other.tof.range_max_m, other.tof.sigma_floor_m) == ("best", 3.0, 0.01)
-    with pytest.raises(SettingsError, match=r"plot 3\.4 vertical icp: expected one of 3\.2 vertical average;"):
+    with pytest.raises(InputError, match=r"plot 3\.4 vertical icp: expected one of 3\.2 vertical average;"):
         ExperimentSettings.report("3.4", "vertical", "icp")
 
 
@@ -204,10 +204,10 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     honest = ExperimentSettings.preset(sensor="starling2-honest", overrides={"tof.faults.exposure_s": 0.01})
     assert ExperimentSettings.preset(sensor=str(own)).replace(sensor=honest.sensor) == honest
     own.write_text('based_on = "lidar"\n')
-    with pytest.raises(SettingsError, match="based_on = 'lidar': expected one of 'report', 'report-4cm', 'starling2'"):
+    with pytest.raises(InputError, match="based_on = 'lidar': expected one of 'report', 'report-4cm', 'starling2'"):
         ExperimentSettings.preset(sensor=str(own))
     own.write_text("[hough]\ndxm = 1.0\n")
-    with pytest.raises(SettingsError, match="dxm"):
+    with pytest.raises(InputError, match="dxm"):
         ExperimentSettings.preset(sensor=str(own), method="combined")
 
 
@@ -228,7 +228,7 @@ def test_a_method_has_the_tables_that_it_uses_and_no_other(method):
     assert settings.orb == (method == "orb")
     assert (settings.segments is None) == (method not in (*SEGMENT_METHODS, *BOTH))
     missing = "segments.robust_scale_m" if settings.segments is None else "clouds.dofs"
-    with pytest.raises(SettingsError, match=missing):
+    with pytest.raises(InputError, match=missing):
         settings.override({missing: 1})
 
 
@@ -255,7 +255,7 @@ def test_there_are_at_most_121_settings():
 
 
 def test_a_message_about_a_very_long_value_is_short() -> None:
-    with pytest.raises(SettingsError, match="trajectory = 'xxx") as caught:
+    with pytest.raises(InputError, match="trajectory = 'xxx") as caught:
         FlightSettings(trajectory="x" * 100_000)
     assert len(str(caught.value)) <= 400
 
@@ -281,5 +281,5 @@ def test_methods_by_clouds_and_bars_use_the_imu_beside_a_sensor():
         ("combined", {"gyro_noise": 1e-4}, "inertial without noise"),
         ("combined", True, "inertial"),
     ):
-        with pytest.raises(SettingsError, match=says):
+        with pytest.raises(InputError, match=says):
             OdometrySettings.preset(method, overrides={"inertial": inertial})

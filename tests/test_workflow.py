@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 import pytest
 
-from steelnb.errors import FileMissingError
+from steelnb.errors import InputError
 from steelnb.keys import find_root
 from workflow import task_notebooks
 from workflow.__main__ import main, make_plans
@@ -58,7 +58,7 @@ results_dir = ""  # empty: show only
 # A sleep that holds the interpreter lock, as a long call of compiled code does, as long as the gate is there.
 GATE = """
 import ctypes, os, pathlib, sys
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.report import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
@@ -73,7 +73,7 @@ if fail == "exit":
 if fail == "nothing":
     results_dir = ""
 elif fail:
-    raise {"ValueError": ValueError, "SettingsError": SettingsError}[fail]("nothing\\ndoing")
+    raise {"ValueError": ValueError, "InputError": InputError}[fail]("nothing\\ndoing")
 """
 RESULT = """
 import pandas
@@ -232,7 +232,7 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
     modules: list[list[str]] = []
     monkeypatch.setattr("workflow.experiments.code_digest", lambda names: modules.append(names) or "other code")
     seen.append(keys())
-    assert modules[0] == ["steelnb.errors.SettingsError", "steelnb.report.results"]
+    assert modules[0] == ["steelnb.errors.InputError", "steelnb.report.results"]
     assert len({key for pair in seen for key in pair}) == 8
     (project / "data.csv").write_text("2\n")
     assert keys()[0] == seen[-1][0]
@@ -285,7 +285,7 @@ def test_parameters_of_ones_own_want_a_folder_and_leave_the_results_alone(
 
 def test_failing_notebooks_are_named_and_the_others_finish(project: Path, capsys: pytest.CaptureFixture) -> None:
     table = '[{0}]\nnotebook = "tiny.ipynb"\ntitle = "fails"\nfull = {{ fail = "{1}" }}\nsmoke = {{}}\n'
-    failing = {"wrong": "ValueError", "refused": "SettingsError", "dead": "exit", "empty": "nothing"}
+    failing = {"wrong": "ValueError", "refused": "InputError", "dead": "exit", "empty": "nothing"}
     with (project / "notebooks" / "experiments.toml").open("a") as file:
         file.writelines(table.format(name, error) for name, error in failing.items())
     edit(project / "notebooks" / "experiments.toml", "value = 3.0", "value = 6.0")
@@ -294,7 +294,7 @@ def test_failing_notebooks_are_named_and_the_others_finish(project: Path, capsys
     lines = {line.split(":")[1].strip(): line for line in errors}
     assert set(lines) == set(failing)
     assert "wrong: ValueError: nothing doing" in lines["wrong"]
-    assert "refused: SettingsError: nothing doing" in lines["refused"]
+    assert "refused: InputError: nothing doing" in lines["refused"]
     assert "dead: DeadKernelError" in lines["dead"]
     assert "empty: NoResults: metrics.json, table.csv, provenance.json missing" in lines["empty"]
     executed = Path(lines["wrong"].partition("(see ")[2].removesuffix(")"))
@@ -447,7 +447,7 @@ def test_check_compares_a_second_run_with_the_last_commit(project: Path, capsys:
 
 
 def test_check_without_git_takes_the_tree_and_wants_results(project: Path) -> None:
-    with pytest.raises(FileMissingError, match=r"results-smoke/pair/metrics\.json"):
+    with pytest.raises(InputError, match=r"results-smoke/pair/metrics\.json"):
         read_committed(project, "results-smoke", ["pair"])
     committed = read_committed(project, "results", ["pair", "single"])
     assert committed == read_results(project / "results", ["pair", "single"])

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from steelnb.errors import NotebookError, SteelnbError
+from steelnb.errors import InputError, OutputError, SteelnbError
 from steelnb.keys import find_root
 from steelnb.settings import parse_parameter
 from workflow.check import differences, read_check_settings, read_committed, read_results, say
@@ -139,7 +139,7 @@ def pages(budget: Budget = "smoke") -> int:
 def _failures(report: Report) -> int:
     for fault in report.failures:
         print("error:", " ".join(str(fault).split()), file=sys.stderr)
-    refused = all(isinstance(fault, SteelnbError) and not isinstance(fault, NotebookError) for fault in report.failures)
+    refused = all(isinstance(fault, (InputError, OutputError)) for fault in report.failures)
     return (2 if refused else 1) if report.failures else 0
 
 

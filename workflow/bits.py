@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from steelnb.errors import NotebookError, OutputError
+from steelnb.errors import OutputError, SteelnbError
 from workflow.digests import changed
 
 EMULATOR = "qemu-x86_64"
@@ -41,7 +41,7 @@ VARIANTS = (
 
 
 def compute(root: Path, row: Row, short: bool) -> dict[str, str]:
-    """The digests of a row, in a process of its own. Raises `NotebookError` where it fails."""
+    """The digests of a row, in a process of its own. Raises `SteelnbError` where it fails."""
     folder = root / ".cache" / "bits"
     folder.mkdir(parents=True, exist_ok=True)
     result = folder / f"{row.name.replace('=', '-').replace(' ', '-')}{'-short' if short else ''}.json"
@@ -56,7 +56,7 @@ def compute(root: Path, row: Row, short: bool) -> dict[str, str]:
     done = subprocess.run(command, cwd=root, env=variables, capture_output=True, text=True)
     if done.returncode or not result.exists():
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise NotebookError(f"{row.name}: exit code {done.returncode}: {last}")
+        raise SteelnbError(f"{row.name}: exit code {done.returncode}: {last}")
     found: dict[str, str] = json.loads(result.read_text(encoding="utf-8"))
     return found
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from steelnb.errors import FileMissingError
+from steelnb.errors import InputError
 from steelnb.keys import EXPERIMENTS_FILE
 from steelnb.settings import Positive, Settings, read_toml
 
@@ -28,7 +28,7 @@ class CheckSettings(Settings):
 
 
 def read_check_settings(root: Path) -> CheckSettings:
-    """How the project below ``root`` compares. Raises `FileMissingError` or `SettingsError`."""
+    """How the project below ``root`` compares. Raises `InputError`."""
     return CheckSettings(**read_toml(root / EXPERIMENTS_FILE).get("check", {}))
 
 
@@ -60,7 +60,7 @@ def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError:
-        raise FileMissingError(f"{path}: nothing to compare; run `make reproduce` first") from None
+        raise InputError(f"{path}: nothing to compare; run `make reproduce` first") from None
 
 
 def differences(committed: Values, now: Values, settings: CheckSettings) -> Iterator[tuple[str, str]]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
@@ -134,11 +134,11 @@ def kept(root: Path) -> dict[str, str]:
 
 
 def read(root: Path) -> dict[str, str]:
-    """The committed digests. Raises `SettingsError` where there are none, or of other settings or versions."""
+    """The committed digests. Raises `InputError` where there are none, or of other settings or versions."""
     try:
         found = json.loads((root / PATH).read_text(encoding="utf-8"))
     except (OSError, ValueError) as fault:
-        raise SettingsError(f"{PATH}: {fault}; expected digests, which `{WRITE}` writes") from None
+        raise InputError(f"{PATH}: {fault}; expected digests, which `{WRITE}` writes") from None
     for part, here in made_with(SETTINGS).items():
         there = found.get(part, {})
         differ = [
@@ -147,7 +147,7 @@ def read(root: Path) -> dict[str, str]:
             if there.get(name) != here.get(name)
         ]
         if differ:
-            raise SettingsError(f"{PATH}: made with other {part}: {'; '.join(differ)}; `{WRITE}` writes it anew")
+            raise InputError(f"{PATH}: made with other {part}: {'; '.join(differ)}; `{WRITE}` writes it anew")
     return dict(found["digests"])
 
 

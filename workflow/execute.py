@@ -21,7 +21,7 @@ import psutil
 
 import steelnb.errors
 from steelnb.cache import CACHE_VARIABLE
-from steelnb.errors import NotebookError, OutputError, SettingsError
+from steelnb.errors import InputError, OutputError, SteelnbError
 from steelnb.report.results import PROGRESS_VARIABLE
 from workflow.experiments import Part
 
@@ -101,7 +101,7 @@ def run_part(part: Part, parent: int, mark: str, scratch: Path, arrays: Path, ke
     """Execute a part in ``scratch``, and move its results and its notebook as executed into ``store``.
 
     Flights and estimates are shared with other parts through the folder ``arrays`` (`steelnb.cache`).
-    Raises `SettingsError` where the notebook refused its input, else `NotebookError`, in one line with the part's name.
+    Raises `InputError` where the notebook refused its input, else `SteelnbError`, in one line with the part's name.
     """
     watch(parent, mark, scratch)
     folder = scratch_folder(scratch, part.label)
@@ -120,10 +120,10 @@ def run_part(part: Part, parent: int, mark: str, scratch: Path, arrays: Path, ke
         with contextlib.suppress(FileNotFoundError):
             failed.parent.mkdir(parents=True, exist_ok=True)
             os.replace(folder / EXECUTED, failed)
-        kind = SettingsError if hasattr(steelnb.errors, error) else NotebookError
+        kind = InputError if hasattr(steelnb.errors, error) else SteelnbError
         raise kind(" ".join(f"{part.label}: {error}: {message}".split())[:400] + f" (see {failed})")
     if part.key() != key:
-        raise NotebookError(f"{part.label}: notebook or code was edited while it ran; run it again")
+        raise SteelnbError(f"{part.label}: notebook or code was edited while it ran; run it again")
     os.replace(folder / EXECUTED, folder / "output" / EXECUTED)
     (folder / "output" / "seconds").write_text(f"{time.monotonic() - begin_s:.1f}\n")
     shutil.rmtree(store, ignore_errors=True)

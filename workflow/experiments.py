@@ -11,11 +11,11 @@ from typing import Any
 
 from pydantic import Field
 
-from steelnb.errors import OutputError, SettingsError, UnknownExperimentError
+from steelnb.errors import InputError, OutputError
 from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
 from steelnb.report.parameters import check_settings, fit_parameters
-from steelnb.report.words import guess
 from steelnb.settings import Settings, read_toml
+from steelnb.settings.base import guess
 from workflow.parameters import read_cells, read_parameters, source
 
 FOLDERS = {"full": "results", "smoke": "results-smoke"}
@@ -71,43 +71,43 @@ class Part:
         try:
             names = imported_names(ast.parse(code))
         except SyntaxError as fault:
-            raise SettingsError(f"{self.notebook}: no Python: {fault}") from None
+            raise InputError(f"{self.notebook}: no Python: {fault}") from None
         return digest(cells, self.parameters, inputs, code_digest(names), environment_digest(self.root))
 
 
 def read_experiments(root: Path) -> dict[str, Experiment]:
-    """The experiments of the project below ``root``, by id. Raises `FileMissingError` or `SettingsError`."""
+    """The experiments of the project below ``root``, by id. Raises `InputError`."""
     found = {}
     for name, table in read_toml(root / EXPERIMENTS_FILE).items():
         if name == "check":  # how results are compared: `steelnb.report.differences`
             continue
         if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name) or not isinstance(table, dict):
-            raise SettingsError(f"{EXPERIMENTS_FILE}: {name!r}: expected a table named in small letters and hyphens")
+            raise InputError(f"{EXPERIMENTS_FILE}: {name!r}: expected a table named in small letters and hyphens")
         try:
             found[name] = Experiment(id=name, **table)
-        except SettingsError as fault:
-            raise SettingsError(f"{EXPERIMENTS_FILE}: [{name}]: {fault}") from None
+        except InputError as fault:
+            raise InputError(f"{EXPERIMENTS_FILE}: [{name}]: {fault}") from None
     return found
 
 
 def select(experiments: Mapping[str, Experiment], ids: Iterable[str], budget: str) -> list[Experiment]:
     """The experiments named, in the file's order; by default all, at the full budget without those apart.
 
-    Raises `UnknownExperimentError` or `SettingsError`.
+    Raises `InputError`.
     """
     ids = list(ids)
     if budget not in FOLDERS:
-        raise SettingsError(f"budget = {budget!r}: expected one of {', '.join(FOLDERS)}")
+        raise InputError(f"budget = {budget!r}: expected one of {', '.join(FOLDERS)}")
     for name in ids:
         if name not in experiments:
             known = ", ".join(experiments)
-            raise UnknownExperimentError(f"unknown experiment {name!r}{guess(name, experiments)}; known: {known}")
+            raise InputError(f"unknown experiment {name!r}{guess(name, experiments)}; known: {known}")
     chosen = ids or [name for name, each in experiments.items() if budget == "smoke" or not each.apart]
     return [experiment for name, experiment in experiments.items() if name in chosen]
 
 
 def make_parts(root: Path, experiment: Experiment, budget: str, given: Mapping[str, Any]) -> list[Part]:
-    """The parts of an experiment, every parameter checked. Raises `SettingsError`, `NotebookError`.
+    """The parts of an experiment, every parameter checked. Raises `InputError`.
 
     ``given`` are the user's parameters; they win over budget and matrix, and a matrix axis they name is dropped. A
     dotted name, such as ``tof.rate_hz``, goes into the notebook's parameter ``overrides``.
@@ -127,19 +127,19 @@ def make_parts(root: Path, experiment: Experiment, budget: str, given: Mapping[s
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
         parts.append(Part(experiment, name, root, values))
     if len({part.name for part in parts}) != len(parts) or not parts:
-        raise SettingsError(f"{EXPERIMENTS_FILE}: [{experiment.id}]: matrix: expected distinct values on every axis")
+        raise InputError(f"{EXPERIMENTS_FILE}: [{experiment.id}]: matrix: expected distinct values on every axis")
     return parts
 
 
 def output_folder(root: Path, budget: str, given: Mapping[str, Any], output: Path | None) -> Path:
-    """Folder of the results ``<folder>/<id>/``. Raises `SettingsError` if a run with parameters of its own, or a smoke
+    """Folder of the results ``<folder>/<id>/``. Raises `InputError` if a run with parameters of its own, or a smoke
     run, would touch the full results, and `OutputError` if nothing can be written there."""
     if output is None and given:
-        raise SettingsError(f"P={next(iter(given))}: parameters of your own want an output folder, OUT=folder")
+        raise InputError(f"P={next(iter(given))}: parameters of your own want an output folder, OUT=folder")
     folder = (output or root / FOLDERS[budget]).resolve()
     full = (root / FOLDERS["full"]).resolve()
     if (given or budget != "full") and folder.is_relative_to(full):
-        raise SettingsError(f"OUT={output}: expected a folder outside {full}, which holds the default results")
+        raise InputError(f"OUT={output}: expected a folder outside {full}, which holds the default results")
     place = next(path for path in (folder, *folder.parents) if path.exists())
     try:
         with tempfile.TemporaryFile(dir=place):

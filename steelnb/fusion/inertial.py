@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import RecordingError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import moved_poses
 from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
@@ -206,11 +206,11 @@ def _integrate(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def
 
 
 def check_imu(imu: Imu, prior: Trajectory) -> None:
-    """Raise `RecordingError` for readings in other units, or whose axes are not the drone's: gravity's size and
+    """Raise `InputError` for readings in other units, or whose axes are not the drone's: gravity's size and
     direction, and the turns of the ``prior``, tell."""
     inside = (imu.stamp_s >= prior.stamp_s[0]) & (imu.stamp_s <= prior.stamp_s[-1])
     if inside.sum() < 2 or len(prior) < 2:
-        raise RecordingError(
+        raise InputError(
             f"IMU: {int(inside.sum())} of {len(inside)} readings within the time of the poses; expected readings and "
             "poses with the same clock"
         )
@@ -219,11 +219,11 @@ def check_imu(imu: Imu, prior: Trajectory) -> None:
     size = float(np.linalg.norm(mean))
     if not 0.7 < size / GRAVITY < 1.3:
         unit = next((f", as of {name}" for name, g in UNITS.items() if 0.7 < size / g < 1.3), "")
-        raise RecordingError(f"IMU: specific force of {size:.3g} on average{unit}; expected {GRAVITY} m/s², gravity's")
+        raise InputError(f"IMU: specific force of {size:.3g} on average{unit}; expected {GRAVITY} m/s², gravity's")
     lean = float(np.arccos(np.clip(mean[2] / size, -1, 1)))
     if lean > LEAN_MAX_RAD:
         says = "upside down" if lean > np.pi - LEAN_MAX_RAD else f"{np.degrees(lean):.0f}° off"
-        raise RecordingError(f"IMU: its vertical is {says}; expected readings in the axes of the drone, by tf")
+        raise InputError(f"IMU: its vertical is {says}; expected readings in the axes of the drone, by tf")
     gap_s, R = np.diff(prior.stamp_s), prior.T_world_drone[:, :3, :3]
     told = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
     steps = imu.angular_rate * np.diff(imu.stamp_s, prepend=imu.stamp_s[0])[:, None]
@@ -232,6 +232,6 @@ def check_imu(imu: Imu, prior: Trajectory) -> None:
         float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(turned).T / gap_s[:, None], told)
     )
     if rate > RATE_MIN and rate > UNIT_FACTOR * told_rate:
-        raise RecordingError(
+        raise InputError(
             f"IMU: angular rate of {rate:.3g} beside {told_rate:.3g} rad/s of the poses, as of degrees; expected rad/s"
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.errors import EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.bar_voxels import BarVoxels
@@ -57,7 +57,7 @@ def reconstruct(
     The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
     (`fusion.round_fit`); a bar with too few points to tell its section and its direction is left out. With ``adjust``,
     poses and bars are adjusted together (`fusion.bundle`). Returns a `Structure` in the world frame, metres; an empty
-    one has the reason. Raises `SettingsError` for poses that do not fit the scans or are not finite, `EmptyCloudError`
+    one has the reason. Raises `InputError` for poses that do not fit the scans or are not finite, `InputError`
     for scans without any return above the floor.
     """
     settings = settings or StructureSettings()
@@ -86,11 +86,11 @@ def reconstruct(
 def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
     """Poses of the sensor ``(K, 4, 4)`` from those of the drone and the mount of the sensor, None for the drone frame.
 
-    Raises `SettingsError` for poses of the drone that are not ``count`` or not finite.
+    Raises `InputError` for poses of the drone that are not ``count`` or not finite.
     """
     T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
     if T_world_drone.shape != (count, 4, 4) or not np.isfinite(T_world_drone).all():
-        raise SettingsError(f"T_world_drone of shape {T_world_drone.shape}: expected ({count}, 4, 4), all finite")
+        raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({count}, 4, 4), all finite")
     return T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
 
 
@@ -98,7 +98,7 @@ def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureS
     """One in ``every`` scans at the poses ``(K, 4, 4)`` of the sensor, accumulated in voxels with weights 1/range².
 
     Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, in half the voxels.
-    Raises `EmptyCloudError` where no return is left above the floor.
+    Raises `InputError` where no return is left above the floor.
     """
     voxels = VoxelMap(VOXEL_M)
     for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
@@ -106,7 +106,7 @@ def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureS
         points = _flat(smooth_ranges(image))
         voxels.insert(*world_points(points, T_world_sensor[k], settings.range_max_m, settings.floor_m))
     if not len(voxels):
-        raise EmptyCloudError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
+        raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
     return voxels
 
 
@@ -229,7 +229,7 @@ def map_and_fit(
     fits: int = 2,
 ) -> tuple[MappedScans, FittedBars | None, str]:
     """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
-    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `EmptyCloudError` as
+    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `InputError` as
     `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
     return flight, *flight.find_and_fit(fits)

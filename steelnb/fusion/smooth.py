@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.errors import EmptyCloudError, SingularError
+from steelnb.errors import InputError
 from steelnb.fusion import bundle, uncertainty
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
@@ -37,7 +37,7 @@ def smooth(
     flight's IMU take part (`fusion.inertial`), where it has one. The corrected poses become smooth, the first one the
     prior's, where drift begins; the map's points are those of one in three scans at the poses before the last steps,
     its segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as
-    it was, with the reason in ``unsmoothed``. Raises `RecordingError` for readings in other units or axes.
+    it was, with the reason in ``unsmoothed``. Raises `InputError` for readings in other units or axes.
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
@@ -50,7 +50,7 @@ def smooth(
     for fits, stages in ROUNDS:
         try:
             scans, fitted, reason = map_and_fit(flight.scans, T, settings, fits)
-        except EmptyCloudError as fault:
+        except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
@@ -72,7 +72,7 @@ def smooth(
         axis_covariance = uncertainty.axis_covariances(
             bar[state.bars.known], bars.segments, bars.across, state.sigma_ratio
         )
-    except SingularError as fault:
+    except InputError as fault:
         unsure = str(fault)
     corrected = Trajectory(stamp_s, T @ np.linalg.inv(mount))
     return replace(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from steelnb.errors import SingularError
+from steelnb.errors import InputError
 from steelnb.fusion.bar_equations import BAR, Equations, summed
 from steelnb.fusion.bundle import Bundle, reduced, state_equations
 from steelnb.fusion.chain import Chain
@@ -57,7 +57,7 @@ def marginals(
     """The marginal covariances of the state of an adjustment; the arguments are those of `bundle.improve`.
 
     ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
-    `SingularError` where the equations are not finite or nothing holds a pose, with the direction that is free.
+    `InputError` where the equations are not finite or nothing holds a pose, with the direction that is free.
     """
     sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
     equations = _displaced(equations, sigma_m) if sigma_m else equations
@@ -65,7 +65,7 @@ def marginals(
     matrix, beside, _, between = state_equations(bundle, equations, prior, stamp_s)
     matrix = matrix + HOLD * np.eye(matrix.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
-        raise SingularError("normal equations that are not finite: expected finite poses, stamps and points")
+        raise InputError("normal equations that are not finite: expected finite poses, stamps and points")
     chain = Chain.factored(matrix, beside)
     half = chain.half(between)
     flat = half.reshape(-1, half.shape[2])
@@ -163,11 +163,11 @@ def joint_covariances(segments: Segments, covariance: Array, joint: Array, tie: 
 
 
 def check_covariances(covariance: Array, what: str, axes: tuple[str, ...], first: int = 0) -> None:
-    """Raise `SingularError` for the first of N covariances ``(N, D, D)`` that is not finite, not positive definite, or
+    """Raise `InputError` for the first of N covariances ``(N, D, D)`` that is not finite, not positive definite, or
     so large that nothing holds it (`FREE_SIGMA`); with its number from ``first`` on, and the direction."""
     bad = ~np.isfinite(covariance).all(axis=(1, 2))
     if bad.any():
-        raise SingularError(f"covariance of {what} {first + int(np.argmax(bad))} is not finite")
+        raise InputError(f"covariance of {what} {first + int(np.argmax(bad))} is not finite")
     value, vector = np.linalg.eigh(covariance)
     for end, wrong, says in (
         (-1, value[:, -1] > FREE_SIGMA**2, "singular: nothing holds it"),
@@ -175,7 +175,7 @@ def check_covariances(covariance: Array, what: str, axes: tuple[str, ...], first
     ):
         if wrong.any():
             k = int(np.argmax(wrong))
-            raise SingularError(f"covariance of {what} {first + k} is {says} along {_named(vector[k, :, end], axes)}")
+            raise InputError(f"covariance of {what} {first + k} is {says} along {_named(vector[k, :, end], axes)}")
 
 
 def _named(direction: Array, axes: tuple[str, ...]) -> str:

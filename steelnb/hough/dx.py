@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array
 
@@ -14,7 +14,7 @@ def default_dx(points: Array) -> float:
     """The default ``dx`` of lines and segments, metres: 1.2 times the median spacing of the points, at least 7 cm,
     which holds a bar of a tower with its noise, and at most half the diagonal of the cloud.
 
-    ``points (N, 3)`` finite, in metres. Raises `EmptyCloudError`, `DegenerateCloudError`, `SettingsError`.
+    ``points (N, 3)`` finite, in metres. Raises `InputError`.
     """
     points, low, high = distinct_points(points)
     return min(max(SPACINGS * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
@@ -29,19 +29,19 @@ def spacing(points: Array) -> float:
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     """``points`` as ``(N, 3)`` float64, finite and not all identical, and the corners ``(3,)`` of their bounding box.
 
-    Raises `SettingsError` (shape), `EmptyCloudError` (no points, or some not finite), `DegenerateCloudError`.
+    Raises `InputError` (shape), `InputError` (no points, or some not finite), `InputError`.
     """
     points = checked_cloud(points)
     if points.ndim != 2:
-        raise SettingsError(f"points of shape {points.shape}: expected (N, 3)")
+        raise InputError(f"points of shape {points.shape}: expected (N, 3)")
     if not len(points):
-        raise EmptyCloudError("cloud of 0 points: expected at least two")
+        raise InputError("cloud of 0 points: expected at least two")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
-        raise EmptyCloudError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
+        raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
     if len(points) < 2:
-        raise DegenerateCloudError("cloud of 1 point: expected at least two")
+        raise InputError("cloud of 1 point: expected at least two")
     low, high = points.min(axis=0), points.max(axis=0)
     if (low == high).all():
-        raise DegenerateCloudError(f"cloud of {len(points)} points: all identical, expected two distinct points")
+        raise InputError(f"cloud of {len(points)} points: all identical, expected two distinct points")
     return points, low, high

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.hough.directions import directions
 from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.transform import iterate
@@ -39,8 +39,8 @@ def detect_lines(
     granularity: subdivisions of the icosahedron, 0–6: 1281 directions for 4, 20481 for 6.
 
     Returns `Lines` in the frame of the points, in the order found, strongest first; anchors are the means of their
-    points. Raises `EmptyCloudError` (no points, or some not finite), `DegenerateCloudError` (fewer than two distinct
-    points), `SettingsError`.
+    points. Raises `InputError` (no points, or some not finite), `InputError` (fewer than two distinct
+    points), `InputError`.
 
     >>> import numpy as np
     >>> post = np.linspace([0, 0, 0], [0, 0, 5], 100)
@@ -53,11 +53,11 @@ def detect_lines(
     diagonal = float(np.linalg.norm(high - low))
     dx = default_dx(points) if dx is None else dx
     if not 0 < dx < diagonal:
-        raise SettingsError(f"dx = {dx}: expected a length above 0 and below the cloud's diagonal, {diagonal:.3g} m")
+        raise InputError(f"dx = {dx}: expected a length above 0 and below the cloud's diagonal, {diagonal:.3g} m")
     if granularity not in range(7):
-        raise SettingsError(f"granularity = {granularity}: expected an integer from 0 to 6")
+        raise InputError(f"granularity = {granularity}: expected an integer from 0 to 6")
     if min_votes < 2 or (max_lines is not None and max_lines < 1):
-        raise SettingsError(f"min_votes = {min_votes}, max_lines = {max_lines}: expected at least 2 and at least 1")
+        raise InputError(f"min_votes = {min_votes}, max_lines = {max_lines}: expected at least 2 and at least 1")
     centre = (low + high) / 2.0
     px, py, pz = np.ascontiguousarray((points - centre).T)
     half = float(max(np.linalg.norm(high - centre), np.linalg.norm(low - centre)))
@@ -65,7 +65,7 @@ def detect_lines(
         fits = 2 * half / math.isqrt(MAX_CELLS)
         unit = 10.0 ** (math.floor(math.log10(fits)) - 2)  # of the third digit, which is rounded up
         fits = math.ceil(fits / unit) * unit
-        raise SettingsError(f"dx = {dx}: the vote image would pass {MAX_CELLS} cells; a dx of {fits:.3g} m would fit")
+        raise InputError(f"dx = {dx}: the vote image would pass {MAX_CELLS} cells; a dx of {fits:.3g} m would fit")
     columns = int(2 * half / dx + 0.5)
 
     most = min(len(points) // 2, max_lines or len(points))

@@ -40,7 +40,7 @@ def detect_segments(
     skip_weak: leave out lines of fewer than ``min_votes`` points and go on, unlike the published program.
 
     Returns `Segments` in the frame of the points; their ends are the extreme points projected on the fitted axis.
-    Raises `EmptyCloudError`, `DegenerateCloudError`, `SettingsError` as `detect_lines`.
+    Raises `InputError` as `detect_lines`.
 
     >>> import numpy as np
     >>> two = [np.linspace([0, 0, 0], [0, 0, 2], 80), np.linspace([0, 0, 3], [0, 0, 4], 40)]  # in line, 1 m apart

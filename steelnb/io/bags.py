@@ -1,281 +1,240 @@
-"""Bags → parts of a flight. Opening reads the chosen topics once and keeps stamps, poses and inertial samples."""
+"""ROS 1 bags, MCAP and sqlite files, ROS 2 folders → stamps, poses, mounts and inertial samples, and scans one by one.
 
+ROS is not needed. rosbags' own readers and its standard types are used: `AnyReader` compiles the definitions that a bag
+brings along, and one that cannot be parsed keeps all others from being read.
+"""
+
+import functools
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steelnb.errors import FileContentError, RecordingError, TopicError
-from steelnb.images import CameraImages, GreyImage
-from steelnb.io.bag_files import TRANSFORMS, Bag, Message, decode_points
-from steelnb.io.bag_topics import (
-    CAMERA,
-    IMU,
-    ODOMETRY,
-    POSE,
-    POSES,
-    SENSED,
-    TRANSFORM,
-    Topics,
-    choose_topics,
-    one_topic,
-)
-from steelnb.io.calibration import Intrinsics, depth_points, from_optical, read_settings
-from steelnb.io.images import RecordedImages, decode_depth, decode_grey
-from steelnb.io.scans import Parts, rate
-from steelnb.io.trajectories import count, read_trajectory, rising, trajectory_of
-from steelnb.io.transforms import Frames, T_body_drone, Transforms, is_optical, poses_of_transforms
+from steelnb.errors import InputError
+from steelnb.files import reading
+from steelnb.io.trajectories import pose_matrices, trajectory_of
 from steelnb.types import Array, Imu, IntArray, Trajectory
 
-RANGE_MIN = (15.0, 2.0)
-"""A little less than the smallest measuring ranges, 2 g and 125°/s, in m/s² and rad/s."""
-FULL_IN_A_ROW = 3
-T = TypeVar("T")
+CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FLOATS = {7: "f4", 8: "f8"}
+"""PointField datatypes that coordinates may have."""
+DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""Type and unit in metres of the encodings of depth images (REP 118)."""
+T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+"""From x forward, y left, z up to a camera's axes: z forward, x right, y down (REP 103)."""
+WORLDS = ("odom", "world", "map")
+"""Frames of poses, the likelier first (REP 105): in odom, poses drift but do not jump, as a prior should."""
 
 
-def open_bag(
-    path: Path,
-    scans: str | None,
-    poses: str | None,
-    truth: str | None,
-    settings: Path | None,
-    images: str | None = None,
-) -> Parts:
-    """The parts of a bag; ``scans``, ``poses`` (or a trajectory file), ``truth``, no prior, and ``images`` name topics.
+@functools.cache
+def typestore(ros: int) -> Any:
+    """rosbags' definitions of the standard messages of ROS 1 or 2, tf among them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    Raises `TopicError` where several topics fit and none is named, `RecordingError` without scans or poses, or for
-    images that are named and of no use, and what settings raise.
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    for kind in TF:
+        if kind not in store.types:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    return store
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: a file by its ending, a folder by its metadata."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (".bag", ".mcap", ".db3")
+
+
+class Bag:
+    """A bag that is opened anew for every pass. ``types``: the type of each topic that has messages.
+
+    `read` keeps the numbers of small messages, and of scans the stamps alone.
     """
-    mount, camera = read_settings(settings)
-    bag = Bag(path)
-    topics, facts = choose_topics(bag, scans, poses, truth, images)
-    skipped: Counter[str] = Counter()
-    wanted = [*filter(None, topics[2:7]), topics.scans, *topics.transforms]
-    read = Contents(bag, wanted, skipped, topics.poses is None)
-    frame = read.frame_of.get(topics.scans, "")
-    prior, body, facts["poses"] = _poses(bag, read, topics, poses, truth, skipped)
-    frames = Frames(read.transforms, body, frame, topics.depth or is_optical(frame))
-    T_drone_sensor, facts["extrinsics"] = frames.extrinsics(mount, settings)
-    prior = Trajectory(prior.stamp_s, prior.T_world_drone @ T_body_drone(body))
-    facts["frames"] = f"poses of {body or 'the body'}, scans in {frame or 'the sensor'}"
-    if topics.depth and camera is None:
-        camera, facts["intrinsics"] = read.intrinsics_of(topics.camera)
-        if camera is None:
-            raise RecordingError(
-                f"{path}: no intrinsics for the depth images {topics.scans}; expected a CameraInfo with focal lengths "
-                f"or [intrinsics] in a settings file: {bag.holds()}"
-            )
-    imu = read.imu(topics.imu, frames, skipped) if topics.imu else None
-    facts |= {"imu": topics.imu} if topics.imu else {}
-    taken = None
-    if topics.images:
-        try:
-            taken, facts["images"] = _camera_images(bag, read, topics, body, skipped)
-        except RecordingError as fault:
-            if images is not None:
-                raise
-            facts["images"] = f"none: {fault}"
-    decode = partial(_depths, camera) if topics.depth and camera else partial(_points, frames.optical)
-    walk = partial(_walk, bag, topics.scans, decode)
-    return Parts(read.stamp_s(topics.scans), walk, prior, T_drone_sensor, facts, imu, skipped, taken)
 
+    def __init__(self, path: Path) -> None:
+        from rosbags import rosbag1, rosbag2
 
-def read_bag_truth(path: Path, truth: str | None, settings: Path | None) -> Trajectory | None:
-    """The drone's poses of a topic, or of a trajectory file that is named; None where none is named."""
-    if truth is None:
-        return None
-    bag = Bag(path)
-    if truth not in bag.types:
-        if not Path(truth).exists():
-            raise TopicError(f"{path}: no topic and no file {truth!r}: {bag.holds()}")
-        return read_trajectory(truth)
-    one_topic(bag, "truth", [], truth, bag.of_type(*POSES))
-    skipped: Counter[str] = Counter()
-    found, body = Contents(bag, [truth], skipped, False).trajectory(truth, skipped)
-    return Trajectory(found.stamp_s, found.T_world_drone @ T_body_drone(body))
-
-
-class Contents:
-    """One pass over some topics of a bag: numbers of small messages, and of scans the stamps alone."""
-
-    def __init__(self, bag: Bag, topics: Collection[str], skipped: Counter[str], series: bool) -> None:
-        self.bag, self.transforms = bag, Transforms(series)
+        self.path, ros = path, 1 if path.suffix.lower() == ".bag" else 2
+        self._reader: Any = rosbag1.Reader if ros == 1 else rosbag2.Reader
+        self._decode = typestore(1).deserialize_ros1 if ros == 1 else typestore(2).deserialize_cdr
+        with reading(path, "a bag", folder=path.is_dir()), self._reader(path) as reader:
+            self.types = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+        self.skipped: Counter[str] = Counter()
         self.frame_of: dict[str, str] = {}
-        self._intrinsics: dict[str, tuple[Intrinsics, str]] = {}
+        self._cameras: dict[str, Array] = {}
+        self._mounts: dict[str, tuple[str, Array]] = {}
         self._rows: dict[str, array[float]] = defaultdict(lambda: array("d"))
-        for message in bag.walk(topics):
-            kind = bag.types[message.topic]
+
+    def of_type(self, *kinds: str) -> list[str]:
+        """The topics of these types."""
+        return [topic for topic, kind in self.types.items() if kind in kinds]
+
+    def choose(self, role: str, named: str | None, fits: list[str]) -> str:
+        """The topic that is named, or the only one that fits. Raises `InputError`."""
+        if named in fits or (named is None and len(fits) == 1):
+            return named or fits[0]
+        asked = f"no topic {named!r}" if named else f"no {role}" if not fits else f"several topics of {role}"
+        has = [f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in sorted(self.types.items())]
+        raise InputError(f"{self.path}: {asked}; expected one of {role}, or its name, among {', '.join(has) or 'none'}")
+
+    def messages(self, *topics: str) -> Iterator[tuple[str, Callable[[], Any]]]:
+        """Topic of each message, and a call that decodes it. Raises `InputError` where the bag is damaged."""
+        with reading(self.path, "a bag", folder=self.path.is_dir()), self._reader(self.path) as reader:
+            wanted = [each for each in reader.connections if each.topic in topics]
+            for connection, _, raw in reader.messages(wanted) if wanted else ():
+                yield connection.topic, partial(self._decode, raw, connection.msgtype)
+
+    def read(self, *topics: str) -> None:
+        """Take in all messages of some topics; those that cannot be decoded are counted in ``skipped``."""
+        for topic, decode in self.messages(*topics):
+            kind = self.types[topic]
             try:
-                self._take(message, kind, skipped)
-            except FileContentError:
-                skipped[f"malformed {kind.rpartition('/')[2]}"] += 1
-                if kind in SENSED:  # in step with the messages
-                    self._rows[message.topic].extend((np.nan, message.received_ns / 1e9))
+                self._take(topic, kind, decode())
+            except Exception:  # whatever rosbags meets in a damaged message
+                self.skipped[f"unreadable {kind.rpartition('/')[2]}"] += 1
+                if kind in (CLOUD, IMAGE):  # in step with the messages
+                    self._rows[topic].append(np.nan)
 
-    def _take(self, message: Message, kind: str, skipped: Counter[str]) -> None:
-        topic, bag = message.topic, self.bag
-        if kind in SENSED:
-            self._rows[topic].extend((bag.stamp_s(message), message.received_ns / 1e9))
-            if topic not in self.frame_of:
-                with suppress(FileContentError):  # a fault of that scan, when it is read; the next one may do
-                    self.frame_of[topic] = str(bag.decode(message).header.frame_id)
+    def _take(self, topic: str, kind: str, message: Any) -> None:
+        if kind in TF:
+            for each in message.transforms:
+                parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+                pose = _numbers(each.transform.translation, each.transform.rotation)
+                if topic.endswith("tf_static"):
+                    self._mounts[child] = parent, pose_matrices(np.array([pose]))[0]
+                elif parent in WORLDS:
+                    self.frame_of[f"tf {parent} → {child}"] = child
+                    self._rows[f"tf {parent} → {child}"].extend((_stamp_s(each), *pose))
             return
-        decoded = bag.decode(message)
-        if kind in TRANSFORMS:
-            for each in decoded.transforms:
-                pose = _pose(each.transform.translation, each.transform.rotation)
-                stamp_s = each.header.stamp.sec + each.header.stamp.nanosec / 1e9
-                if not self.transforms.add(each.header.frame_id, each.child_frame_id, stamp_s, pose):
-                    skipped["tf that is no transform"] += 1
-        elif kind == CAMERA:
-            if topic not in self._intrinsics and (found := self._calibration(topic, decoded)):
-                self._intrinsics[topic] = found
-        elif kind == IMU:
-            self.frame_of.setdefault(topic, decoded.header.frame_id)
-            force, rate = decoded.linear_acceleration, decoded.angular_velocity
-            self._rows[topic].extend((bag.stamp_s(message), force.x, force.y, force.z, rate.x, rate.y, rate.z))
-        else:
-            if kind in (TRANSFORM, ODOMETRY):
-                self.frame_of[topic] = self.frame_of.get(topic) or decoded.child_frame_id
-            if kind == TRANSFORM:
-                numbers = _pose(decoded.transform.translation, decoded.transform.rotation)
-            else:
-                pose = decoded.pose if kind == POSE else decoded.pose.pose
-                numbers = _pose(pose.position, pose.orientation)
-            self._rows[topic].extend((bag.stamp_s(message), *numbers))
+        if kind != POSE:  # which names the world's frame alone
+            self.frame_of[topic] = getattr(message, "child_frame_id", message.header.frame_id).lstrip("/")
+        if kind == CAMERA:
+            self._cameras[topic] = np.array(getattr(message, "k", getattr(message, "K", None))).reshape(3, 3)
+            return
+        self._rows[topic].append(_stamp_s(message))
+        if kind == IMU:
+            self._rows[topic].extend(_numbers(message.linear_acceleration, message.angular_velocity))
+        elif kind in (ODOMETRY, POSE):
+            pose = message.pose if kind == POSE else message.pose.pose
+            self._rows[topic].extend(_numbers(pose.position, pose.orientation))
 
-    def rows(self, topic: str, columns: int) -> Array:
-        """The numbers of a topic, a row a message, the stamp first."""
-        return np.array(self._rows[topic]).reshape(-1, columns)
+    def stamp_s(self, scans: str) -> Array:
+        """Stamps ``(N,)`` of the scans that were read, NaN for those that cannot be decoded."""
+        return np.array(self._rows[scans])
 
-    def trajectory(self, topic: str, skipped: Counter[str]) -> tuple[Trajectory, str | None]:
-        """The poses of a topic, and the frame that they are of, None where the messages do not say."""
-        rows = self.rows(topic, 8)
-        found = trajectory_of(self.bag.path, rows[:, 0], rows[:, 1:4], rows[:, 4:], skipped)
-        return found, self.frame_of.get(topic)
+    def poses_of_tf(self) -> str:
+        """Name of the transform by which a frame moves in the first of `WORLDS`. Raises `InputError` without one."""
+        moving = [name for name in self.frame_of if name.startswith("tf ")]
+        return min(moving, key=lambda name: WORLDS.index(name.split()[1])) if moving else self.choose("poses", None, [])
 
-    def imu(self, topic: str, frames: Frames, skipped: Counter[str]) -> Imu:
-        """Inertial samples, turned to the drone's axes where tf tells them."""
-        rows = self.rows(topic, 7)
-        finite = np.asarray(np.isfinite(rows).all(axis=1))
-        count(skipped, "IMU sample not finite", ~finite)
-        rows = rows[finite]
-        rows = rows[rising(rows[:, 0], skipped, "IMU sample: ")]
-        full = saturated(rows[:, 1:])
-        count(skipped, "IMU sample saturated", full)
-        rows = rows[~full]
-        R_drone_imu = frames.R_drone(self.frame_of.get(topic, ""))
+    def poses(self, name: str) -> Trajectory:
+        """The drone's poses of a topic or of tf."""
+        found = trajectory_of(self.path, np.array(self._rows[name]).reshape(-1, 8), self.skipped)
+        return Trajectory(found.stamp_s, found.T_world_drone @ _turn(self.frame_of.get(name, "")))
+
+    def imu(self, topic: str, body: str) -> Imu:
+        """Inertial samples with rising stamps, turned to the axes of the drone where tf_static tells them."""
+        rows = np.array(self._rows[topic]).reshape(-1, 7)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
+        R_drone_imu = self.mount(body, self.frame_of[topic], optical=False)[0][:3, :3]
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
-    def stamp_s(self, topic: str) -> Array:
-        """Stamps ``(N,)`` of scans or images; where all are zero, when they were received."""
-        stamps = self.rows(topic, 2)
-        return stamps[:, 1] if len(stamps) > 1 and not stamps[:, 0].any() else stamps[:, 0]
+    def mount(self, body: str, frame: str, optical: bool) -> tuple[Array, str]:
+        """Pose ``(4, 4)`` in the drone of a ``frame``, whose readings were turned from a camera's axes where it is
+        ``optical``, and its source in words: tf_static, or the identity where that says nothing of the two."""
+        body = body or "base_link"
+        (T_root_body, root), (T_root_frame, root_too) = self._to_root(body), self._to_root(frame)
+        if root != root_too:
+            return np.eye(4), f"no tf_static from {body} to {frame or 'the sensor'}: taken as the same"
+        T_drone_frame = np.linalg.inv(_turn(body)) @ np.linalg.inv(T_root_body) @ T_root_frame
+        return T_drone_frame @ (T_OPTICAL_SENSOR if optical else np.eye(4)), f"tf_static {body} → {frame}"
 
-    def intrinsics_of(self, topic: str | None) -> tuple[Intrinsics | None, str]:
-        """The first intrinsics of a topic that have focal lengths, and their source in words."""
-        return self._intrinsics.get(topic or "", (None, f"{topic}"))
+    def _to_root(self, frame: str) -> tuple[Array, str]:
+        """The pose of a frame in the root of its tree, and the name of the root."""
+        T_root_frame = np.eye(4)
+        for _ in self._mounts:  # the tree is no deeper
+            parent, T_parent_frame = self._mounts.get(frame, (frame, np.eye(4)))
+            T_root_frame, frame = T_parent_frame @ T_root_frame, parent
+        return T_root_frame, frame
 
-    def _calibration(self, topic: str, info: Any) -> tuple[Intrinsics, str] | None:
-        K, distortion = (info.K, info.D) if self.bag.ros == 1 else (info.k, info.d)
-        if not (K[0] > 0 and K[4] > 0 and np.isfinite(K).all()):
-            return None
-        size = {"width": info.width or None, "height": info.height or None}
-        said = f"{topic}{', its distortion ignored' if np.any(distortion) else ''}"
-        return Intrinsics(fx=K[0], fy=K[4], cx=K[2], cy=K[5], **size), said
+    def to_points(self, scans: str) -> tuple[Callable[[Any], Array], bool]:
+        """What makes points ``(H, W, 3)`` or ``(N, 3)`` of a message, and whether they are turned from a camera's axes:
+        those of depth images, and of clouds in a frame with such a name. Raises `InputError`."""
+        if self.types[scans] == CLOUD:
+            optical = _turn(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
+            return (lambda message: from_optical(cloud_points(message))) if optical else cloud_points, optical
+        folder = scans.rpartition("/")[0]
+        near = [topic for topic in self._cameras if topic.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
+        K = self._cameras[self.choose(f"CameraInfo of {scans}", None, near or list(self._cameras))]
+        return lambda message: from_optical(depth_points(message, K)), True
 
+    def walk(self, topic: str, to_points: Callable[[Any], Array], number: IntArray) -> Iterator[Callable[[], Array]]:
+        """The scans with these rising numbers, each to be decoded by a call."""
+        wanted, last = set(number.tolist()), int(number.max(initial=-1))
+        for k, (_, decode) in enumerate(self.messages(topic)):
+            if k in wanted:
+                yield partial(lambda decode: to_points(decode()), decode)
+            if k >= last:
+                return
 
-def saturated(readings: Array) -> NDArray[np.bool_]:
-    """Which readings ``(N, 6)`` of specific force and angular rate are at the end of a range: several times in a row
-    the same value, the largest of all on its axis and beyond the smallest range that IMUs have."""
-    size = np.abs(readings)
-    same = (size == size.max(axis=0, initial=0.0)) & (size > np.repeat(RANGE_MIN, 3))
-    full, starts = np.zeros(len(size), dtype=bool), len(size) - FULL_IN_A_ROW + 1
-    in_a_row = np.logical_and.reduce([same[k : starts + k] for k in range(FULL_IN_A_ROW)]).any(axis=1)
-    for k in range(FULL_IN_A_ROW):
-        full[k : len(in_a_row) + k] |= in_a_row
-    return full
-
-
-def _poses(
-    bag: Bag, read: Contents, topics: Topics, named: str | None, truth: str | None, skipped: Counter[str]
-) -> tuple[Trajectory, str | None, str]:
-    """The poses from a topic, a file or tf; the frame that they are of, where it is known; and where from, in words."""
-    if topics.poses is not None:
-        said = f"true poses, {topics.poses}" if topics.poses == truth else topics.poses
-        return *read.trajectory(topics.poses, skipped), said
-    if named is not None and named not in topics.transforms:
-        return read_trajectory(named, skipped), None, f"file {named}"
-    found = poses_of_transforms(read.transforms, read.frame_of.get(topics.scans, ""))
-    if found is None:
-        raise RecordingError(
-            f"{bag.path}: no poses; expected a topic of type Odometry, PoseStamped, PoseWithCovarianceStamped or "
-            f"TransformStamped, tf from odom, world or map to the body, or a trajectory file: {bag.holds()}"
-        )
-    return found
+    def depth_images(self) -> list[str]:
+        """Topics of images whose first one is a depth image."""
+        first = {topic: next(self.messages(topic))[1]() for topic in self.of_type(IMAGE)}
+        return [topic for topic, image in first.items() if image.encoding in DEPTHS]
 
 
-def _camera_images(
-    bag: Bag, read: Contents, topics: Topics, body: str | None, skipped: Counter[str]
-) -> tuple[CameraImages, str]:
-    """The images of a topic, and where they and their calibration are from, in words.
+def cloud_points(message: Any) -> Array:
+    """Points of a PointCloud2, ``(H, W, 3)`` where it is organised, else ``(N, 3)``; NaN rows where not finite.
 
-    Raises `RecordingError` without intrinsics, and for images that cannot be read or are of another size.
+    ``row_step`` of a single row is ignored: many drivers leave it at zero. Raises `InputError` for other fields, and
+    ValueError where the sizes do not fit.
     """
-    topic = str(topics.images)
-    camera, source = read.intrinsics_of(topics.lens)
-    if camera is None:
-        why = f"no focal lengths in {topics.lens}" if topics.lens else "no topic of type CameraInfo beside it"
-        raise RecordingError(f"{topic}: no intrinsics: {why}; expected a CameraInfo whose K is not zero")
-    decode = partial(_grey, camera)
-    try:
-        size = decode(bag.decode(next(bag.walk([topic])))).shape
-    except FileContentError as fault:
-        raise RecordingError(f"{topic}: {fault}") from None
-    stamp_s = read.stamp_s(topic)
-    number = np.flatnonzero(rising(stamp_s, skipped, "image: "))
-    stamp_s = stamp_s[number]
-    frames = Frames(read.transforms, body, read.frame_of.get(topic, ""), optical=True)
-    T_drone_camera, mount = frames.extrinsics(None, None)
-    images = RecordedImages(len(number), partial(_walk, bag, topic, decode, number))
-    words = f"{len(number)}{rate(stamp_s)}, {size[1]} x {size[0]} ({topic}, intrinsics {source}, mount {mount})"
-    return CameraImages(stamp_s, images, camera.K, T_drone_camera), words
+    height, width, step = message.height, message.width, message.point_step
+    fields = {field.name: field for field in message.fields if field.datatype in FLOATS}
+    if not all(axis in fields for axis in "xyz"):
+        names = ", ".join(str(field.name) for field in message.fields) or "none"
+        raise InputError(f"fields {names}; expected x, y and z as float32 or float64")
+    order, row = ">" if message.is_bigendian else "<", message.row_step if height > 1 else width * step
+    points = np.empty((height, width, 3))
+    for k, axis in enumerate("xyz" if points.size else ""):
+        kind, offset = order + FLOATS[fields[axis].datatype], fields[axis].offset
+        points[..., k] = np.ndarray((height, width), kind, message.data, offset, (row, step))
+    points[~np.isfinite(points).all(axis=-1)] = np.nan
+    return points if height > 1 and width > 1 else points.reshape(-1, 3)
 
 
-def _walk(bag: Bag, topic: str, decode: Callable[[Any], T], number: IntArray) -> Iterator[Callable[[], T]]:
-    """Scans or images by the numbers of their messages. Raises `FileContentError` where the bag is damaged."""
-    wanted, last = set(number.tolist()), int(number.max(initial=-1))
-    for k, message in enumerate(bag.walk([topic]) if len(number) else ()):
-        if k in wanted:
-            yield partial(_decoded, bag, message, decode)
-        if k == last:
-            return
-    if len(number):
-        raise FileContentError(f"{bag.path}: {topic} has fewer messages than when it was opened; expected {last + 1}")
+def depth_points(image: Any, K: Array) -> Array:
+    """Points ``(H, W, 3)`` in a camera's axes of a depth image, NaN where there is no depth; ``K (3, 3)``: the camera's
+    matrix, without distortion. Raises ValueError where sizes do not fit."""
+    name, unit_m = DEPTHS[image.encoding]
+    kind, shape = np.dtype((">" if image.is_bigendian else "<") + name), (image.height, image.width)
+    depth = np.ndarray(shape, kind, image.data, strides=(image.step, kind.itemsize)) * np.float64(unit_m)
+    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    right = (np.arange(image.width) - K[0, 2]) / K[0, 0]
+    down = (np.arange(image.height) - K[1, 2]) / K[1, 1]
+    return np.stack([depth * right, depth * down[:, None], depth], axis=-1)
 
 
-def _decoded(bag: Bag, message: Message, decode: Callable[[Any], T]) -> T:
-    return decode(bag.decode(message))
+def from_optical(points: Array) -> Array:
+    """Points ``(..., 3)`` of a camera's axes with x forward, y left and z up."""
+    return np.stack([points[..., 2], -points[..., 0], -points[..., 1]], axis=-1)
 
 
-def _points(optical: bool, message: Any) -> Array:
-    points = decode_points(message)
-    return from_optical(points) if optical else points
+def _turn(frame: str) -> Array:
+    """From the drone's axes to those of a frame: a camera's by its name (REP 103), or the same."""
+    return T_OPTICAL_SENSOR if frame.endswith(("_optical_frame", "_optical")) else np.eye(4)
 
 
-def _depths(camera: Intrinsics, message: Any) -> Array:
-    return depth_points(camera.checked(decode_depth(message, camera.depth_scale)), camera)
+def _stamp_s(message: Any) -> float:
+    stamp = message.header.stamp
+    return float((stamp.sec * 10**9 + stamp.nanosec) / 10**9)
 
 
-def _grey(camera: Intrinsics, message: Any) -> GreyImage:
-    return camera.checked(decode_grey(message))
-
-
-def _pose(place: Any, turn: Any) -> tuple[float, ...]:
-    return place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
+def _numbers(*parts: Any) -> list[float]:
+    """The numbers of vectors and quaternions, one after the other."""
+    return [float(getattr(part, axis)) for part in parts for axis in "xyzw" if hasattr(part, axis)]

@@ -1,27 +1,24 @@
-"""Files ↔ point clouds: a whole cloud for `steelnb segment`, and single scans."""
+"""Files of points → arrays: NPY, PLY (trimesh), PCD (Open3D), LAS and LAZ (laspy), and text (pandas)."""
 
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.spatial import KDTree
 
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, FileContentError
-from steelnb.io.point_files import open_points
-from steelnb.types import Array, IntArray
+from steelnb.errors import InputError
+from steelnb.files import reading
+from steelnb.libraries import import_open3d
+from steelnb.types import Array
 
-SHIFT_FROM_M = 1e4
-"""Clouds whose middle is further out than this are shifted. UTM coordinates are; a site's own are not."""
-SHIFT_STEP_M = 100.0
-FARTHEST_M = 1e9
-"""Above the largest map coordinate; the coordinates of a corrupt file are beyond it."""
-FITS = 5_000_000
-"""Points of the largest cloud that is kept whole: with it, `steelnb segment` needs up to 3 GB."""
-VOXELS = 2_000_000
-WAITING = 1 << 22
-"""Sums of chunks that are added to the voxels at once."""
-FINEST_M = 2.0**-10
-_BITS = 21
-_REACH = 1 << (_BITS - 1)
+SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
+"""Clouds whose middle is further out than the first are shifted. UTM coordinates are; a site's own are not."""
+EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
+"""What extends further, of points further apart, is in millimetres: no scanner sees so little of so much."""
 
 
 @dataclass(frozen=True)
@@ -29,97 +26,58 @@ class Cloud:
     """Distinct finite points of a file.
 
     ``points (N, 3)`` metres, less ``origin (3,)``, a whole number of hundreds of metres that is zero unless the
-    coordinates are large (UTM): add it to whatever is derived from the points. ``dropped_invalid`` counts the points
-    with a NaN or infinite coordinate, ``dropped_duplicates`` the exact repeats. ``resolution_m`` is the step between
-    the numbers that the file can hold: 0.25 m where UTM coordinates were stored in single precision.
-
-    A cloud of more than `FITS` points comes as the means of its points in voxels of ``thinned_m``, 0 for any other,
-    and ``count (N,)`` is how many points each mean is of. Its duplicates are not looked for.
+    coordinates are large (UTM): add it to whatever is derived from the points. ``invalid`` counts the points with a NaN
+    or infinite coordinate, ``duplicates`` the exact repeats, both left out.
     """
 
     points: Array
     origin: Array
-    dropped_invalid: int
-    dropped_duplicates: int
-    resolution_m: float
-    count: IntArray | None = None
-    thinned_m: float = 0.0
+    invalid: int
+    duplicates: int
 
     def __len__(self) -> int:
         return len(self.points)
 
 
 def read_cloud(path: Path | str) -> Cloud:
-    """Read the points of a PLY, PCD, LAS, LAZ, NPY or text file (XYZ, TXT, CSV, PTS, ASC); the ending decides.
+    """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV); the ending decides.
 
-    Raises `FileMissingError`, `UnsupportedFormatError`, `FileContentError` (truncated, or not what its ending
-    promises), `EmptyCloudError` (no finite point), `DegenerateCloudError` (one point, maybe repeated) and
-    `MissingExtraError` (a compressed PCD without Open3D).
+    Raises `InputError`: a missing or truncated file, or not what its ending promises; fewer than two distinct points;
+    or a cloud that looks like millimetres.
     """
-    import pandas as pd
-
-    path = Path(path)
-    file = open_points(path)
-    total, valid, largest, single = 0, 0, 0.0, True
-    kept: list[Array] = []
-    voxels: _Voxels | None = None
-    origin = np.zeros(3)
-    for points in file.chunks:
-        finite = points[np.isfinite(points).all(axis=1)]
-        total, valid = total + len(points), valid + len(finite)
-        largest = max(largest, float(np.abs(finite).max(initial=0.0)))
-        if largest > FARTHEST_M:
-            raise FileContentError(f"{path}: a coordinate of {largest:.3g}; expected metres below {FARTHEST_M:.0e}")
-        single &= bool((finite == finite.astype(np.float32)).all())
-        kept += [finite] if len(finite) else []
-        if valid > FITS:
-            if voxels is None:
-                voxels, origin = _Voxels(), shift_of(kept[0].mean(axis=0))
-            for each in kept:
-                voxels.add(each - origin)
-            kept = []
-    if not valid:
-        raise EmptyCloudError(f"{path}: {total} points, none finite; expected at least two")
-    resolution_m = max(file.step_m, float(np.spacing(np.float32(largest)) if single else np.spacing(largest)))
-    if voxels is not None:
-        near, count = voxels.means()
-        cloud = Cloud(near, origin, total - valid, 0, resolution_m, count, voxels.edge_m)
-    else:
-        whole = np.concatenate(kept)
-        distinct = whole[~pd.DataFrame(whole).duplicated().to_numpy()]
-        origin = shift_of(distinct.mean(axis=0))
-        # Rounded to 0.1 µm, so that a shifted cloud has the numbers, and the segments, of the same cloud at home.
-        near = np.round(distinct - origin, 7) if origin.any() else distinct
-        cloud = Cloud(near, origin, total - valid, valid - len(distinct), resolution_m)
-    if len(cloud) < 2:
-        raise DegenerateCloudError(
-            f"{path}: {valid} points, all at {cloud.points[0] + origin}; expected two distinct points"
-        )
-    return cloud
+    points = read_points(path).reshape(-1, 3)
+    finite = points[np.isfinite(points).all(axis=1)]
+    distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
+    if len(distinct) < 2:
+        raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
+    extent_m = float(np.ptp(distinct, axis=0).max())
+    if extent_m > EXTENT_MAX_M:
+        spacing_m = float(np.median(KDTree(distinct).query(distinct[:: 1 + len(distinct) // 1000], k=2)[0][:, 1]))
+        if spacing_m > SPACING_MAX_M:
+            raise InputError(
+                f"{path}: points {spacing_m:.3g} apart over {extent_m:.4g}: it looks like millimetres; expected metres"
+            )
+    origin = shift_of(distinct.mean(axis=0))
+    # Rounded to 0.1 µm, so that a shifted cloud has the numbers, and the segments, of the same cloud at home.
+    near = np.round(distinct - origin, 7) if origin.any() else distinct
+    return Cloud(near, origin, len(points) - len(finite), len(finite) - len(distinct))
 
 
 def read_points(path: Path | str) -> Array:
     """Points of one scan, float64 metres: ``(N, 3)`` or, of an organised cloud (PCD, NPY), ``(H, W, 3)``.
 
-    Invalid points are NaN rows. Raises as `read_cloud`, but knows no `DegenerateCloudError`.
+    Invalid points are NaN rows. Raises `InputError`.
     """
-    file = open_points(Path(path))
-    chunks = list(file.chunks)
-    if not chunks:
-        raise EmptyCloudError(f"{path}: no points; expected at least one")
-    points = np.concatenate(chunks)
-    points[~np.isfinite(points).all(axis=1)] = np.nan
-    return points.reshape(*file.shape, 3)
-
-
-def write_ply(path: Path | str, points: Array, kind: str = "<f4") -> None:
-    """Write the finite points of ``(N, 3)`` or ``(H, W, 3)``, metres, as binary PLY, ``kind`` "<f4" or "<f8"."""
-    from plyfile import PlyData, PlyElement
-
-    points = points.reshape(-1, 3)
-    points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], dtype=kind)
-    records = points.view([(axis, kind) for axis in "xyz"]).reshape(-1)
-    PlyData([PlyElement.describe(records, "vertex")], byte_order="<").write(str(path))
+    path = Path(path)
+    read = READERS.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
+    with reading(path, f"a {path.suffix[1:].upper()} file of points"):
+        points = np.array(read(path), dtype=np.float64)
+        if points.ndim not in (2, 3) or points.shape[-1] != 3 or not points.size:
+            raise ValueError(f"an array of shape {points.shape}")
+    points[~np.isfinite(points).all(axis=-1)] = np.nan
+    return points
 
 
 def shift_of(middle: Array) -> Array:
@@ -128,42 +86,47 @@ def shift_of(middle: Array) -> Array:
     return SHIFT_STEP_M * np.round(middle / SHIFT_STEP_M) if far else np.zeros(3)
 
 
-class _Voxels:
-    """Sums of points in voxels of ``edge_m``, as fine as keeps them below `VOXELS`.
+def _read_ply(path: Path) -> Any:
+    import trimesh
 
-    The edge starts at 1 mm and doubles whenever there are too many voxels, so coarser voxels are made of finer ones.
-    """
-
-    def __init__(self) -> None:
-        self.edge_m = FINEST_M
-        self._sums = np.zeros((0, 4))  # number, x, y, z
-        self._waiting: list[Array] = []
-
-    def add(self, points: Array) -> None:
-        while np.abs(points).max() >= (_REACH - 1) * self.edge_m:  # so that the voxels can be numbered
-            self._merge(coarser=True)
-        self._waiting.append(_summed(np.column_stack([np.ones(len(points)), points]), self.edge_m))
-        if sum(map(len, self._waiting)) > WAITING:
-            self._merge()
-
-    def means(self) -> tuple[Array, IntArray]:
-        """Means ``(M, 3)`` and numbers of points ``(M,)``."""
-        self._merge()
-        return self._sums[:, 1:] / self._sums[:, :1], self._sums[:, 0].astype(np.int64)
-
-    def _merge(self, coarser: bool = False) -> None:
-        self._sums = _summed(np.concatenate([self._sums, *self._waiting]), self.edge_m)
-        self._waiting = []
-        while coarser or len(self._sums) > VOXELS:
-            self.edge_m *= 2
-            self._sums, coarser = _summed(self._sums, self.edge_m), False
+    loaded: Any = trimesh.load(path, process=False)
+    (count,) = re.findall(rb"^element vertex (\d+)", path.read_bytes(), re.MULTILINE)[:1]
+    if len(loaded.vertices) != int(count):
+        raise ValueError(f"{len(loaded.vertices)} points; its header promises {int(count)}")
+    return loaded.vertices
 
 
-def _summed(sums: Array, edge_m: float) -> Array:
-    """Rows (number, x, y, z) added up by the voxels of their means, in the order of these."""
-    cell = np.floor(sums[:, 1:] / (sums[:, :1] * edge_m)).astype(np.int64) + _REACH
-    name = (((cell[:, 0] << _BITS) | cell[:, 1]) << _BITS) | cell[:, 2]
-    del cell
-    order = np.argsort(name, kind="stable")
-    first = np.flatnonzero(np.diff(name[order], prepend=-1))
-    return np.add.reduceat(sums[order], first, axis=0) if len(first) else sums
+def _read_pcd(path: Path) -> Any:
+    """Open3D gives no points for half a binary file, and zeros for the missing lines of a text."""
+    o3d = import_open3d()
+    head, _, data = path.read_bytes().partition(b"\nDATA ")
+    columns, rows, count = (int(n) for n in re.findall(rb"^(?:WIDTH|HEIGHT|POINTS)\s+(\d+)", head, re.MULTILINE))
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        cloud = o3d.t.io.read_point_cloud(str(path), format="pcd")
+    lines = len(data.splitlines()) - 1 if data.startswith(b"ascii") else count
+    if "positions" not in cloud.point or not lines == len(cloud.point.positions) == count:
+        raise ValueError(f"cut short, or without x, y and z; its header promises {count} points")
+    return cloud.point.positions.numpy().reshape((rows, columns, 3) if rows > 1 else (-1, 3))
+
+
+def _read_las(path: Path) -> Any:
+    import laspy
+
+    las = laspy.read(path)
+    if len(las.points) != las.header.point_count:
+        raise ValueError(f"{len(las.points)} points; its header promises {las.header.point_count}")
+    return las.xyz
+
+
+def _read_text(path: Path) -> Any:
+    """x, y and z in the first three columns, with blanks or, in a CSV, commas between; ``#`` begins a comment."""
+    separator = "," if path.suffix.lower() == ".csv" else r"\s+"
+    return pd.read_csv(path, sep=separator, header=None, usecols=[0, 1, 2], comment="#", dtype=np.float64).to_numpy()
+
+
+READERS: Mapping[str, Callable[[Path], Any]] = {
+    ".npy": lambda path: np.load(path, allow_pickle=False)[..., :3],
+    ".ply": _read_ply, ".pcd": _read_pcd, ".las": _read_las, ".laz": _read_las,
+    ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text,
+}  # fmt: skip
+"""By the ending of a file."""

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.errors import needs
 from steelnb.types import Array, Trajectory
 
 
@@ -16,31 +15,32 @@ def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
 def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float = 1.0) -> dict[str, float]:
     """``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m``, ``rpe_rmse_m`` of an estimate, metres.
 
-    Absolute trajectory error and relative pose error (translation, over ``rpe_delta_s``) are evo's, after Sturm et al.,
+    Absolute trajectory error and relative pose error (translation, over ``rpe_delta_s``, all pairs) after Sturm et al.,
     "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. Truth is taken at the stamps of the estimate;
     raises ValueError if it has none there.
     """
-    with needs("sim"):
-        from evo.core import metrics
-        from evo.core.trajectory import PoseTrajectory3D
-        from evo.core.units import Unit
-
-    at = truth.at(estimate.stamp_s)
-    reference, ours = (PoseTrajectory3D(poses_se3=list(t.T_world_drone), timestamps=t.stamp_s) for t in (at, estimate))
-    ape = metrics.APE(metrics.PoseRelation.translation_part)
-    ape.process_data((reference, ours))
-    frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
+    error = position_error_m(estimate, truth)
     result = {
-        "ate_rmse_m": ape.get_statistic(metrics.StatisticsType.rmse),
-        "error_mean_m": ape.get_statistic(metrics.StatisticsType.mean),
-        "error_max_m": ape.get_statistic(metrics.StatisticsType.max),
-        "error_final_m": ape.error[-1],
+        "ate_rmse_m": np.sqrt((error**2).mean()),
+        "error_mean_m": error.mean(),
+        "error_max_m": error.max(),
+        "error_final_m": error[-1],
     }
+    frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
     if len(estimate) > frames:
-        rpe = metrics.RPE(metrics.PoseRelation.translation_part, frames, Unit.frames, all_pairs=True)
-        rpe.process_data((reference, ours))
-        result["rpe_rmse_m"] = rpe.get_statistic(metrics.StatisticsType.rmse)
+        P, Q = estimate.T_world_drone, truth.at(estimate.stamp_s).T_world_drone
+        moved, should = (inverse(T[:-frames]) @ T[frames:] for T in (P, Q))
+        apart_m = np.linalg.norm((inverse(should) @ moved)[:, :3, 3], axis=1)
+        result["rpe_rmse_m"] = np.sqrt((apart_m**2).mean())
     return {name: float(value) for name, value in result.items()}
+
+
+def inverse(T: Array) -> Array:
+    """Inverses of transforms ``(N, 4, 4)``."""
+    result = np.tile(np.eye(4), (len(T), 1, 1))
+    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, 3:] = -result[:, :3, :3] @ T[:, :3, 3:]
+    return result
 
 
 def score_gaps(

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.sections import frames
 from steelnb.fusion.uncertainty import check_covariances
 from steelnb.types import Array, Segments, Trajectory
@@ -41,12 +41,12 @@ def axis_errors(segments: Segments, axes: Array) -> Array:
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared ``(N,)`` of errors ``(N, D)`` with covariances ``(N, D, D)``.
 
-    Its mean is D where the covariances are right; above that they are optimistic. Raises `SettingsError` for shapes
-    that do not fit, `SingularError` for a covariance that is not finite and positive definite, such as that of a first
+    Its mean is D where the covariances are right; above that they are optimistic. Raises `InputError` for shapes
+    that do not fit, `InputError` for a covariance that is not finite and positive definite, such as that of a first
     pose, which is held: leave it out.
     """
     if error.ndim != 2 or covariance.shape != (*error.shape, error.shape[1]):
-        raise SettingsError(f"covariance of shape {covariance.shape}: expected (N, D, D) for errors {error.shape}")
+        raise InputError(f"covariance of shape {covariance.shape}: expected (N, D, D) for errors {error.shape}")
     check_covariances(covariance, "error", tuple(f"component {k}" for k in range(error.shape[1])))
     return np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
 

@@ -23,7 +23,7 @@ def drifting(truth: Trajectory, settings: NoiseSettings, seed: rng.Seed) -> Traj
 
     The seed ``report`` draws from the original's generator in its order: three normal numbers a step for the random
     walk, then one for the heading if that walks, too; the constant step is its first three numbers. Other levels than
-    the report's raise `SettingsError`.
+    the report's raise `InputError`.
     """
     return drifted(truth, drift_errors(truth.stamp_s, settings, seed))
 

@@ -15,7 +15,7 @@ class Odometry(Protocol):
         """Correct the pose at one scan and add the scan to the map.
 
         ``scan``: a `Scan`, or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return.
-        ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `SettingsError` for arrays of other shapes,
+        ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `InputError` for arrays of other shapes,
         and for a prior that is not rigid.
         """
 
@@ -28,7 +28,7 @@ class Odometry(Protocol):
 
 
 def scan_of(scan: Scan | Array) -> Scan:
-    """A scan from an odometry's input: points in float64, their shape checked. Raises `SettingsError`."""
+    """A scan from an odometry's input: points in float64, their shape checked. Raises `InputError`."""
     if isinstance(scan, Scan):
         return Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
     return Scan(0.0, checked_cloud(scan, "scan"))

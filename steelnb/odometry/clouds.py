@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry, nothing_left, scan_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PosePredictor
@@ -62,11 +62,11 @@ class CloudOdometry(Odometry):
     ) -> None:
         self.settings = settings or OdometrySettings.preset("best")
         if self.settings.clouds is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
+            raise InputError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
         self.clouds = self.settings.clouds
         if (self.clouds.shape == "features") != self.BY_FEATURES:
             given = f"method {self.settings.method!r}: clouds.shape = {self.clouds.shape!r}"
-            raise SettingsError(f"{given}: expected {'' if self.BY_FEATURES else 'another than '}'features'")
+            raise InputError(f"{given}: expected {'' if self.BY_FEATURES else 'another than '}'features'")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
         self.predictor = PosePredictor(self.settings, imu)

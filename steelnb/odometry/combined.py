@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import SegmentMap
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.corrections import bar_equations
@@ -34,7 +34,7 @@ class CombinedOdometry(CloudOdometry):
     ) -> None:
         super().__init__(settings or OdometrySettings.preset("combined"), T_drone_sensor, imu)
         if self.settings.segments is None or self.settings.hough is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected an odometry by clouds and bars")
+            raise InputError(f"method {self.settings.method!r}: expected an odometry by clouds and bars")
         self.hough, self.bars = self.settings.hough, self.settings.segments
         self.bar_map = SegmentMap(self.settings.fusion)
         self._seen: tuple[Array, Segments] = np.zeros((0, 3)), Segments.empty()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry, scan_of
 from steelnb.odometry.network import Network, read_network
 from steelnb.points.inputs import checked_pose
@@ -103,13 +103,13 @@ class DeepVoOdometry(Odometry):
     settings : with ``weights``, default ``OdometrySettings.preset("deepvo")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
 
-    Raises `FileMissingError`, `FileContentError` or `VersionError` for weights that cannot be used.
+    Raises `InputError` for weights that cannot be used.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("deepvo")
         if self.settings.weights is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected a learned odometry, such as 'deepvo'")
+            raise InputError(f"method {self.settings.method!r}: expected a learned odometry, such as 'deepvo'")
         packaged = PRESETS / self.settings.weights
         self.network = read_network(packaged if packaged.is_file() else Path(self.settings.weights))
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")

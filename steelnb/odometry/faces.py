@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.bundle import Bundle
 from steelnb.fusion.inertial import TILT_SIGMA_RAD
 from steelnb.fusion.keyframes import Keyframes, Readings
@@ -62,9 +62,7 @@ class FaceOdometry:
     ) -> None:
         self.settings = settings or OdometrySettings.preset("faces")
         if self.settings.clouds is None or self.settings.refit_s is None:
-            raise SettingsError(
-                f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'"
-            )
+            raise InputError(f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'")
         by_bars = self.settings.clouds.bars_weight > 0
         self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor

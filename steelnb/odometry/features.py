@@ -9,7 +9,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.errors import needs
 from steelnb.images import GreyImage
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.types import Array, IntArray
@@ -48,9 +47,9 @@ class Features(NamedTuple):
 
 @functools.cache
 def import_opencv() -> ModuleType:
-    """OpenCV, on one thread and without code chosen by the processor. Raises `MissingExtraError`."""
-    with needs("camera"):
-        import cv2
+    """OpenCV, on one thread and without code chosen by the processor."""
+    import cv2
+
     cv2.setNumThreads(1)
     cv2.setUseOptimized(False)
     return cv2
@@ -58,8 +57,7 @@ def import_opencv() -> ModuleType:
 
 def find_features(image: GreyImage, count: int, mask: GreyImage | None = None) -> Features:
     """At most ``count`` ORB features of an image ``(H, W)`` (Rublee, Rabaud, Konolige, Bradski, "ORB: an efficient
-    alternative to SIFT or SURF", ICCV 2011), where the ``mask`` is not zero, without depths. Raises
-    `MissingExtraError`."""
+    alternative to SIFT or SURF", ICCV 2011), where the ``mask`` is not zero, without depths."""
     keypoints, descriptors = _detector(count).detectAndCompute(image, mask)
     if descriptors is None:
         descriptors = np.zeros((0, 32), np.uint8)
@@ -86,7 +84,7 @@ def _detector(count: int):  # type: ignore[no-untyped-def]
 def features_with_depth(image: GreyImage, points: Array, T_camera_sensor: Array, K: Array, count: int) -> Features:
     """At most ``count`` features of an image ``(H, W)`` where the scan of the same moment has returns, with depths.
 
-    ``points`` and ``T_camera_sensor`` as `DepthImage` has them. Raises `MissingExtraError`.
+    ``points`` and ``T_camera_sensor`` as `DepthImage` has them.
     """
     depth = DepthImage(points, T_camera_sensor, K, image.shape)
     features = find_features(image, count, depth.mask())

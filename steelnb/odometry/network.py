@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from steelnb.errors import FileContentError, VersionError
+from steelnb.errors import InputError
 from steelnb.files import reading
 from steelnb.settings.presets import PRESETS
 
@@ -56,21 +56,20 @@ def convolved(x: np.ndarray, kernel: np.ndarray, stride: int) -> np.ndarray:
 def read_network(path: Path = WEIGHTS) -> Network:
     """The network of a file of weights.
 
-    Raises `FileMissingError`, `FileContentError` for what is no such file, and `VersionError` for one of another
-    version or of another architecture.
+    Raises `InputError` for what is no such file, or one of another version or architecture.
     """
     form = f"weights of version {VERSION!r}"
     with reading(path, form), np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     found = str(arrays.pop("version", "none"))
     if found != VERSION:
-        raise VersionError(f"{path}: weights of version {found!r}; expected {VERSION!r}")
+        raise InputError(f"{path}: weights of version {found!r}; expected {VERSION!r}")
     layers = []
     for name, shape in zip(NAMES, SHAPES, strict=True):
         pair = [arrays.get(each, np.zeros(0)) for each in (name, f"bias_{name}")]
         if pair[0].shape != shape or pair[1].shape != shape[:1] or not all(np.isfinite(each).all() for each in pair):
             given = " and ".join(f"{each.shape}" for each in pair)
-            raise FileContentError(f"{path}: {name} and bias_{name} {given}; expected {form}, {shape} and {shape[:1]}")
+            raise InputError(f"{path}: {name} and bias_{name} {given}; expected {form}, {shape} and {shape[:1]}")
         layers.append((pair[0].astype(np.float32), pair[1].astype(np.float32)))
     return Network(tuple(layers[: len(STRIDES)]), tuple(layers[len(STRIDES) :]))
 

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry, scan_of
 from steelnb.odometry.prediction import PosePredictor
@@ -25,8 +25,6 @@ class OrbOdometry(Odometry):
     imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
     images : of a camera on the drone; of these, the last before or at each scan is used. Without, or where there is
         none of the time of a scan, the prior is followed.
-
-    Raises `MissingExtraError` at the first image where OpenCV is not installed.
     """
 
     def __init__(
@@ -38,7 +36,7 @@ class OrbOdometry(Odometry):
     ) -> None:
         self.settings = s = settings or OdometrySettings.preset("orb")
         if not s.orb or s.prior_sigma is None:
-            raise SettingsError(f"method {s.method!r}: expected an odometry by features, such as 'orb'")
+            raise InputError(f"method {s.method!r}: expected an odometry by features, such as 'orb'")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.tracker: LandmarkTracker | None = None
         if images is not None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.errors import SettingsError, needs
+from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry, scan_of
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings
@@ -36,14 +36,12 @@ class PeerOdometry(Odometry):
     settings : with a ``library``, default ``OdometrySettings.preset("kiss-icp")``; its voxel is
         ``preprocess.voxel_leaf_m``, and points beyond ``preprocess.crop_m`` are left out.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-
-    Raises `MissingExtraError` where the library is not installed.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("kiss-icp")
         if self.settings.library is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected one with a library, such as 'kiss-icp'")
+            raise InputError(f"method {self.settings.method!r}: expected one with a library, such as 'kiss-icp'")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
         self._register: Register | None = None
@@ -77,10 +75,10 @@ class PeerOdometry(Odometry):
 
 
 def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:
-    """KISS-ICP on one thread, from a ``first`` pose of the sensor. Raises `MissingExtraError`."""
-    with needs("peers"):
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.kiss_icp import KissICP
+    """KISS-ICP on one thread, from a ``first`` pose of the sensor."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
     config = KISSConfig()
     config.data.max_range, config.data.deskew = range_max_m, False
     config.mapping.voxel_size, config.registration.max_num_threads = voxel_m, 1
@@ -96,10 +94,9 @@ def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register
 
 
 def small_gicp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:
-    """VGICP of small_gicp to a voxel map, on one thread, from a ``first`` pose of the sensor. Raises
-    `MissingExtraError`."""
-    with needs("peers"):
-        import small_gicp as library
+    """VGICP of small_gicp to a voxel map, on one thread, from a ``first`` pose of the sensor."""
+    import small_gicp as library
+
     target = library.GaussianVoxelMap(voxel_m)
 
     def register(points: Array, predicted: Array) -> tuple[Array, int]:

@@ -12,7 +12,7 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry, scan_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
@@ -46,7 +46,7 @@ class ReportCloudOdometry(Odometry):
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("report-gicp")
         if self.settings.report_clouds is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected one such as 'report-gicp'")
+            raise InputError(f"method {self.settings.method!r}: expected one such as 'report-gicp'")
         self.traits = self.settings.report_clouds
         mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.T_drone_sensor = mount if "mount" in self.traits.switched else np.eye(4)

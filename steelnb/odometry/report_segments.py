@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry, nothing_left, scan_of
 from steelnb.odometry.corrections import GAIN
 from steelnb.odometry.segments import points_along, timed_segments
@@ -46,7 +46,7 @@ class ReportSegmentOdometry(Odometry):
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("report-segments", "report")
         if self.settings.report_segments is None or self.settings.hough is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected 'report-segments'")
+            raise InputError(f"method {self.settings.method!r}: expected 'report-segments'")
         self.switched, self.hough = self.settings.report_segments.switched, self.settings.hough
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
         mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")

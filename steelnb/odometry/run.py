@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.errors import RecordingError
+from steelnb.errors import InputError
 from steelnb.fusion.inertial import check_imu
 from steelnb.fusion.smooth import smooth
 from steelnb.odometry.base import Odometry
@@ -27,7 +27,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
 
     Where the odometry's settings ask for it, the estimate is smoothed at the end (`steelnb.fusion.smooth`).
 
-    Raises `RecordingError` where fewer scans can be read than the flight has poses, and before the first scan where
+    Raises `InputError` where fewer scans can be read than the flight has poses, and before the first scan where
     smoothing is to use readings of an IMU that are in other units or axes.
     """
     settings = _settings(odometry)
@@ -49,7 +49,7 @@ def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None
         if on_step:
             on_step(k, scan, step)
     if len(steps) < len(flight):
-        raise RecordingError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one a pose")
+        raise InputError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one a pose")
     stages = steps[0].seconds if steps else ()
     return Estimate(
         prior=flight.prior,

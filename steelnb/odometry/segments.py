@@ -9,7 +9,7 @@ from contextvars import ContextVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
 from steelnb.odometry.base import nothing_left, scan_of
@@ -39,9 +39,9 @@ class SegmentOdometry:
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings or OdometrySettings.preset("least_squares_yaw")
         if self.settings.method not in CORRECTIONS:
-            raise SettingsError(f"method {self.settings.method!r}: expected one of {', '.join(CORRECTIONS)}")
+            raise InputError(f"method {self.settings.method!r}: expected one of {', '.join(CORRECTIONS)}")
         if self.settings.hough is None or self.settings.segments is None:
-            raise SettingsError(f"method {self.settings.method!r}: expected tables hough and segments")
+            raise InputError(f"method {self.settings.method!r}: expected tables hough and segments")
         self.hough, self.segments = self.settings.hough, self.settings.segments
         self.prior = np.zeros(4)  # information about yaw, x, y, z
         if self.settings.prior_sigma is not None:
@@ -57,7 +57,7 @@ class SegmentOdometry:
 
         ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return;
         ``T_world_drone_prior (4, 4)`` the absolute drifting pose. A scan without a mapped bar in sight leaves the
-        correction as it was, and its ``reason`` says so. Raises `SettingsError` for arrays of other shapes, and for a
+        correction as it was, and its ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a
         prior that is not rigid.
         """
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import yaw_of
 from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
 from steelnb.points import VoxelMap, voxel_grid
@@ -52,7 +52,7 @@ class Decision:
 class Planner:
     """Decides ten times a second; `see` adds a scan to its map.
 
-    ``flight``: what to fly, with a table ``planner``; raises `SettingsError` for one that none steers. Its camera sees
+    ``flight``: what to fly, with a table ``planner``; raises `InputError` for one that none steers. Its camera sees
     ``fov_rad`` wide, ``range_max_m`` far. All poses are estimates, in the world frame of the map.
     """
 
@@ -64,7 +64,7 @@ class Planner:
 
     def __post_init__(self) -> None:
         if self.flight.planner is None:
-            raise SettingsError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
+            raise InputError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
         self.goal = self.flight.planner.goal
         self._scans, self._near = 0, np.zeros((0, 3))  # the last scan, world frame
         self._lost_s: float | None = None

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.types import Array
 
 RIGID_TOLERANCE = 1e-3
@@ -12,7 +12,7 @@ RIGID_TOLERANCE = 1e-3
 def checked_cloud(points: object, name: str = "points") -> Array:
     """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN.
 
-    Raises `SettingsError` for any other shape, named in the message, and for values that are no real numbers.
+    Raises `InputError` for any other shape, named in the message, and for values that are no real numbers.
     """
     if isinstance(points, np.ma.MaskedArray):
         points = np.ma.filled(points.astype(np.float64), np.nan)
@@ -23,28 +23,28 @@ def checked_cloud(points: object, name: str = "points") -> Array:
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         kind = getattr(points, "dtype", type(points).__name__)
-        raise SettingsError(f"{name}: {kind}; expected real numbers in an array (N, 3) or (H, W, 3)") from None
+        raise InputError(f"{name}: {kind}; expected real numbers in an array (N, 3) or (H, W, 3)") from None
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
-        raise SettingsError(f"{name}: an array of shape {array.shape}; expected (N, 3) or (H, W, 3), metres")
+        raise InputError(f"{name}: an array of shape {array.shape}; expected (N, 3) or (H, W, 3), metres")
     return array
 
 
 def checked_pose(T: object, name: str) -> Array:
-    """A rigid transform ``(4, 4)`` as float64. Raises `SettingsError` for any other array, and says what is wrong."""
+    """A rigid transform ``(4, 4)`` as float64. Raises `InputError` for any other array, and says what is wrong."""
     try:
         array = np.asarray(T, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SettingsError(f"{name} = {T!r}: expected a finite (4, 4) array") from None
+        raise InputError(f"{name} = {T!r}: expected a finite (4, 4) array") from None
     if array.shape != (4, 4):
-        raise SettingsError(f"{name}: an array of shape {array.shape}; expected a rigid transform (4, 4)")
+        raise InputError(f"{name}: an array of shape {array.shape}; expected a rigid transform (4, 4)")
     if not np.isfinite(array).all():
-        raise SettingsError(f"{name}: an entry is not finite; expected a rigid transform (4, 4)")
+        raise InputError(f"{name}: an entry is not finite; expected a rigid transform (4, 4)")
     R = array[:3, :3]
     if np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
-        raise SettingsError(f"{name}: last row {array[3].tolist()}; expected 0, 0, 0, 1")
+        raise InputError(f"{name}: last row {array[3].tolist()}; expected 0, 0, 0, 1")
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID_TOLERANCE:
-        raise SettingsError(f"{name}: columns of length {np.linalg.norm(R, axis=0).round(4).tolist()}, or not at right "
+        raise InputError(f"{name}: columns of length {np.linalg.norm(R, axis=0).round(4).tolist()}, or not at right "
                             "angles; expected a rotation without scale or shear")  # fmt: skip
     if np.linalg.det(R) < 0:
-        raise SettingsError(f"{name}: a reflection (determinant {np.linalg.det(R):.3f}); expected a right-handed frame")
+        raise InputError(f"{name}: a reflection (determinant {np.linalg.det(R):.3f}); expected a right-handed frame")
     return array

@@ -45,7 +45,7 @@ def smooth_ranges(points: Array, half: int = 1) -> Array:
 
     Its range becomes the mean of the ranges within ``half`` pixels that differ from it by less than `ALIKE` standard
     deviations: the sigma filter (Lee 1983, Digital image smoothing and the sigma filter). Ranges of a bar are averaged
-    along the bar; background beside it does not count. Raises `SettingsError` for another shape.
+    along the bar; background beside it does not count. Raises `InputError` for another shape.
     """
     points = checked_cloud(points)
     if points.ndim == 2:

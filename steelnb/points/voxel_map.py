@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.points import voxel_kernels as kernels
 from steelnb.types import Array, IntArray
 
@@ -23,12 +23,12 @@ class VoxelMap:
 
     With ``accumulate`` the mean is that of all points ever inserted. Without, the map is the report's, re-filtered with
     every scan: the old mean of a voxel then weighs as much as one new point. A voxel keeps its slot for good; inserting
-    takes time in proportion to the scan, whatever the size of the map. Raises `SettingsError`.
+    takes time in proportion to the scan, whatever the size of the map. Raises `InputError`.
     """
 
     def __init__(self, voxel_m: float, accumulate: bool = True) -> None:
         if not 0 < voxel_m < np.inf:
-            raise SettingsError(f"voxel_m = {voxel_m}: expected a positive length")
+            raise InputError(f"voxel_m = {voxel_m}: expected a positive length")
         self.voxel_m, self.accumulate = float(voxel_m), accumulate
         self._table_key = np.full(1 << 14, kernels.EMPTY, dtype=np.int64)
         self._table_slot = np.zeros(1 << 14, dtype=np.int64)
@@ -48,15 +48,15 @@ class VoxelMap:
         """Add points ``(N, 3)`` in metres with weights ``(N,)`` (default 1); returns the slots of the voxels touched.
 
         Points that are not finite or lie beyond ±REACH voxels, and weights that are not positive, are refused with
-        `SettingsError`; the map then stays as it was.
+        `InputError`; the map then stays as it was.
         """
         points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         weight = np.ones(len(points)) if weight is None else np.ascontiguousarray(weight, dtype=np.float64)
         farthest = np.abs(points).max(initial=0.0)
         if not farthest < (kernels.REACH - 2) * self.voxel_m:
-            raise SettingsError(f"a point lies {farthest:.3g} m away: beyond the map of {self.voxel_m} m voxels")
+            raise InputError(f"a point lies {farthest:.3g} m away: beyond the map of {self.voxel_m} m voxels")
         if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
-            raise SettingsError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
+            raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         self._reserve(len(points))
         self._mark += 1
         touched, self._size = kernels.insert(

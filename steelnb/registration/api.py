@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from steelnb.errors import DegenerateCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
@@ -50,7 +50,7 @@ def register(
     weigh the same. ``neighbours`` points around each give its normal or covariance.
     A step below ``rotation_epsilon_rad`` and ``translation_epsilon_m`` ends the iteration.
 
-    Raises `SettingsError`, `EmptyCloudError`, `DegenerateCloudError`. A registration that does not converge does not
+    Raises `InputError`. A registration that does not converge does not
     raise: see ``converged`` and ``reason`` of the result.
 
     >>> import numpy as np
@@ -64,9 +64,9 @@ def register(
     limit = _positive("max_correspondence_m", max_correspondence_m)
     scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
     if iterations_max < 1:
-        raise SettingsError(f"iterations_max = {iterations_max}: expected at least 1")
+        raise InputError(f"iterations_max = {iterations_max}: expected at least 1")
     if neighbours < NEIGHBOURS_MIN:
-        raise SettingsError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
+        raise InputError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     least = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
     points = _enough(finite(source, "source"), least, "source")
@@ -83,7 +83,7 @@ def _cloud(target: Array | Target | VoxelMap, error: str, neighbours: int, least
     if isinstance(target, Target):
         missing = {"point": False, "plane": not len(target.normal), "gicp": not len(target.covariance)}
         if missing[error]:
-            raise SettingsError(f"target: prepared for another error, expected make_target(points, {error!r})")
+            raise InputError(f"target: prepared for another error, expected make_target(points, {error!r})")
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
     return make_target(_enough(finite(points, "target"), least, "target"), error, neighbours)
@@ -91,17 +91,17 @@ def _cloud(target: Array | Target | VoxelMap, error: str, neighbours: int, least
 
 def _choice(name: str, value: str, known: dict) -> tuple:
     if not isinstance(value, str) or value not in known:
-        raise SettingsError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
+        raise InputError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
     return known[value]
 
 
 def _positive(name: str, value: float) -> float:
     if not isinstance(value, int | float | np.number) or not 0 < value < math.inf:
-        raise SettingsError(f"{name} = {value!r}: expected a positive finite number")
+        raise InputError(f"{name} = {value!r}: expected a positive finite number")
     return float(value)
 
 
 def _enough(points: Array, least: int, name: str) -> Array:
     if len(points) < least:
-        raise DegenerateCloudError(f"{name}: {len(points)} finite points, expected at least {least}")
+        raise InputError(f"{name}: {len(points)} finite points, expected at least {least}")
     return points

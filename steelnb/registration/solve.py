@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
@@ -41,13 +41,13 @@ class Normal(NamedTuple):
 def free_directions(dof: str, gravity: Array | None = None) -> Array:
     """Columns ``(6, k)`` of ξ = (ω, v) that a solve may use: all, position and yaw about gravity, or position.
 
-    ``gravity (3,)`` is its direction in the target frame, up or down; the z axis by default. Raises `SettingsError`.
+    ``gravity (3,)`` is its direction in the target frame, up or down; the z axis by default. Raises `InputError`.
     """
     if dof not in DOFS:
-        raise SettingsError(f"dof = {dof!r}: expected one of {', '.join(map(repr, DOFS))}")
+        raise InputError(f"dof = {dof!r}: expected one of {', '.join(map(repr, DOFS))}")
     up = np.array([0.0, 0.0, 1.0]) if gravity is None else np.asarray(gravity, dtype=np.float64)
     if up.shape != (3,) or not 0 < np.linalg.norm(up) < np.inf:
-        raise SettingsError(f"gravity = {gravity!r}: expected three finite numbers, not all zero")
+        raise InputError(f"gravity = {gravity!r}: expected three finite numbers, not all zero")
     if dof == "se3":
         return np.eye(6)
     position = np.eye(6)[:, 3:]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from steelnb.errors import EmptyCloudError
+from steelnb.errors import InputError
 from steelnb.points import VoxelShapes
 from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals
 from steelnb.points.inputs import checked_cloud
@@ -75,7 +75,7 @@ def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
     """Index a cloud ``(M, 3)`` in metres, with normals and covariances only where the error needs them.
 
     ``error`` is ``point``, ``plane`` or ``gicp``; ``neighbours`` points around each give its normal or covariance.
-    Raises `EmptyCloudError`, `SettingsError`.
+    Raises `InputError`.
     """
     tree = build_kdtree(finite(points, "target"))
     if error == "gicp":
@@ -86,9 +86,9 @@ def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
 
 
 def finite(points: Array, name: str) -> Array:
-    """The finite points of a cloud ``(N, 3)`` or image ``(H, W, 3)``. Raises `EmptyCloudError`, `SettingsError`."""
+    """The finite points of a cloud ``(N, 3)`` or image ``(H, W, 3)``. Raises `InputError`."""
     points = checked_cloud(points, name).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
-        raise EmptyCloudError(f"{name}: no finite point, expected a cloud (N, 3)")
+        raise InputError(f"{name}: no finite point, expected a cloud (N, 3)")
     return np.ascontiguousarray(points)

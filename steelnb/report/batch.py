@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment, rng
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.keys import find_root
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
@@ -62,7 +62,7 @@ def report_range(noise: str, method: str, trajectory: str) -> tuple[float, float
 
 
 def at_level(noise: str, level: float) -> str:
-    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `SettingsError`."""
+    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError`."""
     NoiseSettings.parse(noise)
     if noise == "none" or level == 1:
         return noise
@@ -81,7 +81,7 @@ def make_cases(
     duration_s: float | None,
     overrides: dict[str, Any] | None = None,
 ) -> list[ExperimentSettings]:
-    """Settings of every flight × noise × method; a method may come with its overrides. Raises `SettingsError`."""
+    """Settings of every flight × noise × method; a method may come with its overrides. Raises `InputError`."""
     wanted: list[Any] = [(each, {}) if isinstance(each, str) else each for each in method]
     given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
     return [
@@ -102,13 +102,13 @@ def report_cases(
     """Settings of the report's own experiments: for each flight, and each method of its plots, the methods that fly on
     the samples of that plot, which are those of the other noise where the plot's noise is not ``noise``.
 
-    ``duration_s``: default as long as the plot. Raises `SettingsError`.
+    ``duration_s``: default as long as the plot. Raises `InputError`.
     """
     cases = []
     for flight, shown in itertools.product(trajectory, methods):
         plots = [plot for plot in read_report_plots() if (plot.trajectory, plot.method) == (flight, shown)]
         if not plots:
-            raise SettingsError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
+            raise InputError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
         plot = next((plot for plot in plots if plot.noise == noise), plots[0])
         samples = {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s}
         cases += [

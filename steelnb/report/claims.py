@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.report.batch import flat
 from steelnb.report.false_convergence import WRONG_SHARE_MAX
 from steelnb.report.intervals import Sample, correlation_over_seeds, holm, mean_over_seeds, share_of_seeds
@@ -137,7 +137,7 @@ class Verdict:
 
 
 def read_claims(path: Path) -> dict[str, Claim]:
-    """The claims of a file, by name. Raises `FileMissingError` or `SettingsError`."""
+    """The claims of a file, by name. Raises `InputError`."""
     return read_tables(path, Claim, "a file of claims")
 
 
@@ -151,7 +151,7 @@ def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
     for name, claim in claims.items():
         try:
             verdicts.append(judge(name, claim, runs))
-        except SettingsError as fault:
+        except InputError as fault:
             missing = str(fault).removeprefix(f"[{name}]: ").partition(";")[0]
             cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
             verdicts.append(Verdict(name, claim, NOT_RUN, float("nan"), NOT_RUN, cells, missing))
@@ -165,7 +165,7 @@ def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
 
     A claim speaks of all its cells: it `HOLDS` if the number is as claimed in every one (the largest p-value of them
     counts), it `FAILS` if it clearly is not in one (the smallest counts, times their number), and is `OPEN` otherwise.
-    A cell in which fewer than two seeds have a number says nothing. Raises `SettingsError`.
+    A cell in which fewer than two seeds have a number says nothing. Raises `InputError`.
     """
     good = runs[runs["status"] == "ok"]
     first = _select(name, good, {**USUAL, **claim.where, **claim.a})
@@ -187,7 +187,7 @@ def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
             word = HOLDS if claim.satisfied(low, high) else FAILS if claim.outside(low, high) else OPEN
             rows.append((*map(str, cell), sample.estimate, low, high, sample.n_seeds, word))
     if not rows:
-        raise SettingsError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
+        raise InputError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
     cells = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
     against, as_claimed = np.array(p_values).T  # p-values that the number is not as claimed, and that it is
     holds, fails = float(against.max()), min(1.0, len(cells) * float(as_claimed.min()))
@@ -265,24 +265,24 @@ def cell_name(values: Iterable[str]) -> str:
 
 
 def _select(name: str, runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
-    """The runs with some values, or one of some, in each column. Raises `SettingsError` if there are none."""
+    """The runs with some values, or one of some, in each column. Raises `InputError` if there are none."""
     for column, value in chosen.items():
         wanted = value if isinstance(value, list) else [value]
         runs = runs[runs[column].isin(wanted)]
         if runs.empty:
-            raise SettingsError(f"[{name}]: no runs with {column} = {value!r}; expected a value that the study has")
+            raise InputError(f"[{name}]: no runs with {column} = {value!r}; expected a value that the study has")
     return runs
 
 
 def _by_seed(name: str, runs: pd.DataFrame, metric: str) -> pd.Series:
-    """A metric by seed, a mean where a seed has several runs. Raises `SettingsError` for an unknown one."""
+    """A metric by seed, a mean where a seed has several runs. Raises `InputError` for an unknown one."""
     if metric in DERIVED:
         try:
             values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
         except KeyError as missing:
-            raise SettingsError(f"[{name}]: no column {missing}; expected a number that runs have") from None
+            raise InputError(f"[{name}]: no column {missing}; expected a number that runs have") from None
     elif metric in runs and pd.api.types.is_numeric_dtype(runs[metric]):
         values = pd.Series(runs[metric].to_numpy(dtype=float), index=runs["seed"].to_numpy())
     else:
-        raise SettingsError(f"[{name}]: metric = {metric!r}: expected a number that runs have")
+        raise InputError(f"[{name}]: metric = {metric!r}: expected a number that runs have")
     return values.groupby(level=0).mean()

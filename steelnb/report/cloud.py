@@ -1,4 +1,4 @@
-"""`steelnb segment CLOUD`: point cloud of a structure → its bars, as files, a picture and a summary."""
+"""`steelnb segment CLOUD`: point cloud of a structure → its bars, as a table, a picture and a summary."""
 
 import math
 import time
@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import SettingsError
-from steelnb.files import new_folder, plain_name
+from steelnb.errors import InputError
+from steelnb.files import new_folder
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.hough.dx import default_dx, spacing
 from steelnb.io.clouds import Cloud, read_cloud
-from steelnb.io.segments import GROUPS, orientation, write_segments
+from steelnb.io.structures import write_segments
 from steelnb.points import voxel_grid
+from steelnb.report.three_views import GROUPS, figure_segments, orientation
 from steelnb.report.words import counted
 from steelnb.types import Segments
 
@@ -38,31 +39,26 @@ class SegmentReport:
 
 def segment_file(
     path: Path | str,
-    output: Path | str | None = None,
+    output: Path | str,
     *,
     voxel_m: float | None = None,
     dx_m: float | None = None,
     min_votes: int | None = None,
 ) -> SegmentReport:
-    """Find the bars in the cloud of a file and write them to the folder ``output``, default ``<stem>_segments`` here.
-
-    A cloud too large for memory is thinned while it is read (`Cloud.thinned_m`).
+    """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``.
 
     ``dx_m`` is the radius of the tube that holds a bar's points (default: `default_dx`), ``voxel_m`` the edge of the
     voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
     filtered points of a bar, and the least number by which those in its tube outweigh those around it.
-    ``segments.png`` shows what was found.
 
-    Raises the errors of `read_cloud`, `SettingsError` and `OutputError`; nothing is written then.
+    Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
     path = Path(path)
-    name = plain_name(path)
-    target = Path(output) if output else Path(f"{path.stem}_segments")
     began = time.perf_counter()
     votes = MIN_VOTES if min_votes is None else min_votes
     if votes < 2:
-        raise SettingsError(f"min_votes = {votes}: expected at least 2")
-    with new_folder(target) as folder:
+        raise InputError(f"min_votes = {votes}: expected at least 2")
+    with new_folder(output) as folder:
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
@@ -72,58 +68,32 @@ def segment_file(
         found = segment_structure(points, dx, votes)
         found = found.take(np.argsort(-found.length, kind="stable"))
         groups = orientation(found)
-        explained = float(np.average(within(cloud.points, found, dx), weights=cloud.count))
+        explained = float(within(cloud.points, found, dx).mean())
         filtered = float(within(points, found, dx).mean())
-        about = {
-            "source": name, "points": _size(cloud), "settings": {"voxel_m": voxel, "dx_m": dx, "min_votes": votes},
-            "explained": explained, "explained_filtered": filtered,
-        }  # fmt: skip
-        write_segments(folder, found, cloud.origin, groups, about)
-        from steelnb.report.three_views import figure_segments
-
-        title = (
-            f"{name}: {counted(len(found), 'segment')}, {100 * explained:.0f} % of the points within {dx:.2g} m of one"
-        )
+        segments = found.moved(cloud.origin)
+        write_segments(segments, folder / "segments.csv")
+        share = f"{100 * explained:.0f} % of the points within {dx:.2g} m of one"
+        title = f"{path.name}: {counted(len(found), 'segment')}, {share}"
         figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
     seconds = time.perf_counter() - began
-    segments = found.moved(cloud.origin)
     summary = (
-        *_summary_of_cloud(name, cloud, len(points), voxel, dx),
+        f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
+        f"dropped), {spacing(cloud.points):.3g} m apart",
+        f"settings  voxel {voxel:.3g} m ({len(points)} points after it), dx {dx:.3g} m",
         f"found     {counted(len(found), 'segment')}, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
         f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
         f"({100 * filtered:.0f} % of the filtered ones)",
         *_summary_of_segments(segments, groups),
-        f"written   {target}/: segments.csv, .json, .obj, .ply, .png",
+        f"written   {output}/: segments.csv, segments.png",
     )
-    return SegmentReport(target, segments, voxel, dx, explained, filtered, seconds, summary)
+    return SegmentReport(Path(output), segments, voxel, dx, explained, filtered, seconds, summary)
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     # Finer than this, voxels could not be numbered.
     if value is not None and not 1e-9 * diagonal <= value <= diagonal:
-        raise SettingsError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
-
-
-def _size(cloud: Cloud) -> int:
-    return len(cloud) if cloud.count is None else int(cloud.count.sum())
-
-
-def _summary_of_cloud(name: str, cloud: Cloud, filtered: int, voxel: float, dx: float) -> list[str]:
-    dropped = f"{cloud.dropped_duplicates} duplicates and {cloud.dropped_invalid} invalid ones dropped"
-    apart = f"{spacing(cloud.points):.3g} m apart"
-    if cloud.thinned_m:
-        dropped = f"{cloud.dropped_invalid} invalid ones dropped"
-        apart = f"too many to hold: thinned to the {len(cloud)} means of voxels of {cloud.thinned_m:.2g} m, {apart}"
-    lines = [
-        f"read      {name}: {_size(cloud)} points ({dropped}), {apart}",
-        f"settings  voxel {voxel:.3g} m ({filtered} points after it), dx {dx:.3g} m",
-    ]
-    if cloud.thinned_m > voxel:
-        lines.append(f"warning   the thinned cloud is coarser than voxels of {voxel:.3g} m")
-    if cloud.resolution_m > dx / 20:
-        lines.insert(1, f"warning   coordinates in steps of {cloud.resolution_m:.3g} m, as the file stores them")
-    return lines
+        raise InputError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
 
 
 def _summary_of_segments(segments: Segments, groups: list[str]) -> list[str]:

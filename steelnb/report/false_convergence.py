@@ -110,7 +110,7 @@ def find_basin(
     ``x_m``, ``y_m``, ``z_m`` of the start and ``error_m`` of the end from the truth; ``refused`` by the odometry; else
     ``right`` within `RIGHT_M`, or ``wrong``, of which those ``stayed`` that hardly left their start, since the
     registration trusts its prior, while the others ``locked`` onto something else.
-    Raises `SettingsError` for an odometry without clouds.
+    Raises `InputError` for an odometry without clouds.
     """
     odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone

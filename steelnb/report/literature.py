@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
-from steelnb.errors import RecordingError
+from steelnb.errors import InputError
 from steelnb.images import CameraImages, GreyImage, project, unproject
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.features import Features, features_with_depth, match
@@ -43,7 +43,7 @@ def figure_matches(
 
     A match is the best of all features of the other image, if it is better than the second best (Lowe's ratio test),
     and if no other feature has a better claim. Where the sensor saw the first feature's depth, ``corrected`` poses of
-    the flight, by default its prior, tell right from wrong matches. Raises `RecordingError` for scans without an image.
+    the flight, by default its prior, tell right from wrong matches. Raises `InputError` for scans without an image.
     """
     (image_a, a), (image_b, b) = (seen_features(flight, scan, count) for scan in (first, second))
     found = match(
@@ -78,20 +78,20 @@ def figure_matches(
 
 
 def seen_features(flight: Flight, scan: int, count: int = FEATURES) -> tuple[GreyImage, Features]:
-    """The image ``(H, W)`` of a scan, and its ORB features with depths from the scan. Raises `RecordingError` where
+    """The image ``(H, W)`` of a scan, and its ORB features with depths from the scan. Raises `InputError` where
     there is none."""
     images, stamp_s = _images(flight), float(flight.prior.stamp_s[scan])
     number = images.at(stamp_s)
     image = None if number is None else images.images[number]
     if image is None:
-        raise RecordingError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
+        raise InputError(f"{flight.name}: no image at scan {scan}, {stamp_s:.2f} s; expected one at its time")
     T_camera_sensor = np.linalg.inv(images.T_drone_camera) @ flight.T_drone_sensor
     return image, features_with_depth(image, flight.scans[scan].points, T_camera_sensor, images.K, count)
 
 
 def _images(flight: Flight) -> CameraImages:
     if flight.images is None:
-        raise RecordingError(f"{flight.name}: no images; expected a flight with a camera")
+        raise InputError(f"{flight.name}: no images; expected a flight with a camera")
     return flight.images
 
 

@@ -32,7 +32,7 @@ class Panel:
         duration_s: float,
         overrides: Mapping[str, Any] | None = None,
     ) -> None:
-        """The first flight; raises `SettingsError` for a value that cannot be chosen."""
+        """The first flight; raises `InputError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
         self.view: View | None = None
@@ -59,7 +59,7 @@ class Panel:
     def settings(
         self, trajectory: TrajectoryName, noise: str, level: float, sensor: str, method: str, seed: int
     ) -> ExperimentSettings:
-        """The settings of a flight with ``level`` times the drift of a noise. Raises `SettingsError`."""
+        """The settings of a flight with ``level`` times the drift of a noise. Raises `InputError`."""
         noise = at_level(noise, level)
         return ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, self.overrides)
 

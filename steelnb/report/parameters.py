@@ -8,9 +8,9 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from steelnb.errors import SettingsError
-from steelnb.report.words import guess
+from steelnb.errors import InputError
 from steelnb.settings import ExperimentSettings
+from steelnb.settings.base import guess
 
 FLOAT_MAX = sys.float_info.max
 PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters)
@@ -25,7 +25,7 @@ def validate() -> None:
 
     For the first cell after the parameters: papermill itself only warns of a name that the notebook does not have, and
     would run the defaults. Where nothing was set by papermill, or without IPython, nothing is done. Raises
-    `SettingsError`.
+    `InputError`.
     """
     loaded = sys.modules.get("IPython")  # which a kernel has loaded
     shell = loaded.get_ipython() if loaded else None
@@ -57,19 +57,17 @@ def literals(source: str) -> dict[str, Any]:
 
 
 def fit_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """``given`` with every name known and every value of its default's type. Raises `SettingsError`."""
+    """``given`` with every name known and every value of its default's type. Raises `InputError`."""
     known = [name for name in defaults if name != FOLDER]
     for name in given:
         if name == FOLDER:
-            raise SettingsError(f"{experiment}: results_dir is set by the workflow; name a folder with OUT=folder")
+            raise InputError(f"{experiment}: results_dir is set by the workflow; name a folder with OUT=folder")
         if name not in known:
-            raise SettingsError(
-                f"{experiment}: unknown parameter {name!r}{guess(name, known)}; known: {', '.join(known)}"
-            )
+            raise InputError(f"{experiment}: unknown parameter {name!r}{guess(name, known)}; known: {', '.join(known)}")
     try:
         return {name: _fit(name, value, defaults[name]) for name, value in given.items()}
-    except SettingsError as fault:
-        raise SettingsError(f"{experiment}: {fault}") from None
+    except InputError as fault:
+        raise InputError(f"{experiment}: {fault}") from None
 
 
 def _fit(name: str, value: Any, default: Any) -> Any:
@@ -88,7 +86,7 @@ def _fit(name: str, value: Any, default: Any) -> Any:
         return [_fit(f"{name}[{index}]", item, default[0]) if default else item for index, item in enumerate(value)]
     if kind is dict and isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return value
-    raise SettingsError(f"{name} = {value!r}: expected {_EXPECTED.get(kind, 'a value')} such as {default!r}")
+    raise InputError(f"{name} = {value!r}: expected {_EXPECTED.get(kind, 'a value')} such as {default!r}")
 
 
 _EXPECTED = {
@@ -104,11 +102,11 @@ _EXPECTED = {
 
 def check_settings(experiment: str, values: Mapping[str, Any]) -> None:
     """Build the settings that the parameters stand for, every combination where they are lists, so that a value out of
-    range is refused before a notebook starts. Raises `SettingsError`."""
+    range is refused before a notebook starts. Raises `InputError`."""
     names = [name for name in PRESET_ARGUMENTS if name in values]
     choices = [values[name] if isinstance(values[name], list | tuple) else [values[name]] for name in names]
     for combination in itertools.product(*choices) if names else ():
         try:
             ExperimentSettings.preset(**dict(zip(names, combination, strict=True)))
-        except SettingsError as fault:
-            raise SettingsError(f"{experiment}: {fault}") from None
+        except InputError as fault:
+            raise InputError(f"{experiment}: {fault}") from None

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from steelnb import experiment
 from steelnb.closed_loop import OnboardPilot
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.experiment import Result
 from steelnb.metrics import score_trajectory
 from steelnb.report.batch import Progress, caption, case_of, share_of
@@ -69,9 +69,9 @@ def make_flights(
     names: Sequence[str], noise: str, method: str, sensor: str, seed: int, duration_s: float,
     overrides: Mapping[str, Any] | None = None,
 ) -> dict[str, ExperimentSettings]:  # fmt: skip
-    """Settings of each flight of `FLIGHTS`, by name. Raises `SettingsError`."""
+    """Settings of each flight of `FLIGHTS`, by name. Raises `InputError`."""
     if unknown := [name for name in names if name not in FLIGHTS]:
-        raise SettingsError(f"flights: unknown {unknown[0]!r}; expected some of {', '.join(map(repr, FLIGHTS))}")
+        raise InputError(f"flights: unknown {unknown[0]!r}; expected some of {', '.join(map(repr, FLIGHTS))}")
     return {
         name: ExperimentSettings.preset(
             FLIGHTS[name][0], noise, method, sensor, seed, duration_s, {**FLIGHTS[name][1], **(overrides or {})}

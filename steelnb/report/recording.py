@@ -1,42 +1,41 @@
-"""A recorded flight through an odometry → a folder with trajectories, map, bars, structure, figures and tables."""
+"""A recorded flight through an odometry → a folder with corrected poses, bars, structure, a table and two figures."""
 
-import contextlib
+import math
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from steelnb import odometry
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, OutputError, RecordingError, SettingsError
-from steelnb.files import PREFIX, new_folder
+from steelnb.errors import InputError, OutputError
+from steelnb.files import new_folder
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
-from steelnb.io import read_flight, read_truth
+from steelnb.fusion.uncertainty import axis_sigma_m
+from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
-from steelnb.io.rrd import Log
-from steelnb.io.segments import orientation
-from steelnb.metrics import position_error_m
-from steelnb.odometry import Odometry
-from steelnb.report.recording_figures import figure_distances, figure_recorded_trajectories
-from steelnb.report.recording_files import TIMES, measure_recording, summary_lines, with_sigma, write_recording
-from steelnb.report.recording_settings import Scene, recording_settings, settings_line
-from steelnb.report.recording_truth import part_of, truth_at_scans, with_drift
+from steelnb.io.trajectories import interpolate
+from steelnb.metrics import score_trajectory
+from steelnb.report.recording_figures import figure_path
 from steelnb.report.style import Figure
-from steelnb.report.three_views import figure_segments
-from steelnb.settings import ExperimentSettings, NoiseSettings, StructureSettings
-from steelnb.types import Array, Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+from steelnb.report.three_views import figure_segments, orientation
+from steelnb.report.words import counted
+from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
 """The second scan is the first that is registered, the third finds everything loaded."""
-FILES = (
-    "corrected.tum", "corrected_sigma.csv", "errors.png", "frames.csv", "map.ply",
-    "map.png", "prior.tum", "recording.rrd", "segments.csv", "segments.json", "segments.obj", "segments.ply",
-    "structure.json", "table.csv", "trajectories.png", "comparison.csv", "comparison.png",
-)  # fmt: skip
-"""All that a run may write, of one odometry or of several: those of an earlier one do not stay beside new ones."""
+TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
+"""Numbers of a run that differ from run to run."""
+FILES = ("corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png")
+APART_M, APART_RAD = 0.5, math.radians(5)
+"""Poses and truth that differ by more than this at the first scan are in different frames."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +43,13 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``;
-    ``figures`` by name; ``summary`` lines of text.
+    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` lines of text.
     """
 
     folder: Path
-    flight: Flight
     estimate: Estimate
     truth: Trajectory | None
-    structure: Structure | None
+    structure: Structure
     segments: Segments
     numbers: dict[str, float]
     figures: dict[str, Figure]
@@ -70,169 +67,188 @@ class RecordingReport:
         return {name: self.numbers[name] for name in TIMES}
 
 
-def default_folder(flight: Flight) -> Path:
-    """The folder of a run for which none is named: ``NAME_run`` here."""
-    return Path(f"{Path(flight.name).stem}_run")
-
-
 def check_folder(target: Path, overwrite: bool) -> None:
     """Raise `OutputError` for a folder that holds a file, unless it may be overwritten."""
-    if not overwrite and target.is_dir() and any(not file.name.startswith(PREFIX) for file in target.iterdir()):
-        raise OutputError(f"{target}: exists already and is not empty; expected a new folder, or --force to overwrite")
+    if not overwrite and target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 
 
 def run_recording(
-    recording: Flight | Path | str,
-    output: Path | str | None = None,
-    settings: ExperimentSettings | None = None,
-    *,
+    flight: Flight,
+    output: Path | str,
+    settings: ExperimentSettings,
+    structure: StructureSettings,
     truth: Trajectory | None = None,
-    added_noise: str | None = None,
-    structure: StructureSettings | None = None,
-    rrd: bool = True,
-    gap_max_s: float | None = None,
-    part_s: tuple[float, float] | None = None,
-    overwrite: bool = True,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
     on_stage: Callable[[str], None] = lambda _: None,
 ) -> RecordingReport:
-    """Correct a recorded flight and write the results to a folder; one scan is in memory at a time.
+    """Correct a recorded flight and write `FILES` to a folder; one scan is in memory at a time.
 
     Parameters
     ----------
-    recording : a flight, or a path that `read_flight` and `read_truth` open.
-    output : the folder, by default ``NAME_run`` here.
-    settings : of odometry and seed; by default `recording_settings` of this flight.
+    output : the folder; files of an earlier run in it are replaced.
+    settings, structure : of odometry and reconstruction (`recording_settings`).
     truth : true poses, for judging alone.
-    added_noise : drift to add to the truth, or without one to the poses, taken as true, such as "random-walk:0.002".
-    structure : settings of the final reconstruction; None leaves it out.
-    rrd : write ``recording.rrd`` for rerun.
-    gap_max_s : true poses further apart are not interpolated between; None as in `read_flight`.
-    part_s : the part to run, (from, to) in seconds since the first scan; see `part_of`.
-    overwrite : replace the files of an earlier run in the folder; without it, a folder that holds any file is refused.
     on_progress : called with the share of the scans done, 0 to 1.
     on_stage : called with the name of each stage as it begins.
 
-    Files: ``corrected.tum`` and ``prior.tum`` at the scans, ``corrected_sigma.csv`` of a smoothed flight,
-    ``map.ply``, ``segments.csv`` (.json, .obj, .ply), ``structure.json`` (empty with the reason where none is found),
-    ``table.csv``, ``frames.csv``, figures, and ``recording.rrd``. Nothing is
-    written on an error. Raises `OutputError`, `RecordingError`, `SettingsError`, and what
-    reading raises.
+    Nothing is written on an error. Raises `InputError`, `OutputError`.
     """
-    if not isinstance(recording, Flight):
-        truth = truth or read_truth(recording)
-        recording = read_flight(recording, gap_max_s=gap_max_s)
-    target = Path(output) if output else default_folder(recording)
-    check_folder(target, overwrite)
-    flight, notes = recording, tuple[str, ...]()
-    if part_s is not None:
-        flight, truth, notes = part_of(flight, truth, part_s, gap_max_s)
-    settings = settings or recording_settings(scene=Scene.of(flight))[0]
-    if added_noise is not None:
-        if truth is None:
-            notes = (*notes, "the recorded poses are taken as true: errors are those of the drift added to them")
-        flight, truth = with_drift(flight, truth, NoiseSettings.parse(added_noise), settings.seed, gap_max_s)
-    elif flight.facts.get("poses", "").startswith("true poses"):
-        notes = (*notes, "the recorded poses are true ones: nothing drifts; --noise random-walk:0.002 adds drift")
-    true, remarks = truth_at_scans(flight, truth, gap_max_s)
+    if settings.odometry.orb and flight.images is None:
+        raise InputError(f"{flight.name}: no images for method {settings.odometry.method!r}: recordings have none here")
+    true, notes = truth_at_scans(flight, truth)
     origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero
-    flight = replace(flight, prior=flight.prior.moved(-origin))
-    true = true.moved(-origin) if true is not None else None
-    floor_m = settings.odometry.preprocess.floor_m - float(origin[2])
-    near = settings.override({"preprocess.floor_m": floor_m}) if origin[2] else settings
-    if structure is not None and origin[2]:
+    near = replace(flight, prior=flight.prior.moved(-origin))
+    if origin[2]:
+        floor_m = settings.odometry.preprocess.floor_m - float(origin[2])
+        settings = settings.override({"preprocess.floor_m": floor_m})
         structure = structure.replace(floor_m=structure.floor_m - float(origin[2]))
-    with new_folder(target, FILES, overwrite) as folder, contextlib.ExitStack() as stack:
+
+    def observe(k: int, scan: Scan, step: OdometryStep) -> None:
+        on_progress((k + 1) / len(flight))
+        if k + 1 == len(flight) and settings.odometry.smooth:
+            on_stage("adjusting all poses and bars together")
+
+    with new_folder(output, FILES) as folder:
         on_stage("warming up, which compiles what was not compiled yet")
-        odometry.run(flight.first(WARM_UP_SCANS), _estimator(flight, near))
-        estimator = _estimator(flight, near)
-        log = stack.enter_context(Log(folder / "recording.rrd", flight)) if rrd else None
-
-        def observe(k: int, scan: Scan, step: OdometryStep) -> None:
-            if log is not None:
-                log.step(scan, step)
-                if log.map_due(scan.stamp_s):
-                    log.map(scan.stamp_s, estimator.map_points(), estimator.map_segments())
-            if on_progress is not None:
-                on_progress((k + 1) / len(flight))
-            if k + 1 == len(flight) and near.odometry.smooth:
-                on_stage("adjusting all poses and bars together")
-
+        made = partial(odometry.make_odometry, settings.odometry, flight.T_drone_sensor, flight.imu)
+        odometry.run(near.first(WARM_UP_SCANS), made())
         on_stage("correcting the poses")
-        estimate = odometry.run(flight, estimator, observe)
+        found = odometry.run(near, made(), observe)
         on_stage("reconstructing the bars")
-        built = _reconstructed(flight, estimate, structure) if structure else None
-        built = with_sigma(built, estimate) if built is not None else None
-        segments = built.segments if built is not None and not len(estimate.segments) else estimate.segments
-        if log is not None:
-            log.map(float(flight.prior.stamp_s[-1]), estimate.points, segments)
-            log.finish(estimate, true)
-        flight, estimate, true = _placed(flight, estimate, true, origin)
-        segments = segments.moved(origin)
-        built = built.moved(origin) if built is not None else None
-        numbers = measure_recording(flight, estimate, true)
-        numbers |= {"map_points": len(estimate.points), "segments": len(segments)}
-        if built is not None:
-            numbers |= {"structure_bars": len(built), "structure_joints": len(built.joint)}
+        built = _reconstructed(near, found, structure).moved(origin)
+        estimate = replace(
+            found, prior=flight.prior, corrected=found.corrected.moved(origin), points=found.points + origin,
+            segments=found.segments.moved(origin),
+        )  # fmt: skip
+        segments = estimate.segments if len(estimate.segments) else built.segments
+        numbers = measure_recording(flight, estimate, true, segments, built)
         on_stage("drawing and writing")
-        method = settings.odometry.method
-        figures = _figures(flight, estimate, true, segments, method)
-        about = {"source": flight.name, "odometry": method, "noise": added_noise}
-        write_recording(folder, flight, estimate, true, segments, built, about, origin)
+        title = f"{flight.name}: {len(estimate.points)} points of the map, {len(segments)} bars"
+        figures = {"path": figure_path(estimate.prior, estimate.corrected, true, settings.odometry.method, flight.name)}
+        if len(found.points) > 1:
+            figures["map"] = figure_segments(found.points, segments.moved(-origin), orientation(segments), title)
+        write_tum(folder / "corrected.tum", estimate.corrected)
+        write_segments(segments, folder / "segments.csv", _sigma_m(estimate, segments))
+        write_structure(built, folder / "structure.json", {"source": flight.name, "odometry": settings.odometry.method})
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=150)
-        stack.close()  # the .rrd file is whole before the folder is renamed
-        files = sorted(file.name for file in folder.iterdir())
-    if estimate.unsure:
-        notes = (*notes, f"no uncertainty: {estimate.unsure}")
-    if estimate.unsmoothed:
-        notes = (*notes, f"not smoothed: {estimate.unsmoothed}")
-    summary = summary_lines(flight, numbers, (*notes, *remarks), built)
-    summary = (summary[0], settings_line(settings), *summary[1:], f"written   {target}/: {', '.join(files)}")
-    return RecordingReport(target, flight, estimate, true, built, segments, numbers, figures, summary)
-
-
-def _placed(
-    flight: Flight, estimate: Estimate, truth: Trajectory | None, origin: Array
-) -> tuple[Flight, Estimate, Trajectory | None]:
-    """The same in the world of the recording; exactly the same where it was not shifted."""
-    if not origin.any():
-        return flight, estimate, truth
-    prior = estimate.prior.moved(origin)
-    placed = replace(
-        estimate, prior=prior, corrected=estimate.corrected.moved(origin), points=estimate.points + origin,
-        segments=estimate.segments.moved(origin),
-    )  # fmt: skip
-    return replace(flight, prior=prior), placed, truth.moved(origin) if truth is not None else None
-
-
-def _figures(
-    flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments, method: str
-) -> dict[str, Figure]:
-    """The path, the map with its bars, and where there is truth the errors over time."""
-    prior, corrected, name = estimate.prior, estimate.corrected, flight.name
-    figures = {"trajectories": figure_recorded_trajectories(prior, corrected, truth, method, name)}
-    if truth is not None:
-        paths = {"drifting": prior, method: corrected}
-        curves = {key: (truth.stamp_s, position_error_m(t.at(truth.stamp_s), truth)) for key, t in paths.items()}
-        figures["errors"] = figure_distances(curves, "distance to the truth (m)", name)
-    if len(estimate.points) > 1:
-        title = f"{name}: {len(estimate.points)} points of the map, {len(segments)} bars"
-        figures["map"] = figure_segments(estimate.points, segments, orientation(segments), title)
-    return figures
-
-
-def _estimator(flight: Flight, settings: ExperimentSettings) -> Odometry:
-    if settings.odometry.orb and flight.images is None:
-        told, method = flight.facts.get("images", "none"), settings.odometry.method
-        raise RecordingError(f"{flight.name}: no images for method {method!r}: {told}")
-    return odometry.make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
+        written = ", ".join(sorted(file.name for file in folder.iterdir()))
+    notes += [f"not smoothed: {estimate.unsmoothed}"] if estimate.unsmoothed else []
+    notes += [f"no uncertainty: {estimate.unsure}"] if estimate.unsure else []
+    summary = (*_summary(numbers, notes, built), f"written   {output}/: {written}")
+    return RecordingReport(Path(output), estimate, true, built, segments, numbers, figures, summary)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:
     try:
         return reconstruct(flight.scans, estimate.corrected.T_world_drone, flight.T_drone_sensor, settings)
-    except (EmptyCloudError, DegenerateCloudError, SettingsError) as fault:  # no return above the floor; huge extents
+    except InputError as fault:  # no return above the floor; huge extents
         return Structure.empty(str(fault))
+
+
+def _sigma_m(estimate: Estimate, segments: Segments) -> np.ndarray | None:
+    """Standard deviations ``(M, 2)`` of a smoothed flight's bars, across their axes at both ends."""
+    if estimate.axis_covariance is None:
+        return None
+    half_m = 0.5 * segments.length
+    return np.column_stack([axis_sigma_m(estimate.axis_covariance, along_m) for along_m in (-half_m, half_m)])
+
+
+def truth_at_scans(flight: Flight, truth: Trajectory | None) -> tuple[Trajectory | None, list[str]]:
+    """True poses at those scans that have one, in the frame of the prior; and remarks for the user.
+
+    None where fewer than two scans have one. A truth in another frame is moved so that the first poses agree.
+    """
+    if truth is None:
+        return None, ["no truth: nothing is said of errors"]
+    T_world_drone, known = interpolate(truth, flight.prior.stamp_s)
+    notes = []
+    if not known.all():
+        notes.append(f"the truth covers {np.count_nonzero(known)} of {len(known)} scans; errors are those there")
+    if np.count_nonzero(known) < 2:
+        return None, notes
+    true = Trajectory(flight.prior.stamp_s[known], T_world_drone[known])
+    T_prior_truth = flight.prior.T_world_drone[known][0] @ np.linalg.inv(true.T_world_drone[0])
+    apart_m = float(np.linalg.norm(flight.prior.position[known][0] - true.position[0]))
+    apart_rad = float(Rotation.from_matrix(T_prior_truth[:3, :3]).magnitude())
+    if apart_m > APART_M or apart_rad > APART_RAD:
+        notes.append(
+            f"poses and truth are in different frames, {apart_m:.2f} m and {math.degrees(apart_rad):.1f}° apart at the "
+            "first scan: the truth was moved onto the first pose"
+        )
+        true = Trajectory(true.stamp_s, T_prior_truth @ true.T_world_drone)
+    return true, notes
+
+
+def measure_recording(
+    flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments, built: Structure
+) -> dict[str, float]:
+    """Scans used and not used by reason, milliseconds an update, sizes of the map, and, at the poses of ``truth``,
+    errors in metres.
+
+    ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that were used, but say
+    nothing of one direction or more.
+    """
+    ms, unused = 1e3 * estimate.update_s, Counter(each.partition(":")[0] for each in estimate.reason if each)
+    times = (*np.percentile(ms, [50, 95, 99]).tolist(), float(ms.max()), estimate.on_time_share)
+    numbers: dict[str, float] = {
+        "frames": len(flight),
+        "used": len(flight) - unused.total(),
+        **{f"not used: {reason}": count for reason, count in unused.most_common()},
+        "prior_followed": int((estimate.unobserved > 0).sum()),
+        **{f"skipped: {reason}": count for reason, count in sorted(flight.skipped.items())},
+        "duration_s": float(np.ptp(estimate.prior.stamp_s)),
+        **dict(zip(TIMES, times, strict=True)),
+    }
+    if truth is not None:
+        prior, corrected = (score_trajectory(t.at(truth.stamp_s), truth) for t in (estimate.prior, estimate.corrected))
+        numbers |= {"frames_with_truth": len(truth)}
+        numbers |= {f"prior_{name}": value for name, value in prior.items()}
+        numbers |= {f"corrected_{name}": value for name, value in corrected.items()}
+        if prior["ate_rmse_m"] > 0:
+            numbers["drift_removed_percent"] = 100 * (1 - corrected["ate_rmse_m"] / prior["ate_rmse_m"])
+    sizes = {"map_points": len(estimate.points), "segments": len(segments)}
+    return numbers | sizes | {"structure_bars": len(built), "structure_joints": len(built.joint)}
+
+
+def opened_lines(flight: Flight) -> tuple[str, ...]:
+    """What was read of a recording, in lines of text: topics, mount, scans, and what was left out."""
+    x, y, z = flight.T_drone_sensor[:3, 3]
+    yaw, pitch, roll = Rotation.from_matrix(flight.T_drone_sensor[:3, :3]).as_euler("ZYX", degrees=True)
+    topics = ", ".join(f"{part} {flight.facts[part]}" for part in ("scans", "poses", "imu") if part in flight.facts)
+    skipped = "; ".join(f"{number} {reason}" for reason, number in sorted(flight.skipped.items()))
+    stamp_s = flight.prior.stamp_s
+    return (
+        f"read      {flight.name}: {topics}",
+        f"mount     at x {x:.3f}, y {y:.3f}, z {z:.3f} m, roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f}° "
+        f"({flight.facts['mount']})",
+        f"scans     {len(stamp_s)} with a pose over {np.ptp(stamp_s):.1f} s"
+        + (f", {1 / np.median(np.diff(stamp_s)):.4g} a second" if len(stamp_s) > 1 else ""),
+        *([f"skipped   {skipped}"] if skipped else []),
+    )
+
+
+def _summary(numbers: dict[str, float], notes: list[str], built: Structure) -> list[str]:
+    unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
+    median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
+    lines = [f"note      {note}" for note in notes]
+    lines.append(
+        f"used      {counted(numbers['used'], 'scan')}" + (f"; not used: {', '.join(unused)}" if unused else "")
+    )
+    if numbers["prior_followed"]:
+        followed = counted(numbers["prior_followed"], "scan")
+        lines.append(f"weak      {followed} of a wall or of flat ground: along it the prior was followed")
+    lines.append(
+        f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
+        f"{100 * on_time:.1f} % on time"
+    )
+    if "prior_ate_rmse_m" in numbers:
+        prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
+        removed = f", {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
+        lines.append(f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (root mean square){removed}")
+    found = f"{counted(len(built), 'bar')}, {counted(len(built.joint), 'joint')}"
+    lines.append(f"map       {counted(numbers['map_points'], 'point')}, {counted(numbers['segments'], 'bar')}")
+    return [*lines, f"structure {found if len(built) else f'empty: {built.reason}'}"]

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.points import voxel_grid
-from steelnb.report.words import guess
-from steelnb.settings import METHODS, ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.types import Array, Flight
 
 FIRST_SCANS = 10
@@ -21,6 +20,8 @@ UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """Where more points than this share lie so far below the world's zero, that is not the ground."""
 NO_FLOOR_M = -1e6
+MEDIAN_MAX_M = 300.0
+"""No sensor of a drone sees half of its returns beyond this."""
 LENGTHS = {
     "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
@@ -43,7 +44,7 @@ class Scene:
 
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
-        """The scene before the first scans of a flight. Raises what reading them raises."""
+        """The scene before the first scans of a flight. Raises `InputError`, also for scans in millimetres."""
         first = flight.first(FIRST_SCANS)
         ranges, heights, seen = [np.zeros(0)], [np.zeros(0)], np.zeros((0, 3))
         for scan, T_world_drone in zip(first.scans, first.prior.T_world_drone, strict=False):
@@ -58,6 +59,11 @@ class Scene:
         if not len(range_m):
             return cls(np.nan, np.nan, np.nan, seen)
         median_m, far_m = np.percentile(range_m, [50, 99])
+        if median_m > MEDIAN_MAX_M:
+            raise InputError(
+                f"{flight.name}: half of the returns are farther than {median_m:.4g}: it looks like millimetres; "
+                "expected metres"
+            )
         return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()), seen)
 
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
@@ -90,28 +96,21 @@ def recording_settings(
     sensor: str = "starling2",
     *,
     scene: Scene | None = None,
-    seed: int = 1,
     range_max_m: float | None = None,
-    floor_m: float | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> tuple[ExperimentSettings, StructureSettings]:
     """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
 
-    ``method`` is one of `steelnb.settings.METHODS`, or ``segments`` for ``least_squares``. With ``scene``, lengths and
-    floor follow from the first scans of a flight. ``range_max_m`` and ``floor_m`` are the crop in all directions and
-    the floor in the world; they and ``overrides`` come before all else. Raises `SettingsError`.
+    With ``scene``, lengths and floor follow from the first scans of a flight. ``range_max_m``, the crop in all
+    directions, and ``overrides`` come before all else. Raises `InputError`.
     """
-    if method not in (*METHODS, "segments"):
-        near, known = guess(method, (*METHODS, "segments")), ", ".join(map(repr, (*METHODS, "segments")))
-        raise SettingsError(f"odometry = {method!r}{near}; expected one of {known}")
-    chosen = "least_squares" if method == "segments" else method
-    preset = ExperimentSettings.preset(noise="none", sensor=sensor, seed=seed, method=chosen)
+    preset = ExperimentSettings.preset(noise="none", sensor=sensor, method=method)
     found = scene.overrides(preset) if scene is not None else {}
-    given = {"preprocess.crop_m": range_max_m, "preprocess.floor_m": floor_m}
-    found |= {name: value for name, value in given.items() if value is not None}
+    found |= {"preprocess.crop_m": range_max_m} if range_max_m is not None else {}
     settings = preset.override(found | dict(overrides or {}))
-    both = {"range_max_m": "preprocess.crop_m", "floor_m": "preprocess.floor_m"}
-    also = {name: found[own] for name, own in both.items() if own in found}
+    seen, before = settings.odometry.preprocess, preset.odometry.preprocess
+    also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
+    also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
     # Poses that no odometry corrected are not adjusted.
     return settings, StructureSettings().replace(adjust=method != "none", **also)
 

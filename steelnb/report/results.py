@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from steelnb.errors import FileMissingError
+from steelnb.errors import InputError
 from steelnb.files import new_folder
 from steelnb.keys import find_root, lock_digest
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
-PICTURES = ("fig_*.png", "structure_*.json", "structure_*.glb")
+PICTURES = ("fig_*.png", "structure_*.json")
 RESULTS = ("metrics.json", "provenance.json", "table.csv", "timing.csv", *PICTURES)
 """Patterns of the files that a notebook leaves; those of an earlier run go when it is run again."""
 Item = TypeVar("Item")
@@ -93,7 +93,7 @@ def environment() -> dict[str, Any]:
             versions[package] = importlib.metadata.version(package)
     try:
         digest = lock_digest(find_root())
-    except FileMissingError:
+    except InputError:
         digest = None
     versions["c-library"] = "-".join(platform.libc_ver())  # its sine and exponential round, too
     return {"versions": versions, "environment_lock_sha256": digest}

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import rng
-from steelnb.errors import FileMissingError
+from steelnb.errors import InputError
 from steelnb.hough.dx import default_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
@@ -229,13 +229,13 @@ def frame_runs(folder: Path) -> pd.DataFrame:
 
     Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
     without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
-    that the folder has for them. Raises `FileMissingError`.
+    that the folder has for them. Raises `InputError`.
     """
     names = ["scene", "noise_m", "clutter", "kept", "method", "seed"]
     try:
         rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
     except OSError as fault:
-        raise FileMissingError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
+        raise InputError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
     times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
     rows = rows.merge(times, on=names, how="left", validate="one_to_one")
     usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.proposals import find_bars
@@ -92,7 +92,7 @@ def fly_tower(
     overrides: dict[str, Any] | None = None,
     on_progress: Progress | None = None,
 ) -> StructureFlight:
-    """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `SettingsError`."""
+    """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `InputError`."""
     settings = ExperimentSettings.preset(
         trajectory, noise, sensor=sensor, seed=seed, duration_s=duration_s, method=method
     )
@@ -110,14 +110,14 @@ def rebuild(
     poses: Sequence[str] = POSES,
     on_progress: Progress | None = None,
 ) -> list[Rebuilt]:
-    """The structure from each of some `POSES` by each of some methods of `BUILDS`, scored. Raises `SettingsError`.
+    """The structure from each of some `POSES` by each of some methods of `BUILDS`, scored. Raises `InputError`.
 
     The drifting poses are taken as they are: the final reconstruction does not adjust them.
     """
     for label, values, known in (("poses", poses, POSES), ("structure_method", method, BUILDS)):
         for value in values:
             if value not in known:
-                raise SettingsError(f"{label} = {value!r}: expected one of {', '.join(map(repr, known))}")
+                raise InputError(f"{label} = {value!r}: expected one of {', '.join(map(repr, known))}")
     flight, runs = source.flight, []
     for k, (each, name) in enumerate(itertools.product(poses, method), start=1):
         began = time.perf_counter()
@@ -287,6 +287,5 @@ def toward_sensor_m(source: StructureFlight, bars: Segments, member: IntArray) -
 
 
 def structure_files(name: str, structure: Structure) -> dict[str, Callable[[Path], object]]:
-    """Files for `write_results`: structure_<name>.json and .glb (no .glb for one without bars)."""
-    endings = ("json", "glb") if len(structure) else ("json",)
-    return {f"structure_{name}.{ending}": partial(write_structure, structure) for ending in endings}
+    """A file for `write_results`: structure_<name>.json."""
+    return {f"structure_{name}.json": partial(write_structure, structure)}

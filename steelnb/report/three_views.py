@@ -20,6 +20,15 @@ from steelnb.types import Array, Segments
 GROUPS = {"near_vertical": COLOURS["leg"], "inclined": COLOURS["bracing"], "near_horizontal": COLOURS["ring"]}
 POINTS_MAX = 60_000
 Layer = tuple[str, dict[str, Any], Array]
+VERTICAL_DEG, HORIZONTAL_DEG = 20.0, 10.0
+"""Near vertical is up to 20° from the vertical, since legs lean; near horizontal up to 10° from the horizontal."""
+
+
+def orientation(segments: Segments) -> list[str]:
+    """Class of each segment out of `GROUPS`, from its direction alone."""
+    names = list(GROUPS)
+    lean = np.degrees(np.arccos(np.clip(np.abs(segments.direction[:, 2]), 0, 1)))
+    return [names[0] if angle <= VERTICAL_DEG else names[1 + (angle >= 90 - HORIZONTAL_DEG)] for angle in lean]
 
 
 @style()

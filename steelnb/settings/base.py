@@ -4,6 +4,7 @@ import ast
 import difflib
 import json
 import tomllib
+from collections.abc import Iterable
 from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.types import Array
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -39,7 +40,7 @@ S = TypeVar("S", bound="Settings")
 
 
 class Settings(BaseModel):
-    """Base of all settings: frozen, strict, no unknown key; every fault is a one-line `SettingsError`."""
+    """Base of all settings: frozen, strict, no unknown key; every fault is a one-line `InputError`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -47,7 +48,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as fault:
-            raise SettingsError(describe_fault(type(self).__name__, fault)) from None
+            raise InputError(describe_fault(type(self).__name__, fault)) from None
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked like the original."""
@@ -84,6 +85,12 @@ def describe_fault(where: str, fault: ValidationError) -> str:
     return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"[:_SHOWN]
 
 
+def guess(name: Any, known: Iterable[str]) -> str:
+    """`, did you mean ...?` where a known name is near, else nothing."""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    return f", did you mean {near[0]!r}?" if near else ""
+
+
 def quoted(names: Any) -> str:
     """Names in quotes, for a message."""
     return ", ".join(repr(name) for name in names)
@@ -96,16 +103,15 @@ def as_tuples(value: Any) -> Any:
 
 def overridden(settings: S, overrides: dict[str, Any]) -> S:
     """A copy with single settings changed, each named ``table.setting`` or ``setting``; a whole table, such as
-    ``tof.faults``, may be given as a dict, or as None where there may be none. Raises `SettingsError`."""
+    ``tof.faults``, may be given as a dict, or as None where there may be none. Raises `InputError`."""
     for path, value in overrides.items():
         *tables, name = path.split(".")
         places: list[Any] = [settings]
         for table in tables:
             places.append(getattr(places[-1], table, None))
         if not isinstance(places[-1], Settings) or name not in type(places[-1]).model_fields:
-            near = difflib.get_close_matches(path, setting_names(settings), n=1)
-            guess = f", did you mean {near[0]!r}?" if near else ""
-            raise SettingsError(f"overrides: unknown setting {path!r}{guess}; expected table.setting")
+            near = guess(path, setting_names(settings))
+            raise InputError(f"overrides: unknown setting {path!r}{near}; expected table.setting")
         changed = as_tuples(value)
         for place, field in zip(reversed(places), [name, *reversed(tables)], strict=True):
             changed = place.replace(**{field: changed})
@@ -123,10 +129,10 @@ def setting_names(settings: Settings) -> list[str]:
 
 
 def parse_parameter(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `SettingsError`."""
+    """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `InputError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))
     if not name or not equals:
-        raise SettingsError(f"-p {text}: expected NAME=VALUE, such as trajectory=loops or tof.rate_hz=10")
+        raise InputError(f"-p {text}: expected NAME=VALUE, such as trajectory=loops or tof.rate_hz=10")
     for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
         try:
             parsed = read(value)

@@ -51,5 +51,5 @@ class CameraSettings(Settings):
 
     @classmethod
     def preset(cls, camera: str = "forward") -> "CameraSettings":
-        """A camera of ``presets/cameras.toml`` by name: ``forward`` or ``tracking``. Raises `SettingsError`."""
+        """A camera of ``presets/cameras.toml`` by name: ``forward`` or ``tracking``. Raises `InputError`."""
         return cls(**preset_table("cameras", "camera", camera))

@@ -62,7 +62,7 @@ class ExperimentSettings(Settings):
         """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
 
         The flight names its tower, and its duration where none is given. ``overrides`` changes single settings, named
-        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `SettingsError`. A method by image features has
+        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`. A method by image features has
         the forward camera.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
@@ -96,7 +96,7 @@ class ExperimentSettings(Settings):
         """The experiment behind one of the report's plots: its flight, tower, sensor and noise, draw for draw.
 
         Scans are those that the report's program used. ``odometry``: another method on the same scans. Raises
-        `SettingsError`.
+        `InputError`.
 
         >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
         >>> settings.seed, settings.noise_name, round(settings.tof.rate_hz, 2)
@@ -110,7 +110,7 @@ class ExperimentSettings(Settings):
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
-        """A copy with single settings changed, each named ``table.setting``. Raises `SettingsError`.
+        """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
         The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``, ``camera``, ``noise``) and of the
         odometry (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, ``orb``, and ``odometry`` for

@@ -202,7 +202,7 @@ class OdometrySettings(Settings):
         cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
     ) -> "OdometrySettings":
         """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and
-        bars, or by features of images, uses the IMU beside the sensor. Raises `SettingsError`."""
+        bars, or by features of images, uses the IMU beside the sensor. Raises `InputError`."""
         of_sensor = sensor_preset(sensor)
         tables = method_preset(method, of_sensor.get("methods", {}))
         others = ("clouds", "orb", "weights", "library", "report_clouds")
@@ -225,6 +225,6 @@ class OdometrySettings(Settings):
     def override(self, overrides: dict[str, Any]) -> "OdometrySettings":
         """A copy with single settings changed, named as ``prior_sigma`` or ``clouds.map_voxel_m``.
 
-        Raises `SettingsError` for one that the method does not have.
+        Raises `InputError` for one that the method does not have.
         """
         return overridden(self, overrides)

@@ -6,28 +6,20 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.files import reading
-from steelnb.settings.base import S, as_tuples, quoted
+from steelnb.settings.base import S, as_tuples, guess, quoted
 
-TOML_BYTES_MAX = 1 << 22
 PRESETS = Path(__file__).parent.parent / "presets"
 
 
 def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
     """The tables of a TOML file; ``expected`` is what messages call its content.
 
-    Raises `FileMissingError` or `SettingsError`.
+    Raises `InputError`.
     """
-    form = expected or "a TOML file"
-    with reading(path, form), path.open("rb") as file:
-        text = file.read(TOML_BYTES_MAX + 1)
-    with reading(path, "a TOML file", content=SettingsError):
-        if len(text) > TOML_BYTES_MAX:
-            raise SettingsError(f"{path}: more than {TOML_BYTES_MAX} bytes; expected {form}")
-        tables = tomllib.loads(text.decode())
-        repr(tables)  # so that no table is nested deeper than messages about it can be
-        return tables
+    with reading(path, expected or "a TOML file"), path.open("rb") as file:
+        return tomllib.load(file)
 
 
 def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
@@ -35,11 +27,11 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
     found = {}
     for name, table in read_toml(path, expected).items():
         if not isinstance(table, dict):
-            raise SettingsError(f"{path}: [{name}]: {table!r}: expected a table")
+            raise InputError(f"{path}: [{name}]: {table!r}: expected a table")
         try:
             found[name] = kind(**table)
-        except SettingsError as fault:
-            raise SettingsError(f"{path}: [{name}]: {fault}") from None
+        except InputError as fault:
+            raise InputError(f"{path}: [{name}]: {fault}") from None
     return found
 
 
@@ -50,35 +42,37 @@ def sensor_names() -> tuple[str, ...]:
 
 def sensor_preset(sensor: str) -> dict[str, Any]:
     """The tables of a sensor's preset, or of a file whose name ends in ``.toml``; what it does not say is said by the
-    preset that it is ``based_on``. Raises `SettingsError`."""
+    preset that it is ``based_on``. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = _values(read_toml(Path(sensor), "a sensor's preset"))
     elif sensor in sensor_names():
         own = dict(_preset(f"sensors/{sensor}"))
     else:
-        raise SettingsError(f"sensor = {sensor!r}: expected one of {quoted(sensor_names())}, or a file FILE.toml")
+        near = guess(sensor, sensor_names())
+        raise InputError(f"sensor = {sensor!r}{near}; expected one of {quoted(sensor_names())}, or a file FILE.toml")
     base = own.pop("based_on", None)
     if base is None:
         return own
     if base not in sensor_names():
-        raise SettingsError(f"{sensor}: based_on = {base!r}: expected one of {quoted(sensor_names())}")
+        raise InputError(f"{sensor}: based_on = {base!r}: expected one of {quoted(sensor_names())}")
     return merged(sensor_preset(base), own)
 
 
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
     """The settings, where they differ from the defaults, of one of the ``flights``, ``towers``, ``cameras`` or
-    ``methods``: the ``file`` of its ``kind``. Raises `SettingsError`."""
+    ``methods``: the ``file`` of its ``kind``. Raises `InputError`."""
     if name not in _preset(file):
-        raise SettingsError(f"{kind} = {name!r}: expected one of {quoted(_preset(file))}")
+        known = _preset(file)
+        raise InputError(f"{kind} = {name!r}{guess(name, known)}; expected one of {quoted(known)}")
     return _preset(file)[name]
 
 
 def members_file(members: str) -> Path:
-    """The list of a tower's members: by its name, or a file whose name ends in ``.csv``. Raises `SettingsError`."""
+    """The list of a tower's members: by its name, or a file whose name ends in ``.csv``. Raises `InputError`."""
     path = Path(members) if members.endswith(".csv") else PRESETS / f"{members}.csv"
     if not path.is_file():
         names = quoted(sorted(known.stem for known in PRESETS.glob("*.csv")))
-        raise SettingsError(f"tower.members = {members!r}: no such list; expected one of {names}, or a file FILE.csv")
+        raise InputError(f"tower.members = {members!r}: no such list; expected one of {names}, or a file FILE.csv")
     return path
 
 
@@ -89,7 +83,7 @@ def method_names() -> tuple[str, ...]:
 
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The settings of a method, those that it is ``based_on`` included, each with what a sensor's preset adds to it
-    (``of_sensor``, by method). Raises `SettingsError`."""
+    (``of_sensor``, by method). Raises `InputError`."""
     own = merged(preset_table("methods", "method", method), of_sensor.get(method, {}))
     base = own.pop("based_on", None)
     return merged(method_preset(base, of_sensor), own) if base else own

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.settings.base import NotNegative, Positive, Settings
 from steelnb.settings.presets import PRESETS, read_toml
 from steelnb.settings.world import TrajectoryName
@@ -61,11 +61,11 @@ class ReportPlot(Settings):
 
     @classmethod
     def find(cls, figure: str, trajectory: str, method: str) -> "ReportPlot":
-        """The plot of a figure, trajectory and method. Raises `SettingsError`."""
+        """The plot of a figure, trajectory and method. Raises `InputError`."""
         plots = {(plot.figure, plot.trajectory, plot.method): plot for plot in read_report_plots()}
         if (figure, trajectory, method) not in plots:
             known = "; ".join(" ".join(names) for names in plots)
-            raise SettingsError(f"plot {figure} {trajectory} {method}: expected one of {known}")
+            raise InputError(f"plot {figure} {trajectory} {method}: expected one of {known}")
         return plots[figure, trajectory, method]  # type: ignore[index]
 
 

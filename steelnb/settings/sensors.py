@@ -52,6 +52,6 @@ class ImuSettings(Settings):
 
     @classmethod
     def preset(cls, sensor: str) -> "ImuSettings | None":
-        """The IMU beside a sensor, or None where its preset has none. Raises `SettingsError`."""
+        """The IMU beside a sensor, or None where its preset has none. Raises `InputError`."""
         table = sensor_preset(sensor).get("imu")
         return None if table is None else cls(**table)

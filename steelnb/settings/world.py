@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted, table
 from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.settings.sensors import TofFaultSettings
@@ -76,12 +76,12 @@ class TowerSettings(Settings):
 
     @classmethod
     def preset(cls, tower: str = "tapered") -> "TowerSettings":
-        """A tower of ``presets/towers.toml`` by name. Raises `SettingsError`."""
+        """A tower of ``presets/towers.toml`` by name. Raises `InputError`."""
         return cls(**preset_table("towers", "tower", tower))
 
     @classmethod
     def of_flight(cls, trajectory: TrajectoryName) -> "TowerSettings":
-        """The tower that a flight of ``presets/flights.toml`` passes. Raises `SettingsError`."""
+        """The tower that a flight of ``presets/flights.toml`` passes. Raises `InputError`."""
         return cls.preset(preset_table("flights", "trajectory", trajectory)["tower"])
 
 
@@ -149,7 +149,7 @@ class FlightSettings(Settings):
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
         """A flight of ``presets/flights.toml`` by name. Default duration: the preset's own, else up to the last
-        waypoint, else 200 s. Raises `SettingsError`."""
+        waypoint, else 200 s. Raises `InputError`."""
         values = dict(preset_table("flights", "trajectory", trajectory))
         del values["tower"]
         if duration_s is not None:
@@ -192,7 +192,7 @@ class TofSettings(Settings):
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":
-        """The sensor of ``presets/sensors/NAME.toml``, or of a TOML file of one's own. Raises `SettingsError`."""
+        """The sensor of ``presets/sensors/NAME.toml``, or of a TOML file of one's own. Raises `InputError`."""
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 
@@ -214,36 +214,36 @@ class NoiseSettings(Settings):
         """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
         A name without a level takes the report's, ``tilt`` one degree. ``constant-drift-per-axis`` reads the level as
-        the step per axis, √3 more in all. ``none`` is no noise. Raises `SettingsError`.
+        the step per axis, √3 more in all. ``none`` is no noise. Raises `InputError`.
 
         >>> NoiseSettings.parse("random-walk+yaw-random-walk:0.001")
         NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
         """
         if not isinstance(text, str):
-            raise SettingsError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
+            raise InputError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
         values: dict[str, Any] = {}
         for part in [] if text == "none" else text.split("+"):
             name, _, level = part.strip().partition(":")
             if name not in REPORT_NOISE:
-                raise SettingsError(f"noise = {text!r}: unknown noise {name!r}; expected one of {quoted(REPORT_NOISE)}")
+                raise InputError(f"noise = {text!r}: unknown noise {name!r}; expected one of {quoted(REPORT_NOISE)}")
             key, default, factor = REPORT_NOISE[name]
             if key in values:
-                raise SettingsError(f"noise = {text!r}: {key} is given twice")
+                raise InputError(f"noise = {text!r}: {key} is given twice")
             try:
                 values[key] = factor * (float(level) if level else default)
             except ValueError:
-                raise SettingsError(f"noise = {text!r}: the level {level!r} is not a number") from None
+                raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
         return cls(**values)
 
     def check_report(self) -> None:
-        """Raise `SettingsError` for noises that the report did not fly, of which the seed ``report`` has no draws."""
+        """Raise `InputError` for noises that the report did not fly, of which the seed ``report`` has no draws."""
         levels = {"random_walk_m": 0.002, "constant_drift_m": 0.0001, "yaw_random_walk_rad": 0.0005, "tilt_rad": 0.0}
         for name, level in levels.items():
             if getattr(self, name) not in (0.0, level):
                 has = f"{level:g} or none" if level else "none"
-                raise SettingsError(f"seed = 'report' with {name} = {getattr(self, name):g}: the report has {has}")
+                raise InputError(f"seed = 'report' with {name} = {getattr(self, name):g}: the report has {has}")
         if self.constant_drift_m and (self.random_walk_m or self.yaw_random_walk_rad):
-            raise SettingsError(
+            raise InputError(
                 f"seed = 'report' with constant_drift_m = {self.constant_drift_m:g} and a random walk: the report has"
                 " one or the other"
             )

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.errors import CollisionError, needs
+from steelnb.errors import CollisionError
 from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import gusts
 from steelnb.simulation.paths import heading, minimum_jerk, setpoints
@@ -129,8 +129,7 @@ def _import_pybullet() -> ModuleType:
     kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
-        with needs("sim"):
-            import pybullet
+        import pybullet
     finally:
         os.dup2(kept, 2)
         os.close(kept)

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.errors import needs
 from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
@@ -55,7 +54,7 @@ def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
     """The true trajectory with the roll and pitch that a filter makes of the readings, at the same stamps.
 
     Madgwick's revised filter (S. O. H. Madgwick, thesis, Bristol 2014, chapter 7; library imufusion), begun with the
-    true attitude. Position and heading stay: the error is a turn about a level axis. Raises `MissingExtraError`.
+    true attitude. Position and heading stay: the error is a turn about a level axis.
     """
     step_s = float(imu.stamp_s[1] - imu.stamp_s[0])
     return AttitudeFilter(truth.T_world_drone[0], step_s).update(truth, imu)
@@ -68,8 +67,8 @@ class AttitudeFilter:
     """
 
     def __init__(self, T_world_drone: Array, step_s: float) -> None:
-        with needs("sim"):
-            import imufusion
+        import imufusion
+
         self._filter = imufusion.Ahrs()
         self._filter.set_settings(imufusion.AhrsSettings(sample_rate=1 / step_s, gain=FILTER_GAIN, gyroscope_range=0.0))
         self._filter.skip_startup()

@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.files import reading
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
@@ -55,7 +55,7 @@ class Lattice(NamedTuple):
 def build_lattice(settings: TowerSettings) -> Lattice:
     """The members and plates of ``settings.members``; plates have no thickness and are nobody's (`PLATE`).
 
-    Joints are the ends of members and the points where they meet. Raises `SettingsError`.
+    Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
     listed = read_members(settings.members or "")
     joints, along = find_joints(listed.ends)
@@ -74,31 +74,29 @@ def build_lattice(settings: TowerSettings) -> Lattice:
 
 
 def leg_half_width(members: str, z: float) -> float:
-    """Half the distance between the outermost legs along x at height ``z``, metres. Raises `SettingsError`."""
+    """Half the distance between the outermost legs along x at height ``z``, metres. Raises `InputError`."""
     listed = read_members(members)
     legs = listed.ends[np.array(listed.kinds) == "leg"]
     legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
     if not len(legs):
-        raise SettingsError(f"tower.members = {members!r}: without a leg; expected one for the width of the body")
+        raise InputError(f"tower.members = {members!r}: without a leg; expected one for the width of the body")
     z = float(np.clip(z, legs[..., 2].min(), legs[..., 2].max()))
     x = [np.interp(z, *leg[:, [2, 0]].T) for leg in legs if leg[0, 2] <= z <= leg[1, 2]]
     return float(max(x) - min(x)) / 2
 
 
 def read_members(members: str) -> MemberList:
-    """The list of members of a preset, or of a file ``FILE.csv``. Raises `SettingsError`."""
+    """The list of members of a preset, or of a file ``FILE.csv``. Raises `InputError`."""
     path = members_file(members)
-    with reading(path, "a list of members", content=SettingsError), path.open(encoding="utf-8-sig", newline="") as file:
+    with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
         rows = [(k, row) for k, row in enumerate(reader, 1) if row]
         if not rows or rows[0][1] != COLUMNS:
-            raise SettingsError(
-                f"{path}: columns {','.join(rows[0][1]) if rows else ''!r}: expected {','.join(COLUMNS)}"
-            )
+            raise InputError(f"{path}: columns {','.join(rows[0][1]) if rows else ''!r}: expected {','.join(COLUMNS)}")
         points = [(row[0], _points(path, line, row)) for line, row in rows[1:]]
     kinds = [kind for kind, _ in points if kind in KINDS]
     if not kinds:
-        raise SettingsError(f"{path}: no member; expected one of {quoted(KINDS)}")
+        raise InputError(f"{path}: no member; expected one of {quoted(KINDS)}")
     corners = [(kind, [*found, found[1] + found[2] - found[0]]) for kind, found in points if kind in PLATES]
     plates = [[at[i] for i in triangle] for kind, at in corners for triangle in PLATES[kind]]
     return MemberList(
@@ -110,16 +108,16 @@ def _points(path: Path, line: int, row: list[str]) -> Array:
     """The ends of a member ``(2, 3)``, or the corners of a plate ``(3, 3)``."""
     count = 6 if row[0] in KINDS else 9 if row[0] in PLATES else 0
     if not count:
-        raise SettingsError(f"{path}: line {line}: kind {row[0]!r}: expected one of {quoted((*KINDS, *PLATES))}")
+        raise InputError(f"{path}: line {line}: kind {row[0]!r}: expected one of {quoted((*KINDS, *PLATES))}")
     try:
         number = [float(text) for text in row[1 : 1 + count]]
     except ValueError:
         number = []
     if len(number) < count or not all(map(math.isfinite, number)) or any(row[1 + count :]):
-        raise SettingsError(f"{path}: line {line}: {','.join(row)}: expected {count} finite numbers after {row[0]!r}")
+        raise InputError(f"{path}: line {line}: {','.join(row)}: expected {count} finite numbers after {row[0]!r}")
     points = np.array(number).reshape(-1, 3)
     if np.linalg.norm(points[1:] - points[0], axis=1).min() <= JOINT_M:
-        raise SettingsError(f"{path}: line {line}: {','.join(row)}: expected points more than {JOINT_M} m apart")
+        raise InputError(f"{path}: line {line}: {','.join(row)}: expected points more than {JOINT_M} m apart")
     return points
 
 

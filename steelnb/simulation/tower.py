@@ -31,7 +31,7 @@ class Tower:
 
 def half_width(settings: TowerSettings, z: float) -> float:
     """Distance of the body's faces to its axis at height ``z``, metres: that of the legs in a list of members, else two
-    tapers that meet at the waist. Raises `SettingsError`."""
+    tapers that meet at the waist. Raises `InputError`."""
     if settings.members is not None:
         return leg_half_width(settings.members, z)
     heights = (0.0, settings.waist_height_m, settings.height_m)
@@ -77,7 +77,7 @@ class _Builder:
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres; arms
-    reach along ±x. The mesh holds a closed prism for each member. No randomness. Raises `SettingsError`."""
+    reach along ±x. The mesh holds a closed prism for each member. No randomness. Raises `InputError`."""
     settings = settings or TowerSettings()
     return _build_tapered(settings) if settings.members is None else Tower(*build_lattice(settings), settings)
 

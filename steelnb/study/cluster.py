@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from steelnb.errors import SchedulerError, SettingsError, needs
+from steelnb.errors import InputError
 from steelnb.settings import ExperimentSettings
 from steelnb.study.plan import Run, by_flight, software_digest
 from steelnb.study.row import FAILED, OK, Flown, fly, run_on
@@ -48,7 +48,7 @@ def run_study(
     machine : description of the processor, noted beside the measured times.
     on_row : called with the row of each run that has ended.
 
-    Raises `SchedulerError`, `SettingsError`, `FileContentError` for a damaged table, and `OutputError`. What had ended
+    Raises `InputError`, for a damaged table too, and `OutputError`. What had ended
     before is stored then, and the next call goes on from there.
     """
     failed: list[Row] = []
@@ -71,7 +71,7 @@ def run_study(
 
 def forecast(runs: Sequence[Run], folder: Path) -> tuple[int, float]:
     """Number of runs that ``folder`` holds, and core seconds that the others take: by runs of the same sensor and
-    method, else by a rule of thumb. Nothing is run or written. Raises `FileContentError`."""
+    method, else by a rule of thumb. Nothing is run or written. Raises `InputError`."""
     rows = stored_rows(folder)
     done = {run.key: rows[run.key] for run in runs if rows.get(run.key, {}).get("status") == OK}
     rates = defaultdict(list)
@@ -87,7 +87,7 @@ def forecast(runs: Sequence[Run], folder: Path) -> tuple[int, float]:
 
 
 def compute(client: "Client", runs: Sequence[Run]) -> Iterator[tuple[Run, Row]]:
-    """Rows of some runs as they end. Raises `SchedulerError` if the scheduler is lost meanwhile."""
+    """Rows of some runs as they end. Raises `InputError` if the scheduler is lost meanwhile."""
     from distributed import CancelledError, as_completed
 
     flights, software = by_flight(runs), software_digest()
@@ -115,7 +115,7 @@ def compute(client: "Client", runs: Sequence[Run]) -> Iterator[tuple[Run, Row]]:
             else:
                 raise CancelledError(future.key)
     except (CancelledError, OSError) as fault:
-        raise SchedulerError(
+        raise InputError(
             f"the scheduler went away ({type(fault).__name__}); what had ended is stored, and the next call goes on"
         ) from None
 
@@ -136,18 +136,17 @@ def connected(workers: int | None, scheduler: str | None, flights: int) -> "Iter
     tcp://HOST:PORT is as open as its network; for tls://HOST:PORT, Dask's settings ``distributed.comm.tls`` name the
     certificates.
 
-    No more local workers are started than there are ``flights``. Raises `SchedulerError`, `SettingsError` or
-    `MissingExtraError`.
+    No more local workers are started than there are ``flights``. Raises `InputError`.
     """
     if workers is not None and workers < 1:
-        raise SettingsError(f"workers = {workers}: expected at least 1")
+        raise InputError(f"workers = {workers}: expected at least 1")
     if workers is not None and scheduler is not None:
-        raise SettingsError(f"workers = {workers}: a cluster has the workers that it has; leave out one of the two")
-    with needs("study"):
-        import cryptography as _  # noqa: F401 for the certificate
-        import dask.system
-        from distributed import Client, LocalCluster
-        from distributed.security import Security
+        raise InputError(f"workers = {workers}: a cluster has the workers that it has; leave out one of the two")
+    import cryptography as _  # noqa: F401 for the certificate
+    import dask.system
+    from distributed import Client, LocalCluster
+    from distributed.security import Security
+
     # Faults are told here, in one line; Dask's own words would come from every process.
     for name in ("distributed", "distributed.client", "distributed.nanny", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -174,13 +173,13 @@ def connected(workers: int | None, scheduler: str | None, flights: int) -> "Iter
                 client = stack.enter_context(Client(scheduler, timeout=ANSWER_S))
             except (OSError, ValueError, TypeError, ImportError) as fault:
                 reason = " ".join(str(fault).split())[:200]
-                raise SchedulerError(
+                raise InputError(
                     f"scheduler {scheduler}: no answer ({reason}); expected a Dask scheduler, e.g. tcp://HOST:8786"
                 ) from None
         try:
             client.wait_for_workers(1, timeout=ANSWER_S)
         except TimeoutError:
-            raise SchedulerError(
+            raise InputError(
                 f"scheduler {scheduler or 'of this machine'}: no worker within {ANSWER_S:g} s; start at least one"
             ) from None
         yield client

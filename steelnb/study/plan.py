@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.keys import code_digest, digest
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, Seed
@@ -62,7 +62,7 @@ class Block(Settings):
         return self.sensors, self.trajectories, self.seeds, self.noises, self.overrides, self.methods
 
     def settings(self) -> Iterator[tuple[ExperimentSettings, str]]:
-        """Settings of each run and, as text, its overrides. Raises `SettingsError`."""
+        """Settings of each run and, as text, its overrides. Raises `InputError`."""
         for sensor, trajectory, seed, noise, changes, method in itertools.product(*self.axes):
             given = {**changes, **({"tof.blind_s": self.blind_s} if self.blind_s else {})}
             settings = ExperimentSettings.preset(
@@ -109,20 +109,20 @@ class Run:
 def read_plan(path: Path) -> list[Run]:
     """Runs of a study's TOML file, each once; those of one flight follow each other.
 
-    Raises `FileMissingError`, or `SettingsError` for unknown axes or values and for more than `RUNS_MAX` runs.
+    Raises `InputError`, or `InputError` for unknown axes or values and for more than `RUNS_MAX` runs.
     """
     blocks = read_tables(path, Block, "the settings of a study")
     if not blocks:
-        raise SettingsError(f"{path}: no table; expected at least one, such as [report]")
+        raise InputError(f"{path}: no table; expected at least one, such as [report]")
     count = sum(math.prod(map(len, block.axes)) for block in blocks.values())
     if count > RUNS_MAX:
-        raise SettingsError(f"{path}: {count:,} runs; expected at most {RUNS_MAX:,} in a study")
+        raise InputError(f"{path}: {count:,} runs; expected at most {RUNS_MAX:,} in a study")
     runs: dict[str, Run] = {}
     for name, block in blocks.items():
         try:
             made = [make_run(settings, variant) for settings, variant in block.settings()]
-        except SettingsError as fault:
-            raise SettingsError(f"{path}: [{name}]: {fault}") from None
+        except InputError as fault:
+            raise InputError(f"{path}: [{name}]: {fault}") from None
         runs.update((run.key, run) for run in made)
     return [run for flight in by_flight(runs.values()) for run in flight]
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steelnb.errors import FileContentError, FileMissingError, OutputError
-from steelnb.files import new_file
+from steelnb.errors import InputError, OutputError
+from steelnb.files import new_folder
 from steelnb.study.plan import CASE, Run
 from steelnb.study.row import OK
 
@@ -35,7 +35,7 @@ def read_study(folder: Path) -> "pd.DataFrame":
     """Table of a study with its measured times, a row a run.
 
     Columns are `CASE`, ``key``, ``status``, ``error``, the numbers of `steelnb.study.row.numbers`, `CURVES` (arrays)
-    and `TIMES`. Raises `FileMissingError` if there is none, `FileContentError` if it is damaged.
+    and `TIMES`. Raises `InputError` if there is none, `InputError` if it is damaged.
     """
     frame = _read(folder / RUNS).to_pandas()
     if not (folder / TIMING).is_file():
@@ -56,14 +56,14 @@ def _read(path: Path) -> "pa.Table":
     try:
         return parquet.read_table(path, page_checksum_verification=True)
     except FileNotFoundError:
-        raise FileMissingError(f"{path}: no such file; expected the table of a study, see `steelnb study`") from None
+        raise InputError(f"{path}: no such file; expected the table of a study, see `steelnb study`") from None
     except (pa.ArrowException, OSError) as fault:
         reason = " ".join(str(fault).split())[:100]
-        raise FileContentError(f"{path}: damaged ({reason}); restore it, or remove it to run its runs again") from None
+        raise InputError(f"{path}: damaged ({reason}); restore it, or remove it to run its runs again") from None
 
 
 def stored_rows(folder: Path) -> dict[str, Row]:
-    """Rows in a folder by key: of a run that ended well the last such row, else the last. Raises `FileContentError`."""
+    """Rows in a folder by key: of a run that ended well the last such row, else the last. Raises `InputError`."""
     times = {row["key"]: row for row in read_rows(folder / TIMING)} if (folder / TIMING).is_file() else {}
     rows = [times.get(row["key"], {}) | row for row in read_rows(folder / RUNS)] if (folder / RUNS).is_file() else []
     found: dict[str, Row] = {}
@@ -123,15 +123,16 @@ def write_tables(folder: Path, runs: Iterable[Run], rows: Mapping[str, Row]) -> 
     chosen = sorted((rows[key] for key in keys), key=lambda row: [row[name] for name in CASE])
     names = set().union(*chosen)
     numbers = sorted(names - {*CASE, *STATUS, *CURVES, *TIMES})
-    for file, columns in ((TIMING, (*CASE, "key", *TIMES)), (RUNS, (*CASE, *STATUS, *numbers, *CURVES))):
-        schema = pa.schema([(name, _kind(name)) for name in columns if name in names])
-        with new_file(folder / file) as path:
+    with new_folder(folder) as new:
+        for file, columns in ((TIMING, (*CASE, "key", *TIMES)), (RUNS, (*CASE, *STATUS, *numbers, *CURVES))):
+            schema = pa.schema([(name, _kind(name)) for name in columns if name in names])
             parquet.write_table(
-                pa.Table.from_pylist(chosen, schema), path, compression="zstd", compression_level=9,
+                pa.Table.from_pylist(chosen, schema), new / file, compression="zstd", compression_level=9,
                 write_page_checksum=True,
             )  # fmt: skip
-    with new_file(folder / ROWS) as path:
-        path.write_text("\n".join(_json(row) for key, row in rows.items() if key not in keys), encoding="utf-8")
+    left = "\n".join(_json(row) for key, row in rows.items() if key not in keys)
+    with new_folder((folder / ROWS).parent) as new:
+        (new / Path(ROWS).name).write_text(left, encoding="utf-8")
 
 
 def _kind(name: str) -> Any:

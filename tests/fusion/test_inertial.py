@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import RecordingError
+from steelnb.errors import InputError
 from steelnb.fusion import inertial, smooth
 from steelnb.fusion.poses import moved_poses
 from steelnb.metrics import score_trajectory
@@ -141,7 +141,7 @@ def test_readings_in_other_units_or_axes_are_refused(change, says):
     trajectory, imu, _ = swaying(21, rate=(0.02, 0.01, 0.3))
     prior = Trajectory(trajectory.stamp_s[::EVERY], trajectory.T_world_drone[::EVERY])
     inertial.check_imu(imu, prior)
-    with pytest.raises(RecordingError, match=says):
+    with pytest.raises(InputError, match=says):
         inertial.check_imu(change(imu), prior)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
 from steelnb.fusion.joints import find_joints
@@ -47,9 +47,9 @@ def test_a_frame_is_found_with_its_joints_wherever_it_stands(seed, size, yaw):
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(EmptyCloudError, match="without a return"):
+    with pytest.raises(InputError, match="without a return"):
         reconstruct([], np.zeros((0, 4, 4)))
-    with pytest.raises(SettingsError, match=r"expected \(0, 4, 4\)"):
+    with pytest.raises(InputError, match=r"expected \(0, 4, 4\)"):
         reconstruct([], np.zeros((1, 4, 4)))
 
 

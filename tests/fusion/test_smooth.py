@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import SingularError
+from steelnb.errors import InputError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
 from steelnb.fusion.bar_equations import Bars
 from steelnb.fusion.observations import Observations
@@ -58,7 +58,7 @@ def test_it_has_a_covariance_for_each_pose_and_axis(smoothed):
 
 def test_without_covariances_the_reason_is_told_and_the_poses_stay(flown, smoothed, monkeypatch):
     def fail(*_):
-        raise SingularError("covariance of pose 3 is singular: nothing holds it along 1.00 z")
+        raise InputError("covariance of pose 3 is singular: nothing holds it along 1.00 z")
 
     monkeypatch.setattr(uncertainty, "marginals", fail)
     found = smooth(flown[0], flown[2])

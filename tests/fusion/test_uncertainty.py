@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SingularError
+from steelnb.errors import InputError
 from steelnb.fusion import bundle, poses, sections, uncertainty
 from steelnb.fusion.bar_equations import BAR, Bars
 from tests.fusion.made import bars_of
@@ -122,7 +122,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 def test_a_free_direction_is_named(monkeypatch):
     monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
     T, bars, seen = wall_of_posts()
-    with pytest.raises(SingularError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
+    with pytest.raises(InputError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
         marginals(state_of(T, bars), seen, T)
 
 
@@ -136,7 +136,7 @@ def test_equations_that_are_not_finite_are_refused():
     T, bars, seen = made_up(1, 0.004)
     prior = T.copy()
     prior[7, 0, 3] = np.nan
-    with pytest.raises(SingularError, match="not finite"):
+    with pytest.raises(InputError, match="not finite"):
         marginals(state_of(T, bars), seen, prior)
 
 
@@ -149,7 +149,7 @@ def test_equations_that_are_not_finite_are_refused():
     ],
 )
 def test_covariances_that_are_none_are_named(covariance, says):
-    with pytest.raises(SingularError, match=says):
+    with pytest.raises(InputError, match=says):
         uncertainty.check_covariances(np.stack([np.eye(3), covariance]), "pose", ("x", "y", "z"), first=4)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numba import config
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.hough import detect_lines, detect_segments, directions, transform
 from steelnb.hough import votes as image_votes
 from steelnb.hough.dx import default_dx
@@ -188,26 +188,26 @@ def test_a_value_that_is_not_finite_is_refused_wherever_it_stands(seed, n, value
     points = rng.normal(size=(n, 3))
     points[rng.integers(n), rng.integers(3)] = value
     for find in (detect_lines, detect_segments, default_dx):
-        with pytest.raises(EmptyCloudError, match=f"1 of {n} points not finite"):
+        with pytest.raises(InputError, match=f"1 of {n} points not finite"):
             find(points)
 
 
 @pytest.mark.parametrize(
     ("points", "arguments", "error", "says"),
     [
-        (np.zeros((0, 3)), {}, EmptyCloudError, "0 points"),
-        (np.zeros((1, 3)), {}, DegenerateCloudError, "1 point"),
-        (np.ones((5, 3)), {}, DegenerateCloudError, "identical"),
-        (np.zeros((5, 2)), {}, SettingsError, "shape"),
-        (np.eye(3), {"dx": 0.0}, SettingsError, "dx = 0"),
-        (np.eye(3), {"dx": -1.0}, SettingsError, "dx = -1"),
-        (np.eye(3), {"dx": 5.0}, SettingsError, "diagonal"),
-        (np.eye(3), {"dx": np.nan}, SettingsError, "dx = nan"),
-        (np.eye(3), {"granularity": -1}, SettingsError, "granularity = -1"),
-        (np.eye(3), {"dx": 1e-5}, SettingsError, "would fit"),
-        (np.eye(3), {"granularity": 7}, SettingsError, "granularity = 7"),
-        (np.eye(3), {"min_votes": 1}, SettingsError, "min_votes = 1"),
-        (np.eye(3), {"max_lines": 0}, SettingsError, "max_lines = 0"),
+        (np.zeros((0, 3)), {}, InputError, "0 points"),
+        (np.zeros((1, 3)), {}, InputError, "1 point"),
+        (np.ones((5, 3)), {}, InputError, "identical"),
+        (np.zeros((5, 2)), {}, InputError, "shape"),
+        (np.eye(3), {"dx": 0.0}, InputError, "dx = 0"),
+        (np.eye(3), {"dx": -1.0}, InputError, "dx = -1"),
+        (np.eye(3), {"dx": 5.0}, InputError, "diagonal"),
+        (np.eye(3), {"dx": np.nan}, InputError, "dx = nan"),
+        (np.eye(3), {"granularity": -1}, InputError, "granularity = -1"),
+        (np.eye(3), {"dx": 1e-5}, InputError, "would fit"),
+        (np.eye(3), {"granularity": 7}, InputError, "granularity = 7"),
+        (np.eye(3), {"min_votes": 1}, InputError, "min_votes = 1"),
+        (np.eye(3), {"max_lines": 0}, InputError, "max_lines = 0"),
     ],
 )
 def test_bad_input_says_what_was_wrong(points, arguments, error, says):
@@ -218,13 +218,13 @@ def test_bad_input_says_what_was_wrong(points, arguments, error, says):
 
 def test_the_dx_that_would_fit_fits():
     points = np.random.default_rng(0).normal(size=(4, 3))
-    with pytest.raises(SettingsError, match="would fit") as refusal:
+    with pytest.raises(InputError, match="would fit") as refusal:
         detect_lines(points, 1e-300)
     dx = float(str(refusal.value).split("a dx of ")[1].split(" m")[0])
     detect_lines(points, dx, granularity=0)
     half = np.linalg.norm(np.ptp(points, axis=0)) / 2
     assert 0.98 * MAX_CELLS < (2 * half / dx) ** 2 <= MAX_CELLS
-    with pytest.raises(SettingsError, match="would fit"):
+    with pytest.raises(InputError, match="would fit"):
         detect_lines(points, 0.98 * dx)
 
 

@@ -1,15 +1,13 @@
-"""Flights in memory, bags of any messages written by rosbags, and mutations of files."""
+"""Flights in memory, and bags of any messages written by rosbags."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.io.bag_files import TRANSFORMS, typestore
-from steelnb.io.bag_topics import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM
 from steelnb.io.bag_writer import Messages
+from steelnb.io.bags import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, TF, typestore
 from steelnb.types import Array, Flight, Imu, Scan, Trajectory
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
@@ -61,20 +59,15 @@ class Bagged:
     def odometry(self, topic="/odom", trajectory=None, child="base_link", kind=ODOMETRY) -> "Bagged":
         trajectory = trajectory or poses(len(STAMPS))
         for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
-            message = self.make.odometry(ns(stamp), T[:3, 3], quaternion(T))
+            message = self.make.odometry(ns(stamp), T)
             message.child_frame_id = child
             if kind == POSE:
                 message = self.make.make(POSE, message.header, message.pose.pose)
-            elif kind == POSE_COVARIANCE:
-                message = self.make.make(POSE_COVARIANCE, message.header, message.pose)
-            elif kind == TRANSFORM:
-                message = self.make.transform(ns(stamp), "odom", child, T[:3, 3], quaternion(T)).transforms[0]
             self.rows.append((topic, kind, float(stamp), message))
         return self
 
     def tf(self, parent, child, T, stamp=0.0, topic="/tf_static") -> "Bagged":
-        message = self.make.transform(ns(stamp), parent, child, T[:3, 3], quaternion(T))
-        self.rows.append((topic, TRANSFORMS[0], stamp, message))
+        self.rows.append((topic, TF[0], stamp, self.make.transform(ns(stamp), parent, child, T)))
         return self
 
     def images(self, topic, pixels, encoding, frame="camera_optical_frame", stamps=STAMPS) -> "Bagged":
@@ -121,24 +114,6 @@ class Bagged:
         if not one:
             (folder / f"a{self.path.suffix}").rename(self.path)
         return self.path
-
-
-def mutated(data: bytes, count: int, seed: int = 0) -> Iterator[bytes]:
-    """Cuts, and changes of up to 20 bytes, most of them in the first and the last 3,000."""
-    rng = np.random.default_rng(seed)
-    for k in range(count):
-        if k % 4 == 0:
-            yield data[: rng.integers(len(data))]
-            continue
-        noisy = np.frombuffer(data, np.uint8).copy()
-        ends = np.concatenate([rng.integers(0, 3000, 8), -rng.integers(1, 3000, 6), rng.integers(0, len(data), 6)])
-        where = ends[: rng.integers(1, 21)] % len(data)
-        noisy[where] = rng.integers(0, 256, len(where))
-        yield noisy.tobytes()
-
-
-def quaternion(T: Array) -> Array:
-    return Rotation.from_matrix(T[:3, :3]).as_quat()
 
 
 def ns(stamp_s: float) -> int:

@@ -34,6 +34,27 @@ def test_trajectory_errors_are_unaligned_and_at_the_stamps_of_the_estimate():
     np.testing.assert_allclose(position_error_m(estimate, truth), offset)
 
 
+def test_trajectory_errors_are_those_of_evo():
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+    from evo.core.units import Unit
+
+    truth, rng = line(60), np.random.default_rng(0)
+    T = truth.T_world_drone @ np.array([rigid(k) for k in range(60)])
+    T[:, :3, 3] = truth.position + rng.normal(scale=0.1, size=(60, 3))
+    pair = [PoseTrajectory3D(poses_se3=list(each), timestamps=truth.stamp_s) for each in (truth.T_world_drone, T)]
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    rpe = metrics.RPE(metrics.PoseRelation.translation_part, 5, Unit.frames, all_pairs=True)
+    ape.process_data(pair)
+    rpe.process_data(pair)
+    score = score_trajectory(Trajectory(truth.stamp_s, T), truth, rpe_delta_s=1.0)
+    kinds = metrics.StatisticsType
+    assert score["ate_rmse_m"] == pytest.approx(ape.get_statistic(kinds.rmse), rel=1e-12)
+    assert score["error_mean_m"] == pytest.approx(ape.get_statistic(kinds.mean), rel=1e-12)
+    assert score["error_max_m"] == pytest.approx(ape.get_statistic(kinds.max), rel=1e-12)
+    assert score["rpe_rmse_m"] == pytest.approx(rpe.get_statistic(kinds.rmse), rel=1e-12)
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 2))
 def test_the_error_of_a_shifted_trajectory_is_the_shift_in_any_frame(seed, size):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SettingsError, SingularError
+from steelnb.errors import InputError
 from steelnb.fusion.sections import frames
 from steelnb.metrics import axis_errors, coverage, nees, pose_errors
 from steelnb.types import Trajectory
@@ -26,13 +26,13 @@ def test_errors_of_the_stated_covariance_have_nees_of_their_dimension():
 def test_a_covariance_without_an_inverse_is_refused():
     covariance = np.tile(np.eye(3), (2, 1, 1))
     covariance[1, 2, 2] = 0.0
-    with pytest.raises(SingularError, match=r"error 1 is not positive definite along 1\.00 component 2"):
+    with pytest.raises(InputError, match=r"error 1 is not positive definite along 1\.00 component 2"):
         nees(np.ones((2, 3)), covariance)
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (2, 4, 4), (3, 3, 3)])
 def test_shapes_that_do_not_fit_are_refused(shape):
-    with pytest.raises(SettingsError, match=r"expected \(N, D, D\)"):
+    with pytest.raises(InputError, match=r"expected \(N, D, D\)"):
         nees(np.ones((2, 3)), np.ones(shape))
 
 

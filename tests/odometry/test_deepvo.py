@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import FileContentError, FileMissingError, SettingsError, VersionError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import DeepVoOdometry, make_odometry, run
 from steelnb.odometry.deepvo import COLUMNS, MIRROR, ROWS, TAN_SIDE, TAN_UP, derotated, motions, paired
@@ -65,12 +65,12 @@ def test_weights_are_small_and_survive_being_written(tmp_path):
 @pytest.mark.parametrize(
     ("change", "fault", "says"),
     [
-        ({"version": "steelnb-deepvo-0"}, VersionError, f"version 'steelnb-deepvo-0'; expected '{VERSION}'"),
-        ({"version": None}, VersionError, "version 'none'"),
-        ({"kernel_4": None}, FileContentError, f"expected weights of version '{VERSION}'"),
-        ({"kernel_1": np.zeros((7, 9, 3, 3))}, FileContentError, "kernel_1"),
-        ({"matrix_1": np.zeros((6, 5))}, FileContentError, "matrix_1"),
-        ({"bias_kernel_0": np.array([np.nan])}, FileContentError, "bias_kernel_0"),
+        ({"version": "steelnb-deepvo-0"}, InputError, f"version 'steelnb-deepvo-0'; expected '{VERSION}'"),
+        ({"version": None}, InputError, "version 'none'"),
+        ({"kernel_4": None}, InputError, f"expected weights of version '{VERSION}'"),
+        ({"kernel_1": np.zeros((7, 9, 3, 3))}, InputError, "kernel_1"),
+        ({"matrix_1": np.zeros((6, 5))}, InputError, "matrix_1"),
+        ({"bias_kernel_0": np.array([np.nan])}, InputError, "bias_kernel_0"),
     ],
 )
 def test_weights_that_do_not_fit_are_refused_by_name_in_one_line(tmp_path, change, fault, says):
@@ -86,14 +86,14 @@ def test_weights_that_do_not_fit_are_refused_by_name_in_one_line(tmp_path, chang
 
 def test_what_is_no_file_of_weights_is_refused(tmp_path):
     (tmp_path / "text.npz").write_text("weights")
-    with pytest.raises(FileContentError, match=r"text\.npz: not weights of version"):
+    with pytest.raises(InputError, match=r"text\.npz: not weights of version"):
         read_network(tmp_path / "text.npz")
-    with pytest.raises(FileMissingError, match=r"none\.npz"):
+    with pytest.raises(InputError, match=r"none\.npz"):
         read_network(tmp_path / "none.npz")
-    with pytest.raises(SettingsError, match="expected a learned odometry"):
+    with pytest.raises(InputError, match="expected a learned odometry"):
         DeepVoOdometry(OdometrySettings.preset("best"))
     for changes in ({"orb": "sensor"}, {"smooth": True}):
-        with pytest.raises(SettingsError, match="'deepvo'"):
+        with pytest.raises(InputError, match="'deepvo'"):
             OdometrySettings.preset("deepvo", overrides=changes)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, odometry
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion import keyframes
 from steelnb.fusion.known import KnownBars
 from steelnb.metrics import position_error_m
@@ -171,9 +171,9 @@ def test_methods_that_refit_are_by_clouds():
         assert type(made) is FaceOdometry
         assert type(made.clouds) is kind
     assert FaceOdometry().settings == OdometrySettings.preset("faces")
-    with pytest.raises(SettingsError, match="refit_s"):
+    with pytest.raises(InputError, match="refit_s"):
         FaceOdometry(OdometrySettings.preset("combined"))
-    with pytest.raises(SettingsError, match=r"refit_s = 5: expected a method by clouds"):
+    with pytest.raises(InputError, match=r"refit_s = 5: expected a method by clouds"):
         OdometrySettings.preset("average", overrides={"refit_s": 5.0})
 
 

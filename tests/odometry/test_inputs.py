@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry import make_odometry
 from steelnb.settings import METHODS, OdometrySettings
 
@@ -27,7 +27,7 @@ SHEARED[0, 1], SCALED[:3, :3], REFLECTED[0, 0], ROW[3, 0] = 0.1, 1.01 * np.eye(3
     ],
 )
 def test_arrays_of_another_shape_are_refused(method, scan, says):
-    with pytest.raises(SettingsError, match=says):
+    with pytest.raises(InputError, match=says):
         make_odometry(OdometrySettings.preset(method), np.eye(4)).update(scan, np.eye(4))
 
 
@@ -40,7 +40,7 @@ def test_arrays_of_another_shape_are_refused(method, scan, says):
     ],
 )  # fmt: skip
 def test_a_prior_that_is_not_rigid_is_refused(method, prior, says):
-    with pytest.raises(SettingsError, match=f"T_world_drone_prior.*{says}"):
+    with pytest.raises(InputError, match=f"T_world_drone_prior.*{says}"):
         make_odometry(OdometrySettings.preset(method), np.eye(4)).update(CLOUD, prior)
 
 

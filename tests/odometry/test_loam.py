@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CloudOdometry, LoamOdometry, make_odometry
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -91,10 +91,10 @@ def test_the_same_scans_give_the_same_poses_and_later_ones_change_none(world):
 
 
 def test_methods_by_features_and_by_all_points_are_told_apart():
-    with pytest.raises(SettingsError, match="expected 'features'"):
+    with pytest.raises(InputError, match="expected 'features'"):
         LoamOdometry(OdometrySettings.preset("best"))
-    with pytest.raises(SettingsError, match="expected another than 'features'"):
+    with pytest.raises(InputError, match="expected another than 'features'"):
         CloudOdometry(OdometrySettings.preset("loam"))
     for changes in ({"clouds.error": "point"}, {"clouds.bars_weight": 1.0}, {"refit_s": 10.0}):
-        with pytest.raises(SettingsError, match="'loam'"):
+        with pytest.raises(InputError, match="'loam'"):
             OdometrySettings.preset("loam", overrides=changes)

@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
@@ -295,7 +295,7 @@ def test_nothing_in_sight_keeps_the_correction(method):
 
 def test_a_program_is_one_method_alone():
     for kind, other in ((ReportCloudOdometry, "report-segments"), (ReportSegmentOdometry, "report-gicp")):
-        with pytest.raises(SettingsError, match=f"{other}.*expected"):
+        with pytest.raises(InputError, match=f"{other}.*expected"):
             kind(OdometrySettings.preset(other, "report"))
-    with pytest.raises(SettingsError, match="expected no tables clouds"):
+    with pytest.raises(InputError, match="expected no tables clouds"):
         OdometrySettings.preset("best", "report", {"report_clouds": {}})

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.fusion.poses import TILT_S, tilt_of
 from steelnb.metrics import nees, pose_errors, score_trajectory
 from steelnb.odometry import make_odometry, run
@@ -78,5 +78,5 @@ def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
 
 @pytest.mark.parametrize("method", ["gicp", "least_squares_yaw"])
 def test_methods_that_cannot_refuse(method):
-    with pytest.raises(SettingsError, match=r"tilt_sigma_rad = 0\.01: expected a method by clouds with prior_sigma"):
+    with pytest.raises(InputError, match=r"tilt_sigma_rad = 0\.01: expected a method by clouds with prior_sigma"):
         OdometrySettings.preset(method, overrides={"tilt_sigma_rad": 0.01})

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.points import smooth_ranges
 from steelnb.points.ranges import ALIKE, SIGMA_M, SIGMA_SHARE
 
@@ -54,5 +54,5 @@ def test_what_did_not_return_stays_as_it_is_and_counts_for_nothing():
 def test_points_without_order_stay_as_they_are():
     points = directions(5, 5).reshape(-1, 3)
     assert smooth_ranges(points) is points
-    with pytest.raises(SettingsError, match=r"\(7, 4\)"):
+    with pytest.raises(InputError, match=r"\(7, 4\)"):
         smooth_ranges(np.zeros((7, 4)))

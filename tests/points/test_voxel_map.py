@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.points import VoxelMap, VoxelShapes, voxel_grid
 from steelnb.points import voxel_kernels as kernels
 from tests import naive
@@ -132,14 +132,14 @@ def test_points_and_weights_that_cannot_be_kept_leave_the_map_as_it_was(points, 
     voxels = VoxelMap(0.1)
     voxels.insert(next(frames(1)))
     before = voxels.means()
-    with pytest.raises(SettingsError):
+    with pytest.raises(InputError):
         voxels.insert(points, weight)
     np.testing.assert_array_equal(voxels.means(), before)
 
 
 @pytest.mark.parametrize("voxel_m", [0.0, -1.0, np.nan, np.inf])
 def test_a_voxel_without_size_is_refused(voxel_m):
-    with pytest.raises(SettingsError, match="voxel_m"):
+    with pytest.raises(InputError, match="voxel_m"):
         VoxelMap(voxel_m)
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.report import batch, false_convergence
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.study.row import paired_clouds
@@ -33,7 +33,7 @@ def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     assert numbers["zigzag.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
     assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
     assert batch.timing(runs, with_map=True)["map"].tolist()[-1] == "re-voxelised"
-    with pytest.raises(SettingsError):
+    with pytest.raises(InputError):
         batch.make_cases(["zigzag"], "starling2", ["wind"], ["best"], 1, 5.0)
 
 
@@ -79,7 +79,7 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     assert np.ptp(grid, axis=0) == pytest.approx([0.4, 0.0, 0.4])
     assert len(grid) == 25
     segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
-    with pytest.raises(SettingsError, match="an odometry by clouds"):
+    with pytest.raises(InputError, match="an odometry by clouds"):
         false_convergence.find_basin(segments, flight, truth, 0, starts)
 
 
@@ -119,7 +119,7 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     walk = batch.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
     assert batch.plot_of(walk) is None, "the report shows segments with constant drift alone"
-    with pytest.raises(SettingsError, match="'best' on the flight 'orbit'"):
+    with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         batch.report_cases(["orbit"], "random-walk", {"best": ["best"]})
     assert batch.report_range("random-walk", "gicp", "zigzag") == pytest.approx((0.07, 0.246), abs=0.003)
     assert batch.report_range("random-walk", "best", "zigzag") is None

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.errors import FileMissingError, SettingsError
+from steelnb.errors import InputError
 from steelnb.report.claims import (
     FAILS,
     HOLDS,
@@ -146,7 +146,7 @@ def test_failed_runs_and_missing_numbers_are_left_out():
     found = judge("c", claim(), table)
     assert found.n_seeds == 29  # seed 4 still has its zigzag
     assert found.verdict == HOLDS
-    with pytest.raises(SettingsError, match="fewer than two seeds"):
+    with pytest.raises(InputError, match="fewer than two seeds"):
         judge("c", claim(), table[table["seed"] == 0])
 
 
@@ -158,7 +158,7 @@ def test_a_walk_is_read_off_the_curve_at_three_minutes():
     level = claim(metric="raw_at_180_s_m", form="level", b={}, comparison="between", threshold=[0.0, 9.0])
     assert judge("c", level, table).cells["estimate"].to_numpy() == pytest.approx([1.8 + 1.5] * 4)
     table["curve_time_s"] = [time / 2] * len(table)
-    with pytest.raises(SettingsError, match="fewer than two"):
+    with pytest.raises(InputError, match="fewer than two"):
         judge("c", level, table)
 
 
@@ -201,7 +201,7 @@ def test_many_claims_are_harder_to_pass_than_one():
     ],
 )
 def test_bad_claims_are_one_line(changes, words):
-    with pytest.raises(SettingsError) as told:
+    with pytest.raises(InputError) as told:
         claim(**changes)
     assert "\n" not in str(told.value)
     assert all(word in str(told.value) for word in words), told.value
@@ -209,14 +209,14 @@ def test_bad_claims_are_one_line(changes, words):
 
 def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
     table = runs(lambda t, n, method, z: 0.0, seeds=3)
-    with pytest.raises(SettingsError, match=r"\[c\]: no runs with method = 'three'"):
+    with pytest.raises(InputError, match=r"\[c\]: no runs with method = 'three'"):
         judge("c", claim(a={"method": "three"}), table)
-    with pytest.raises(SettingsError, match=r"\[c\]: metric = 'mass_kg'"):
+    with pytest.raises(InputError, match=r"\[c\]: metric = 'mass_kg'"):
         judge("c", claim(metric="mass_kg"), table)
-    with pytest.raises(FileMissingError, match="expected a file of claims"):
+    with pytest.raises(InputError, match="expected a file of claims"):
         read_claims(tmp_path / "claims.toml")
     (tmp_path / "claims.toml").write_text("[a]\nsection = 3")
-    with pytest.raises(SettingsError, match=r"claims.toml: \[a\]"):
+    with pytest.raises(InputError, match=r"claims.toml: \[a\]"):
         read_claims(tmp_path / "claims.toml")
 
 
@@ -255,7 +255,7 @@ def test_claims_on_frames_are_judged_by_the_table_of_the_segmentation_methods(tm
     slower = found["hough-faster-than-ransac-planes"]
     ms = frames.pivot(index="seed", columns="method", values="frame_median_ms")
     assert slower.cells["estimate"].tolist() == pytest.approx([(ms["hough"] / ms["ransac-planes"]).mean()])
-    with pytest.raises(FileMissingError, match=r"table\.csv.*segmentation-seeds"):
+    with pytest.raises(InputError, match=r"table\.csv.*segmentation-seeds"):
         frame_runs(tmp_path)
 
 

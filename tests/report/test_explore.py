@@ -8,7 +8,7 @@ import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import experiment
-from steelnb.errors import CollisionError, SettingsError
+from steelnb.errors import CollisionError, InputError
 from steelnb.report import batch, explore
 from steelnb.report.explore import PLOTLY_TYPE
 from steelnb.report.panel import Panel
@@ -42,7 +42,7 @@ def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float,
 
 @pytest.mark.parametrize(("noise", "level"), [("random-walk", -1.0), ("random-walk", float("nan")), ("wind", 1.0)])
 def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> None:
-    with pytest.raises(SettingsError):
+    with pytest.raises(InputError):
         batch.at_level(noise, level)
 
 
@@ -131,7 +131,7 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
 
 
 def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name() -> None:
-    with pytest.raises(SettingsError, match="'spiral'"):
+    with pytest.raises(InputError, match="'spiral'"):
         Panel("spiral", *FIRST[1:])  # type: ignore[arg-type]
 
 

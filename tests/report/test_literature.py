@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import RecordingError
+from steelnb.errors import InputError
 from steelnb.report.literature import figure_features, figure_matches, fly, seen_features
 from steelnb.settings import ExperimentSettings
 
@@ -47,10 +47,10 @@ def test_features_are_those_of_the_scan_s_image_with_its_depths(world):
 
 def test_flights_without_images_are_refused(world):
     flight, _ = world
-    with pytest.raises(RecordingError, match="no images"):
+    with pytest.raises(InputError, match="no images"):
         figure_matches(replace(flight, images=None), 0, 1)
     late = replace(flight, images=replace(flight.images, stamp_s=flight.images.stamp_s + 9.0))
-    with pytest.raises(RecordingError, match="no image at scan 1"):
+    with pytest.raises(InputError, match="no image at scan 1"):
         seen_features(late, 1)
 
 

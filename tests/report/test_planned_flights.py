@@ -3,7 +3,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.closed_loop import OnboardPilot
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.report import planned_flights
 from steelnb.simulation import build_tower
 
@@ -21,7 +21,7 @@ def test_each_flight_is_of_its_kind(flown):
     assert (loops.trajectory, loops.planner) == ("loops", None)
     assert face.planner.goal == "face"
     assert face.height_max_m == 15.0
-    with pytest.raises(SettingsError, match="unknown 'hole'; expected some of 'zigzag', 'wide loops'"):
+    with pytest.raises(InputError, match="unknown 'hole'; expected some of 'zigzag', 'wide loops'"):
         planned_flights.make_flights(["hole"], "none", "combined", "report-4cm", 1, 4.0)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
+from steelnb.errors import InputError
 from steelnb.report.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings, settings_line
 from steelnb.settings import METHODS, ExperimentSettings
 from steelnb.types import Flight, Scan, Trajectory
@@ -31,7 +32,7 @@ def shell(radius_m: float, count: int = 2000) -> np.ndarray:
 def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
     settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
     flight, _ = experiment.simulate(settings)
-    for method in ("best", "combined", "segments"):
+    for method in ("best", "combined", "least_squares"):
         assert recording_settings(method, sensor, scene=Scene.of(flight)) == recording_settings(method, sensor)
 
 
@@ -86,7 +87,7 @@ def test_there_is_no_floor_where_points_lie_below_the_worlds_zero():
 def test_what_is_given_comes_first():
     flight = made(shell(40.0), height_m=0.0)
     settings, structure = recording_settings(
-        scene=Scene.of(flight), range_max_m=20.0, floor_m=-3.0, overrides={"preprocess.voxel_leaf_m": 0.1}
+        scene=Scene.of(flight), range_max_m=20.0, overrides={"preprocess.voxel_leaf_m": 0.1, "preprocess.floor_m": -3.0}
     )
     seen = settings.odometry.preprocess
     assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
@@ -111,3 +112,8 @@ def test_missing_returns_and_other_mounts_are_understood():
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 5, 3), np.nan), np.zeros((7, 3))])
 def test_without_a_return_the_preset_stays(points):
     assert recording_settings(scene=Scene.of(made(points))) == recording_settings()
+
+
+def test_scans_in_millimetres_are_told():
+    with pytest.raises(InputError, match=r"half of the returns are farther than 2e\+04: it looks like millimetres"):
+        Scene.of(made(shell(40_000.0)))

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.images import project
 from steelnb.settings import CameraSettings, ExperimentSettings
 from steelnb.simulation import Camera, build_tower, cameras, photograph
@@ -47,7 +47,7 @@ def test_the_presets_are_the_report_s_cameras():
     assert (forward.columns, forward.rows, forward.fov_horizontal_rad, forward.rate_hz) == (422, 320, 1.74, 10.0)
     assert (tracking.columns, tracking.rows, tracking.fov_horizontal_rad) == (640, 480, 2.32)
     np.testing.assert_allclose(tracking.T_drone_camera[:3, 0], [0.5**0.5, 0, -(0.5**0.5)])  # looks down
-    with pytest.raises(SettingsError, match="'forward', 'tracking'"):
+    with pytest.raises(InputError, match="'forward', 'tracking'"):
         CameraSettings.preset("rear")
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import FOOT_M, dryden, gusts
 
@@ -67,6 +67,6 @@ def test_first_order_gusts_are_the_recursion_that_they_always_were():
 
 
 def test_an_unknown_spectrum_is_refused_in_one_line():
-    with pytest.raises(SettingsError, match=r"gust_spectrum = 'von-karman'.*'first-order' or 'dryden'") as caught:
+    with pytest.raises(InputError, match=r"gust_spectrum = 'von-karman'.*'first-order' or 'dryden'") as caught:
         FlightSettings(gust_spectrum="von-karman")
     assert "\n" not in str(caught.value)

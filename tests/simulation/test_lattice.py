@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.metrics.members import seen_members
 from steelnb.settings import CameraSettings, TofFaultSettings, TofSettings, TowerSettings
 from steelnb.simulation import Camera, build_tower, scan_flight
@@ -302,7 +302,7 @@ def test_plates_of_a_list_are_seen_and_are_no_bars(tmp_path):
 def test_a_list_that_cannot_be_read_is_refused_in_one_line(tmp_path, text):
     path = tmp_path / "mine.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(SettingsError) as refused:
+    with pytest.raises(InputError) as refused:
         build_tower(TowerSettings(members=str(path)))
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -310,9 +310,9 @@ def test_a_list_that_cannot_be_read_is_refused_in_one_line(tmp_path, text):
 
 def test_a_list_that_is_not_there_and_numbers_beside_a_list_are_refused(tmp_path):
     for members in ("eiffel", str(tmp_path / "none.csv")):
-        with pytest.raises(SettingsError, match="report-tower"):
+        with pytest.raises(InputError, match="report-tower"):
             build_tower(TowerSettings(members=members))
-    with pytest.raises(SettingsError, match=r"height_m = 20\.0"):
+    with pytest.raises(InputError, match=r"height_m = 20\.0"):
         TowerSettings.preset("report").replace(height_m=20.0)
-    with pytest.raises(SettingsError, match="mine"):
+    with pytest.raises(InputError, match="mine"):
         half_width(listed(tmp_path, "arm,0,0,0,0,0,1,,,"), 1.0)

@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from steelnb import cli, experiment
-from steelnb.errors import FileMissingError, SchedulerError
+from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.settings import ExperimentSettings
 from steelnb.study import cluster, row
@@ -227,7 +227,7 @@ def test_bad_options_are_one_line(study, tmp_path, capfd, monkeypatch, options, 
 
 def test_check_runs_a_sample_again_and_compares(shared, study, tmp_path):
     runs, out = read_plan(study), tmp_path / "out"
-    with pytest.raises(FileMissingError, match="no such file"):
+    with pytest.raises(InputError, match="no such file"):
         check_sample(runs, out)
     cluster.run_study(runs, out)
     assert check_sample(runs, out, count=2) == []
@@ -291,7 +291,7 @@ def test_a_study_goes_on_after_the_scheduler_was_killed(study, tmp_path, monkeyp
             worker = start("dask_worker", address, "--nthreads", "1", "--local-directory", str(tmp_path))
             stack.callback(worker.terminate)
             if len(started) == 1:
-                with pytest.raises(SchedulerError, match="the scheduler went away"):
+                with pytest.raises(InputError, match="the scheduler went away"):
                     cluster.run_study(runs, out, scheduler=address, on_row=lambda _: started[0].kill())
                 stored = (out / ROWS).read_text().count("\n")
                 assert 1 <= stored < len(runs)

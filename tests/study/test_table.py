@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steelnb.errors import FileContentError, FileMissingError, OutputError
+from steelnb.errors import InputError, OutputError
 from steelnb.settings import ExperimentSettings
 from steelnb.study.plan import make_run
 from steelnb.study.table import (
@@ -109,7 +109,7 @@ def test_a_row_that_was_cut_off_costs_no_other(tmp_path, kept):
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text"])
 @pytest.mark.parametrize("file", [RUNS, TIMING])
 def test_a_damaged_or_missing_table_is_one_line(tmp_path, damage, file):
-    with pytest.raises(FileMissingError, match="no such file"):
+    with pytest.raises(InputError, match="no such file"):
         read_study(tmp_path)
     write(tmp_path, *map(row, PLAN))
     content = bytearray((tmp_path / file).read_bytes())
@@ -117,7 +117,7 @@ def test_a_damaged_or_missing_table_is_one_line(tmp_path, damage, file):
     damaged = {"cut": content[: len(content) // 2], "flipped": content, "empty": b""}.get(damage, b"hello")
     (tmp_path / file).write_bytes(damaged)
     for read in (read_study, stored_rows):
-        with pytest.raises(FileContentError, match=f"{file}: damaged") as told:
+        with pytest.raises(InputError, match=f"{file}: damaged") as told:
             read(tmp_path)
         assert "\n" not in str(told.value)
 

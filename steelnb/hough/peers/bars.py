@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.hough import cut_and_sort
 from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.pieces import merge, sort
@@ -36,9 +36,9 @@ def prepared(points: Array, dx: float | None, points_min: int) -> tuple[Array, f
     points, _, _ = distinct_points(points)
     dx = default_dx(points) if dx is None else dx
     if not 0 < dx < np.inf:
-        raise SettingsError(f"dx = {dx}: expected a length above 0 m")
+        raise InputError(f"dx = {dx}: expected a length above 0 m")
     if points_min < 2:
-        raise SettingsError(f"points_min = {points_min}: expected at least 2")
+        raise InputError(f"points_min = {points_min}: expected at least 2")
     return points, dx
 
 

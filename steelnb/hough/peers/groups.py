@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.hough.peers.bars import POINTS_MIN, bars_of_groups, prepared, refine
 from steelnb.libraries import import_open3d
 from steelnb.rng import stream
@@ -31,7 +31,7 @@ def segment_by_ransac_planes(
     """
     points, dx = prepared(points, dx, points_min)
     if trials < 1 or planes_max < 1:
-        raise SettingsError(f"trials = {trials}, planes_max = {planes_max}: expected at least 1 each")
+        raise InputError(f"trials = {trials}, planes_max = {planes_max}: expected at least 1 each")
     open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
     label = np.full(len(points), -1, dtype=np.int64)
@@ -62,7 +62,7 @@ def segment_by_dbscan(
     """
     points, dx = prepared(points, dx, points_min)
     if neighbours_min < 1:
-        raise SettingsError(f"neighbours_min = {neighbours_min}: expected at least 1")
+        raise InputError(f"neighbours_min = {neighbours_min}: expected at least 1")
     open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     label = np.asarray(cloud.cluster_dbscan(eps=dx, min_points=neighbours_min), dtype=np.int64)
@@ -85,7 +85,7 @@ def segment_by_gmm(
     """
     points, dx = prepared(points, dx, points_min)
     if not components or min(components) < 1 or sample < 2:
-        raise SettingsError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
+        raise InputError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 

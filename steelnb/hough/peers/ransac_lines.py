@@ -7,7 +7,7 @@ one line after the other in Python, and a frame needs some 30,000.
 import numpy as np
 from numba import njit
 
-from steelnb.errors import SettingsError
+from steelnb.errors import InputError
 from steelnb.hough.peers.bars import POINTS_MIN, bars_of_lines, in_passes, prepared, refine
 from steelnb.hough.transform import drop, fit_near_line
 from steelnb.rng import stream
@@ -33,7 +33,7 @@ def segment_by_ransac_lines(
     """
     points, dx = prepared(points, dx, points_min)
     if trials < 1 or not sample_m > 0:
-        raise SettingsError(f"trials = {trials}, sample_m = {sample_m}: expected at least 1 and a length above 0")
+        raise InputError(f"trials = {trials}, sample_m = {sample_m}: expected at least 1 and a length above 0")
     random = stream(seed, "ransac-lines")
 
     def find(some: Array) -> Segments:

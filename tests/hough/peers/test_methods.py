@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import DegenerateCloudError, EmptyCloudError, SettingsError
+from steelnb.errors import InputError
 from steelnb.hough.peers import METHODS, bars, segment_by_dbscan, segment_by_gmm, segment_by_hough
 from steelnb.hough.peers.ransac_lines import segment_by_ransac_lines
 
@@ -67,15 +67,15 @@ def test_a_seed_gives_the_same_bars_again(method):
 @pytest.mark.parametrize(
     ("points", "options", "error", "says"),
     [
-        (np.zeros((0, 3)), {}, EmptyCloudError, "0 points"),
-        (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, EmptyCloudError, "1 of 2"),
-        (np.zeros((1, 3)), {}, DegenerateCloudError, "1 point"),
-        (np.ones((40, 3)), {}, DegenerateCloudError, "identical"),
-        (np.zeros((5, 2)), {}, SettingsError, "shape"),
-        (cloud(), {"dx": 0.0}, SettingsError, "dx = 0"),
-        (cloud(), {"dx": -0.1}, SettingsError, "dx = -0.1"),
-        (cloud(), {"dx": float("nan")}, SettingsError, "dx = nan"),
-        (cloud(), {"points_min": 1}, SettingsError, "points_min = 1"),
+        (np.zeros((0, 3)), {}, InputError, "0 points"),
+        (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, InputError, "1 of 2"),
+        (np.zeros((1, 3)), {}, InputError, "1 point"),
+        (np.ones((40, 3)), {}, InputError, "identical"),
+        (np.zeros((5, 2)), {}, InputError, "shape"),
+        (cloud(), {"dx": 0.0}, InputError, "dx = 0"),
+        (cloud(), {"dx": -0.1}, InputError, "dx = -0.1"),
+        (cloud(), {"dx": float("nan")}, InputError, "dx = nan"),
+        (cloud(), {"points_min": 1}, InputError, "points_min = 1"),
     ],
 )
 def test_bad_input_is_refused_with_its_value(method, points, options, error, says):
@@ -96,7 +96,7 @@ def test_bad_input_is_refused_with_its_value(method, points, options, error, say
     ],
 )
 def test_bad_options_are_refused_with_their_value(method, options, says):
-    with pytest.raises(SettingsError, match=says):
+    with pytest.raises(InputError, match=says):
         METHODS[method](cloud(), **options)
 
 
