@@ -50,7 +50,7 @@ def test_a_notebook_is_parameters_calls_and_no_more(path):
         assert not any(line.lstrip().startswith(("def ", "class ")) for line in cell.source.splitlines())
 
 
-LOGIC = (ast.If, ast.IfExp, ast.For, ast.While, ast.Try, ast.With, ast.Lambda, ast.FunctionDef, ast.ClassDef)
+LOGIC = (ast.For, ast.While, ast.Try, ast.With, ast.Lambda, ast.FunctionDef, ast.ClassDef)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

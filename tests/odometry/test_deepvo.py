@@ -92,7 +92,7 @@ def test_what_is_no_file_of_weights_is_refused(tmp_path):
         read_network(tmp_path / "none.npz")
     with pytest.raises(InputError, match="expected a learned odometry"):
         DeepVoOdometry(OdometrySettings.preset("best"))
-    for changes in ({"orb": "sensor"}, {"smooth": True}):
+    for changes in ({"orb": True}, {"smooth": True}):
         with pytest.raises(InputError, match="'deepvo'"):
             OdometrySettings.preset("deepvo", overrides=changes)
 

@@ -133,11 +133,8 @@ def _points_and_start(estimator, scan, prior):
 def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds():
     flight = around(small_tower(), poses=30)
     rng = np.random.default_rng(5)
-    wall = [
-        Scan(scan.stamp_s, np.column_stack([np.full(4000, 2.0), rng.uniform(-1, 1, (4000, 2))]))
-        for scan in flight.scans
-    ]
-    flight = replace(flight, scans=wall)
+    leaves = [Scan(scan.stamp_s, rng.uniform((1.5, -1, -1), (3.5, 1, 1), (4000, 3))) for scan in flight.scans]
+    flight = replace(flight, scans=leaves)
     settings = OdometrySettings.preset("faces", overrides={"refit_s": 2.0})
     ours = odometry.run(flight, FaceOdometry(settings))
     clouds = odometry.run(flight, CombinedOdometry(settings))
