@@ -12,6 +12,7 @@ import typer
 
 import steelnb
 from steelnb.errors import InputError, SteelnbError
+from steelnb.files import check_folder
 
 EXIT_CODES = """\b
 Exit codes:
@@ -93,7 +94,7 @@ def run(
     """
     with _progress() as shown:
         from steelnb.io import read_flight, read_truth
-        from steelnb.report.recording import check_folder, opened_lines, run_recording
+        from steelnb.report.recording import opened_lines, run_recording
         from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 
         given: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
@@ -161,7 +162,6 @@ def segment(
     """Find the straight bars in a point cloud."""
     with _progress() as shown:
         from steelnb.report.cloud import segment_file
-        from steelnb.report.recording import check_folder
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)

@@ -19,6 +19,13 @@ def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]
         raise InputError(f"{path}: does not exist; expected {form}")
     if os.path.isdir(path) != folder:
         raise InputError(f"{path}: a {'file' if folder else 'folder'}; expected {form}")
+    with damaged(path, form):
+        yield
+
+
+@contextmanager
+def damaged(path: Path | str, form: str) -> Iterator[None]:
+    """`reading` for a part of a file that is known to exist, such as one message of a bag."""
     try:
         yield
     except SteelnbError:
@@ -26,6 +33,12 @@ def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]
     except Exception as fault:
         said = " ".join(str(fault).replace(str(path), "it").split())[:200] or type(fault).__name__
         raise InputError(f"{path}: not {form}: {said}") from None
+
+
+def check_folder(target: Path, overwrite: bool) -> None:
+    """Raise `OutputError` for a folder that holds a file, unless it may be overwritten."""
+    if not overwrite and target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 
 
 @contextmanager

@@ -57,8 +57,8 @@ def reconstruct(
     The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
     (`fusion.round_fit`); a bar with too few points to tell its section and its direction is left out. With ``adjust``,
     poses and bars are adjusted together (`fusion.bundle`). Returns a `Structure` in the world frame, metres; an empty
-    one has the reason. Raises `InputError` for poses that do not fit the scans or are not finite, `InputError`
-    for scans without any return above the floor.
+    one has the reason. Raises `InputError` for poses that do not fit the scans or are not finite, and for scans
+    without any return above the floor.
     """
     settings = settings or StructureSettings()
     T_world_sensor = sensor_poses(T_world_drone, T_drone_sensor, len(scans))

@@ -38,7 +38,6 @@ FREE_SIGMA = 10.0
 """A larger standard deviation, metres or radians, means that nothing holds that direction."""
 HOLD = 1e-6
 """Information that keeps free directions of poses from breaking the factorisation: a standard deviation of 1 km."""
-POSE_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 class Marginals(NamedTuple):

@@ -29,7 +29,7 @@ def spacing(points: Array) -> float:
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     """``points`` as ``(N, 3)`` float64, finite and not all identical, and the corners ``(3,)`` of their bounding box.
 
-    Raises `InputError` (shape), `InputError` (no points, or some not finite), `InputError`.
+    Raises `InputError` for another shape, no points, points that are not finite, or fewer than two distinct ones.
     """
     points = checked_cloud(points)
     if points.ndim != 2:

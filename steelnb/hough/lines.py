@@ -39,8 +39,7 @@ def detect_lines(
     granularity: subdivisions of the icosahedron, 0–6: 1281 directions for 4, 20481 for 6.
 
     Returns `Lines` in the frame of the points, in the order found, strongest first; anchors are the means of their
-    points. Raises `InputError` (no points, or some not finite), `InputError` (fewer than two distinct
-    points), `InputError`.
+    points. Raises `InputError` for points that are not finite, fewer than two distinct ones, and settings out of range.
 
     >>> import numpy as np
     >>> post = np.linspace([0, 0, 0], [0, 0, 5], 100)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.files import damaged, reading
 from steelnb.io.trajectories import pose_matrices, trajectory_of
 from steelnb.types import Array, Imu, IntArray, Trajectory
 
@@ -82,11 +82,15 @@ class Bag:
         raise InputError(f"{self.path}: {asked}; expected one of {role}, or its name, among {', '.join(has) or 'none'}")
 
     def messages(self, *topics: str) -> Iterator[tuple[str, Callable[[], Any]]]:
-        """Topic of each message, and a call that decodes it. Raises `InputError` where the bag is damaged."""
+        """Topic of each message, and a call that decodes it. Both raise `InputError` where the bag is damaged."""
         with reading(self.path, "a bag", folder=self.path.is_dir()), self._reader(self.path) as reader:
             wanted = [each for each in reader.connections if each.topic in topics]
             for connection, _, raw in reader.messages(wanted) if wanted else ():
-                yield connection.topic, partial(self._decode, raw, connection.msgtype)
+                yield connection.topic, partial(self._decoded, raw, connection.msgtype)
+
+    def _decoded(self, raw: bytes, kind: str) -> Any:
+        with damaged(self.path, f"a bag of readable {kind.rpartition('/')[2]} messages"):
+            return self._decode(raw, kind)
 
     def read(self, *topics: str) -> None:
         """Take in all messages of some topics; those that cannot be decoded are counted in ``skipped``."""
@@ -94,7 +98,7 @@ class Bag:
             kind = self.types[topic]
             try:
                 self._take(topic, kind, decode())
-            except Exception:  # whatever rosbags meets in a damaged message
+            except InputError:
                 self.skipped[f"unreadable {kind.rpartition('/')[2]}"] += 1
                 if kind in (CLOUD, IMAGE):  # in step with the messages
                     self._rows[topic].append(np.nan)
@@ -178,9 +182,14 @@ class Bag:
         wanted, last = set(number.tolist()), int(number.max(initial=-1))
         for k, (_, decode) in enumerate(self.messages(topic)):
             if k in wanted:
-                yield partial(lambda decode: to_points(decode()), decode)
+                yield partial(self._points, decode, to_points)
             if k >= last:
                 return
+
+    def _points(self, decode: Callable[[], Any], to_points: Callable[[Any], Array]) -> Array:
+        message = decode()
+        with damaged(self.path, "a bag of scans whose sizes fit"):
+            return to_points(message)
 
     def depth_images(self) -> list[str]:
         """Topics of images whose first one is a depth image."""

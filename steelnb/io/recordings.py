@@ -106,7 +106,7 @@ class Scans(Sequence[Scan]):
 def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
     try:
         points = decode()
-    except Exception as fault:  # a damaged message or file costs one scan
+    except InputError as fault:  # a damaged message or file costs one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
     zero = (points == 0).all(axis=-1)
     if zero.any():

@@ -12,9 +12,6 @@ from steelnb.fusion.sections import frames
 from steelnb.fusion.uncertainty import check_covariances
 from steelnb.types import Array, Segments, Trajectory
 
-HELD = (0, 1, 2, 5)
-"""x, y, z and yaw: what smoothing solves for."""
-
 
 def pose_errors(estimate: Trajectory, truth: Trajectory) -> Array:
     """Errors ``(K, 6)`` in x, y, z, roll, pitch, yaw, metres and radians, at the stamps of the estimate.
@@ -42,7 +39,7 @@ def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared ``(N,)`` of errors ``(N, D)`` with covariances ``(N, D, D)``.
 
     Its mean is D where the covariances are right; above that they are optimistic. Raises `InputError` for shapes
-    that do not fit, `InputError` for a covariance that is not finite and positive definite, such as that of a first
+    that do not fit, and for a covariance that is not finite and positive definite, such as that of a first
     pose, which is held: leave it out.
     """
     if error.ndim != 2 or covariance.shape != (*error.shape, error.shape[1]):

@@ -2,8 +2,8 @@
 
 At each command it knows the map so far, an estimate of the pose, and how far and wide its camera sees. The goal
 ``around`` goes round the structure and up, with the camera on its middle; ``face`` to and fro before it with one
-heading, a level up at each edge. A velocity towards what is known of the structure is taken back to what keeps the
-drone off it. Where sight is lost, it stops, turns to where the map is, and goes back along its path.
+heading, a level up at each edge. The part of a velocity that would bring the drone too close to the known structure is
+removed. Where sight is lost, it stops, turns to where the map is, and goes back along its path.
 """
 
 from dataclasses import dataclass, field

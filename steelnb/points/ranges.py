@@ -1,4 +1,4 @@
-"""Ranges of scans: their noise, their denoising by the sigma filter, and their known errors taken away."""
+"""Ranges of scans: their noise, and their denoising by the sigma filter."""
 
 import numpy as np
 from numba import njit
@@ -30,13 +30,6 @@ def ranges_ahead(image):  # type: ignore[no-untyped-def]
             x, y, z = image[r, c, 0], image[r, c, 1], image[r, c, 2]
             distance[r, c] = np.sqrt(x * x + y * y + z * z) if x > 0.0 else np.nan
     return distance
-
-
-def true_points(points: Array, offset_m: float, scale: float) -> Array:
-    """Points ``(…, 3)`` of the sensor's frame whose ranges have an offset, metres, and a relative scale, without."""
-    range_m = np.linalg.norm(points, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(points * ((1.0 - offset_m / range_m) / (1.0 + scale)))
 
 
 def smooth_ranges(points: Array, half: int = 1) -> Array:

@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from steelnb import odometry
-from steelnb.errors import InputError, OutputError
+from steelnb.errors import InputError
 from steelnb.files import new_folder
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
@@ -65,12 +65,6 @@ class RecordingReport:
     def times(self) -> dict[str, float]:
         """Milliseconds an update, and the share of updates on time."""
         return {name: self.numbers[name] for name in TIMES}
-
-
-def check_folder(target: Path, overwrite: bool) -> None:
-    """Raise `OutputError` for a folder that holds a file, unless it may be overwritten."""
-    if not overwrite and target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 
 
 def run_recording(

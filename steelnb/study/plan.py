@@ -109,7 +109,7 @@ class Run:
 def read_plan(path: Path) -> list[Run]:
     """Runs of a study's TOML file, each once; those of one flight follow each other.
 
-    Raises `InputError`, or `InputError` for unknown axes or values and for more than `RUNS_MAX` runs.
+    Raises `InputError`, for unknown axes or values and for more than `RUNS_MAX` runs, too.
     """
     blocks = read_tables(path, Block, "the settings of a study")
     if not blocks:

@@ -35,7 +35,7 @@ def read_study(folder: Path) -> "pd.DataFrame":
     """Table of a study with its measured times, a row a run.
 
     Columns are `CASE`, ``key``, ``status``, ``error``, the numbers of `steelnb.study.row.numbers`, `CURVES` (arrays)
-    and `TIMES`. Raises `InputError` if there is none, `InputError` if it is damaged.
+    and `TIMES`. Raises `InputError` if there is none or it is damaged.
     """
     frame = _read(folder / RUNS).to_pandas()
     if not (folder / TIMING).is_file():

@@ -211,6 +211,13 @@ def test_messages_cut_short_are_counted(tmp_path):
     np.testing.assert_array_equal(flight.scans[4].points, POINTS)
 
 
+def test_a_depth_image_cut_short_is_told_in_one_line(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").odometry()
+    bag.rows.append(("/depth", "sensor_msgs/msg/Image", 0.0, b"\0\1\0\0"))
+    with pytest.raises(InputError, match=r"a\.mcap: not a bag of readable Image messages"):
+        read_flight(bag.write())
+
+
 def test_what_is_no_recording_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("nothing")
     (tmp_path / "junk.mcap").write_bytes(b"junk")
