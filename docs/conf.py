@@ -16,7 +16,7 @@ DOCS = Path(__file__).parent
 project = "steelnb"
 author = "The steelnb authors"
 version = release = steelnb.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_design"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 root_doc = "index"
 
