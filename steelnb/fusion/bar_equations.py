@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from steelnb.fusion import sections
-from steelnb.fusion.observations import Observations
+from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.poses import AXES, POSE
 from steelnb.types import Array, IntArray, Segments
 

@@ -8,6 +8,7 @@ depend on the noise then.
 """
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.fusion import sections
-from steelnb.fusion.point_association import bars_of_points, points_on_bars
 from steelnb.points.voxel_kernels import EMPTY, find, pack, put, rehash
 from steelnb.types import Array, IntArray, Segments
 
@@ -41,17 +41,13 @@ class BarVoxels(NamedTuple):
 
     def bar_of(self, points: Array) -> IntArray:
         """The bar ``(N,)`` that each point ``(N, 3)`` in the world frame belongs to, −1 for none."""
-        return bars_of_points(points, *self)
-
-    def near(self, points: Array) -> NDArray[np.bool_]:
-        """Which points ``(N, 3)`` in the world frame lie in voxels around any bar."""
-        return bars_of_points(points, np.arange(len(self.bar)), *self[1:]) >= 0
+        return _bars_of_points(points, *self)
 
     def points_on_bars(
         self, points: Array, T_world_sensor: Array, range_max_m: float, floor_m: float
     ) -> tuple[Array, IntArray]:
         """Those of a scan's points ``(N, 3)``, sensor frame, that belong to a bar, and their bars."""
-        return points_on_bars(points, T_world_sensor, range_max_m, floor_m, *self)
+        return _points_on_bars(points, T_world_sensor, range_max_m, floor_m, *self)
 
     def whole(
         self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Segments, across: Array, corner: Array,
@@ -67,6 +63,87 @@ class BarVoxels(NamedTuple):
             points, bar, T_world_sensor, bars.start, bars.direction, bars.length, across, corner, sigmas, most_m, *self
         )
         return np.asarray(whole)
+
+
+class Observations(NamedTuple):
+    """Points of scans on bars, pair by pair of a scan and a bar that it sees.
+
+    ``point (N, 3)`` float32, sensor frame, metres: those of pair p are ``first[p]`` to ``first[p + 1]``, seen by the
+    scan ``pair_scan[p]`` on the bar ``pair_bar[p]``. Pairs are sorted by scan.
+    """
+
+    point: np.ndarray
+    first: IntArray
+    pair_scan: IntArray
+    pair_bar: IntArray
+
+    @classmethod
+    def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]]) -> "Observations":
+        """From points in the sensor frame and their bars, scan by scan, as `fusion.reconstruct` yields them."""
+        points, counts = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int64)]
+        for k, point, bar in scans:
+            count = np.bincount(bar)
+            name = np.flatnonzero(count)
+            points.append(point[np.argsort(bar, kind="stable")].astype(np.float32))
+            counts.append(np.column_stack([np.full(len(name), k), name, count[name]]))
+        scan, bar, count = np.concatenate(counts).T
+        return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
+
+
+@njit(cache=True)
+def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
+    """Points of a scan ``(N, 3)``, sensor frame, in the world frame with their weights 1/range²; NaN, points beyond
+    ``range_max`` metres and below the height ``floor`` are left out."""
+    placed, weight = np.empty((len(points), 3)), np.empty(len(points))
+    n = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        square = x * x + y * y + z * z
+        if not 0.0 < square <= range_max * range_max:  # NaN too
+            continue
+        height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if height < floor:
+            continue
+        placed[n, 0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        placed[n, 1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        placed[n, 2] = height
+        weight[n] = 1.0 / square
+        n += 1
+    return placed[:n], weight[:n]
+
+
+@njit(cache=True, nogil=True)
+def _points_on_bars(points, T, range_max, floor, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
+    """Those of the points of a scan ``(N, 3)`` that lie in the voxels of bars, sensor frame, and their bars; points are
+    left out as by `world_points`."""
+    found, bar, n, inverse = np.empty((len(points), 3)), np.empty(len(points), np.int64), 0, 1.0 / voxel
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if not 0.0 < x * x + y * y + z * z <= range_max * range_max:  # NaN too
+            continue
+        height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if height < floor:
+            continue
+        a = np.int64(np.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) * inverse))
+        b = np.int64(np.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) * inverse))
+        slot = find(pack(a, b, np.int64(np.floor(height * inverse))), table_key, table_slot)
+        if slot >= 0 and bar_of_voxel[slot] >= 0:
+            found[n, 0], found[n, 1], found[n, 2], bar[n] = x, y, z, bar_of_voxel[slot]
+            n += 1
+    return found[:n], bar[:n]
+
+
+@njit(cache=True)
+def _bars_of_points(points, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
+    """The bar ``(N,)`` of the voxel in which each point ``(N, 3)`` lies, −1 for none."""
+    bar = np.full(len(points), -1, np.int64)
+    inverse = 1.0 / voxel
+    for n in range(len(points)):
+        i, j = np.int64(np.floor(points[n, 0] * inverse)), np.int64(np.floor(points[n, 1] * inverse))
+        slot = find(pack(i, j, np.int64(np.floor(points[n, 2] * inverse))), table_key, table_slot)
+        if slot >= 0:
+            bar[n] = bar_of_voxel[slot]
+    return bar
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import sections
 from steelnb.fusion.bar_equations import Bars, Equations, equations, noise_ratio
+from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.inertial import STATE, Inertial
-from steelnb.fusion.observations import Observations
 from steelnb.fusion.poses import increments, moved_poses, pose_size, yaw_of
 from steelnb.types import Array, Segments
 

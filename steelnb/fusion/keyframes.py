@@ -6,9 +6,8 @@ import numpy as np
 
 from steelnb.fusion import bundle
 from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion.bar_voxels import Observations, world_points
 from steelnb.fusion.inertial import Inertial
-from steelnb.fusion.observations import Observations
-from steelnb.fusion.point_association import world_points
 from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans
 from steelnb.points import VoxelMap, smooth_ranges

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from steelnb.errors import InputError
 from steelnb.fusion import bundle, sections
 from steelnb.fusion.bar_equations import Bars
-from steelnb.fusion.bar_voxels import BarVoxels
+from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
 from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
-from steelnb.fusion.observations import Observations
-from steelnb.fusion.point_association import world_points
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts
 from steelnb.fusion.round_fit import fit_rounds

@@ -9,8 +9,8 @@ import numpy as np
 from steelnb.errors import InputError
 from steelnb.fusion import bundle, uncertainty
 from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
-from steelnb.fusion.observations import Observations
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory

@@ -19,8 +19,7 @@ class Structure:
     (joint, bar), a row for each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if
     it is not.
     ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
-    where that is not known; None where it is known of no bar. ``joint_sigma_m (J,)``: standard deviation of the place
-    of each joint in the direction in which it is largest, NaN where it is not known; None where it is known of none.
+    where that is not known; None where it is known of no bar.
     ``tube (B,)``: which bars are round tubes; None where none is known to be.
     """
 
@@ -32,7 +31,6 @@ class Structure:
     tie: IntArray
     reason: str = ""
     opening: Array | None = None
-    joint_sigma_m: Array | None = None
     tube: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Covariances of a smoothed flight: of its poses, its bars and their joints, from the equations of `fusion.bundle`.
+"""Covariances of a smoothed flight: of its poses and its bars, from the equations of `fusion.bundle`.
 
 The inverse of all normal equations is needed in its diagonal blocks alone. The poses are a chain, so those blocks
 follow from the last to the first by the factors of their band (Takahashi, Fagan, Chen 1973), and what the bars add to
@@ -20,7 +20,7 @@ from steelnb.fusion.bundle import Bundle, reduced, state_equations
 from steelnb.fusion.chain import Chain
 from steelnb.fusion.poses import AXES, POSE, pose_size
 from steelnb.fusion.sections import frames
-from steelnb.types import Array, IntArray, Segments
+from steelnb.types import Array, Segments
 
 SHARED_SIGMA_M = 0.001
 """Standard deviation, an axis, of the displacement that all points of a bar in a scan share, at the range noise of
@@ -127,38 +127,11 @@ def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio:
     return np.asarray(result)
 
 
-def covariances_at(covariance: Array, along_m: Array) -> Array:
-    """Covariances ``(B, 2, 2)`` across the axes of bars at places ``along_m (B,)`` from their middles, m²."""
-    at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
-    return np.asarray(at @ covariance @ at.transpose(0, 2, 1))
-
-
 def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
-    """Standard deviation ``(B,)`` of axes across, metres, in the direction in which it is largest."""
-    return np.sqrt(np.linalg.eigvalsh(covariances_at(covariance, along_m))[:, -1])
-
-
-def joint_covariances(segments: Segments, covariance: Array, joint: Array, tie: IntArray) -> Array:
-    """Covariances ``(J, 3, 3)`` of joints, m², from those of the axes ``(B, 4, 4)`` that each ties, ``tie (T, 2)``.
-
-    A joint is the point nearest to its axes (`joints.nearest_point`). Errors of bars have a part in common, such as the
-    place of the whole, and which part is not kept: so this is the largest covariance that their sum can have (n times
-    the sum of n covariances), twice that of two bars whose errors are independent. NaN for a joint of parallel bars.
-    """
-    across = frames(segments.direction)
-    result = np.zeros((len(joint), 3, 3))
-    for j, at in enumerate(joint):
-        bars = tie[tie[:, 0] == j, 1]
-        along_m = ((at - segments.middle[bars]) * segments.direction[bars]).sum(axis=1)
-        frame = across[bars]
-        pulled = frame.transpose(0, 2, 1) @ covariances_at(covariance[bars], along_m) @ frame
-        weight = (frame.transpose(0, 2, 1) @ frame).sum(axis=0)
-        if np.linalg.eigvalsh(weight)[0] < 1e-3:
-            result[j] = np.nan
-            continue
-        inverse = np.linalg.inv(weight)
-        result[j] = len(bars) * inverse @ pulled.sum(axis=0) @ inverse
-    return result
+    """Standard deviation ``(B,)`` of axes across, metres, in the direction in which it is largest, from their
+    covariances ``(B, 4, 4)`` at places ``along_m (B,)`` from their middles."""
+    at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
+    return np.sqrt(np.linalg.eigvalsh(at @ covariance @ at.transpose(0, 2, 1))[:, -1])
 
 
 def check_covariances(covariance: Array, what: str, axes: tuple[str, ...], first: int = 0) -> None:

@@ -41,15 +41,14 @@ def write_structure(structure: Structure, path: Path | str, about: Mapping[str, 
         "sigma_m": _known(structure.sigma_m), "sightings": structure.sightings.tolist(), "points": s.count.tolist(),
         "radius_m": s.radius.tolist(), "opening": opening, "section": section,
     }  # fmt: skip
-    joint = _known(structure.joint_sigma_m) or [None] * len(structure.joint)
     head = {
-        "format": "steelnb structure", "version": 4, "units": {"length": "metre"},
+        "format": "steelnb structure", "version": 5, "units": {"length": "metre"},
         "frame": {"name": "world", "up": "z", "handedness": "right"}, "about": dict(about or {}),
         "reason": structure.reason,
     }  # fmt: skip
     lists = {
         "bars": [dict(zip(bars, row, strict=True)) for row in zip(*bars.values(), strict=True)],
-        "joints": [{"position_m": at, "sigma_m": m} for at, m in zip(structure.joint.tolist(), joint, strict=True)],
+        "joints": [{"position_m": at} for at in structure.joint.tolist()],
         "ties": [{"joint": joint, "bar": bar} for joint, bar in structure.tie.tolist()],
     }
     parts = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in head.items()]

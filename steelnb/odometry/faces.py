@@ -4,7 +4,7 @@ A map of points is biased: a voxel averages over the faces that it holds, so wha
 the side from which it is seen. A bar whose section is known has no such bias. So every `KEYFRAME_S` a scan becomes a
 keyframe; every ``refit_s`` bars are found in all of these, and their poses and the bars adjusted together
 (`steelnb.fusion.keyframes`), in a thread beside the scans to come; and scans are registered to the bars' front faces
-(`steelnb.odometry.face_registration`). Where these do not tell the pose, at the beginning and where the view is new,
+(`steelnb.fusion.locate`). Where these do not tell the pose, at the beginning and where the view is new,
 the odometry by clouds does.
 """
 
@@ -17,12 +17,11 @@ from steelnb.errors import InputError
 from steelnb.fusion.bundle import Bundle
 from steelnb.fusion.inertial import TILT_SIGMA_RAD
 from steelnb.fusion.keyframes import Keyframes, Readings
-from steelnb.fusion.known import KnownBars
+from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
 from steelnb.odometry.base import scan_of
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry
-from steelnb.odometry.face_registration import POINTS_MIN, FaceRegistration, Fit, points_in_range
 from steelnb.odometry.inertial_prediction import NONE, SCAN_SHARE, information_at
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, StructureSettings
@@ -73,7 +72,7 @@ class FaceOdometry:
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
         if self.inertial:
             self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
-        self.faces: FaceRegistration | None = None
+        self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # What is put out lies behind the estimate by so much: x, y, z, yaw, and roll and pitch where they are free.
         self._behind = np.zeros(pose_size(self.tilt_sigma_rad))
@@ -114,7 +113,7 @@ class FaceOdometry:
 
     def map_segments(self) -> Segments:
         """The bars with sections of the last adjustment; before the first one, those of the odometry by clouds."""
-        return self.faces.known.bars.segments if self.faces else self.clouds.map_segments()
+        return self.faces.bars.segments if self.faces else self.clouds.map_segments()
 
     def _fitted(self, scan: Scan, prior: Array) -> Fit | None:
         """The registration of a scan to front faces, if it holds."""
@@ -188,10 +187,8 @@ class FaceOdometry:
             return
         moved = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
         self._insert_waiting(moved)
-        bars = state.bars.sectioned()
-        known = KnownBars(bars)
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
-        self.faces = FaceRegistration(known, self._stamp_s, ratio, self.tilt_sigma_rad)
+        self.faces = Locator(state.bars.sectioned(), self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[: len(self._behind)] ** 2
         if self.inertial:
             self.inertial.move(moved, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)

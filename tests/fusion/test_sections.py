@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import section_fit, sections
-from steelnb.fusion.bar_voxels import BarVoxels
-from steelnb.fusion.point_association import bars_of_points, world_points
+from steelnb.fusion.bar_voxels import BarVoxels, world_points
 from steelnb.points import VoxelMap
 from tests.fusion.made import bars_of, random_bars, rigid
 
@@ -51,7 +50,6 @@ def test_a_voxel_belongs_to_the_nearest_bar_unless_another_is_nearly_as_near(see
     assert np.count_nonzero(expected >= 0) > 0
     voxels = BarVoxels.around(bars, 0.2, 0.05, 0.04)
     np.testing.assert_array_equal(voxels.bar_of(at), expected)
-    np.testing.assert_array_equal(voxels.near(at), nearest <= 0.25)
 
 
 def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
@@ -69,7 +67,7 @@ def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
     bar_of_voxel = np.arange(len(voxels)) - 1
     owner = {tuple(np.floor(mean / 0.5).astype(int)): k for mean, k in zip(voxels.means(), bar_of_voxel, strict=True)}
     expected = [owner.get(tuple(np.floor(point / 0.5).astype(int)), -1) for point in found]
-    bars = bars_of_points(found, bar_of_voxel, grid.voxel_m, grid.key, grid.slot)
+    bars = BarVoxels(bar_of_voxel, grid.voxel_m, grid.key, grid.slot).bar_of(found)
     np.testing.assert_array_equal(bars, expected)
     assert (bars[50:] == -1).any()
 

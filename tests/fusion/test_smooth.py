@@ -10,7 +10,7 @@ from steelnb import experiment
 from steelnb.errors import InputError
 from steelnb.fusion import bundle, sections, smooth, uncertainty
 from steelnb.fusion.bar_equations import Bars
-from steelnb.fusion.observations import Observations
+from steelnb.fusion.bar_voxels import Observations
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings

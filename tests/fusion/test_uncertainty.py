@@ -189,20 +189,3 @@ def test_ends_of_an_axis_have_their_own_error():
     for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
         sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
         assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)
-
-
-def test_a_joint_is_no_surer_than_its_bars_with_errors_in_common():
-    """Three bars along x, y, z that move together: so does the joint; and each alone moves it less than stated."""
-    segments = bars_of([[-1, 0, 0], [1, 0, 0]], [[0, -1, 0], [0, 1, 0]], [[0, 0, -1], [0, 0, 1]])
-    covariance = np.tile(np.diag([4e-6, 4e-6, 1e-12, 1e-12]), (3, 1, 1))
-    tie = np.array([[0, 0], [0, 1], [0, 2]])
-    found = uncertainty.joint_covariances(segments, covariance, np.zeros((1, 3)), tie)[0]
-    np.testing.assert_allclose(found, np.diag([6e-6] * 3), atol=1e-12)  # a common shift alone: 4e-6
-
-
-def test_parallel_bars_hold_no_joint():
-    segments = bars_of([[0, 0, -1], [0, 0, 1]], [[0.1, 0, -1], [0.1, 0, 1]], [[-1, 0, 0], [1, 0, 0]])
-    tie = np.array([[0, 0], [0, 1], [1, 1], [1, 2]])
-    found = uncertainty.joint_covariances(segments, np.tile(np.eye(4), (3, 1, 1)), np.zeros((2, 3)), tie)
-    assert np.isnan(found[0]).all()
-    assert np.isfinite(found[1]).all()

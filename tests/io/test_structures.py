@@ -30,12 +30,12 @@ def test_a_structure_keeps_every_digit_and_what_is_not_known_is_null(tmp_path: P
     structure = Structure(SEGMENTS, width, np.array([4, 2]), sigma, joint, tie, opening=opening, tube=tube)
     write_structure(structure, tmp_path / "a.json", {"source": "made up"})
     read = json.loads((tmp_path / "a.json").read_text())
-    assert (read["format"], read["version"], read["units"]) == ("steelnb structure", 4, {"length": "metre"})
+    assert (read["format"], read["version"], read["units"]) == ("steelnb structure", 5, {"length": "metre"})
     assert [bar["width_m"] for bar in read["bars"]] == [0.1 + 0.2, None]
     assert [bar["section"] for bar in read["bars"]] == ["angle", "round"]
     assert read["bars"][1]["opening"] is None
     assert read["bars"][1]["radius_m"] == 0.0123456
-    assert read["joints"] == [{"position_m": [0.0, 0.0, 4.0], "sigma_m": None}]
+    assert read["joints"] == [{"position_m": [0.0, 0.0, 4.0]}]
     assert read["ties"] == [{"joint": 0, "bar": 0}, {"joint": 0, "bar": 1}]
     write_structure(Structure.empty("no bar"), tmp_path / "b.json")
     assert json.loads((tmp_path / "b.json").read_text())["reason"] == "no bar"

@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment, odometry
 from steelnb.errors import InputError
 from steelnb.fusion import keyframes
-from steelnb.fusion.known import KnownBars
+from steelnb.fusion.locate import Locator, points_in_range
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CloudOdometry, CombinedOdometry, FaceOdometry, make_odometry
-from steelnb.odometry.face_registration import points_in_range
 from steelnb.odometry.faces import ADOPT_S
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
@@ -114,11 +113,12 @@ def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
         scan, prior = flight.scans[k], flight.prior.T_world_drone[k]
         if k == 40:  # all bars are shifted by 5 cm: near enough to be matched, too far to be the drift's doing
             assert ours.faces is not None
-            bars, away = ours.faces.known.bars, np.array([0.05, 0.0, 0.0])
+            bars, away = ours.faces.bars, np.array([0.05, 0.0, 0.0])
             segments = replace(bars.segments, start=bars.segments.start + away, end=bars.segments.end + away)
-            shifted = KnownBars(replace(bars, segments=segments))
             assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason
-            ours.faces.known = shifted
+            before = ours.faces
+            ours.faces = Locator(replace(bars, segments=segments), before._stamp_s, before.ratio)
+            ours.faces.variance = before.variance
             assert not ours.faces.fit(*_points_and_start(ours, scan, prior)).reason
         poses.append([odometry.update(scan, prior).T_world_drone[:3, 3] for odometry in (ours, clouds)])
     apart = np.linalg.norm(np.diff(poses, axis=1)[:, 0], axis=1)

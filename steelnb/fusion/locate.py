@@ -1,0 +1,153 @@
+"""Location of a scan by bars that are known: the adjustment of one pose (`fusion.bundle`), the bars nearly held.
+
+Gauss-Newton on position and yaw from a predicted pose, which counts by its information; roll and pitch are the
+prediction's, or found as well where the prior's have errors.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from steelnb.fusion import sections
+from steelnb.fusion.bar_equations import BAR, Bars, equations, noise_ratio
+from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays
+from steelnb.types import Array, IntArray, Scan
+
+VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
+"""A point belongs to the bar nearest to its voxel, within reach; not where a second bar is hardly further away."""
+SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
+"""Standard deviations of a bar: of its place, which is biased alike in all scans, of the turn of its section, radians,
+and of its flange. Chosen on the development seeds 11 and 12."""
+MATCH_SIGMAS = 3.0
+STEPS_MAX = 5
+STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
+"""A step below this, metres and radians, ends the search."""
+SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
+"""A scan is located if this share of its points that belong to bars lie on front faces, of this many bars with so many
+points each; with fewer points it tells nothing. Chosen on the development seeds 11 and 12."""
+RATIO = (1.0, 6.0)
+"""Bounds of the range noise as a multiple of that in `points.ranges`."""
+
+
+class Fit(NamedTuple):
+    """A location: the pose of the sensor, its information ``(D, D)`` about x, y, z and yaw, and for D = 6 roll and
+    pitch, the number of bars matched, the share of the points on them, the range noise as a multiple, and why it does
+    not hold."""
+
+    T_world_sensor: Array
+    information: Array
+    bars: int
+    share: float
+    ratio: float
+    reason: str
+
+
+class Locator:
+    """Locates scan after scan by ``bars`` with sections, in the world frame.
+
+    ``variance (D,)`` is that of the pose predicted for the next scan, ``ratio`` the range noise as a multiple of that
+    in `points.ranges`. D is 4, and 6 with a ``tilt_sigma_rad`` of the prior's roll and pitch.
+    """
+
+    def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
+        self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
+        self.variance, self._stamp_s = np.zeros(pose_size(tilt_sigma_rad)), stamp_s
+        self._corner = sections.outlines(bars.turn, bars.flange)
+        self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
+
+    def predict(self, stamp_s: float) -> None:
+        """Let the variance grow as drift does from the scan before to that of ``stamp_s``."""
+        passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
+        self._stamp_s = stamp_s
+        self.variance = self.variance.copy()
+        self.variance[:POSE] += DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
+        stays = tilt_stays(2.0 * passed_s)
+        self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
+
+    def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
+        """Locate ``points (N, 3)``, sensor frame, from a pose of the sensor, with all points assigned to bars anew in
+        each step. ``known (D, D)`` is the information about that pose, in place of the predicted variance."""
+        held = np.diag(1 / self.variance) if known is None else known
+        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(held)
+        for _ in range(STEPS_MAX):
+            matrix, vector, residuals = self._equations(points, T, size)
+            information, apart = matrix + held, pose_step(T_start, T, size)
+            pulled = vector - (apart / self.variance if known is None else known @ apart)
+            step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
+            T = moved_poses(T[None], step[None])[0]
+            if (np.abs(step) < STEP_MIN[:size]).all():
+                break
+        near, on = self._matched(points, T)
+        bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
+        enough = bars >= BARS_MIN and share >= SHARE_MIN
+        reason = "" if enough else f"too little of the map in sight: {bars} bars, {100 * share:.0f} % of the points"
+        return Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
+
+    def accept(self, fit: Fit) -> None:
+        """Take over the noise and the covariance of a registration that holds."""
+        self.ratio = float(np.clip(fit.ratio, *RATIO))
+        self.variance = np.diag(np.linalg.inv(fit.information))
+
+    def _equations(self, points: Array, T_world_sensor: Array, size: int) -> tuple[Array, Array, Array]:
+        """Normal equations ``(size, size)``, ``(size,)`` of the pose of a scan (x, y, z, yaw, and if size is 6 roll and
+        pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
+        (`fusion.bar_equations.equations`).
+
+        Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
+        alike: the points of one bar tell no more than its place is known.
+        """
+        bar = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
+        points, bar = points[bar >= 0], bar[bar >= 0]
+        whole = Observations.gathered([(0, points, bar)])
+        seen, b = whole.pair_bar, self.bars
+        n, segments = len(seen), b.segments.take(seen)
+        among = Bars(segments, b.across[seen], b.turn[seen], b.flange[seen])
+        own = whole._replace(pair_bar=np.arange(n))
+        found = equations(own, T_world_sensor[None], among, self._corner[seen], self.ratio, size)
+        sigma = np.empty((n, BAR))
+        sigma[:, :2] = SIGMA_M
+        sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
+        sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M
+        found.block[:, np.arange(BAR), np.arange(BAR)] += sigma**-2.0
+        beside = np.concatenate([found.cross.transpose(0, 2, 1), found.right[:, :, None]], axis=2)
+        freed = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
+        return found.matrix[0] - freed[:, :size], found.vector[0] - freed[:, size], found.residuals
+
+    def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
+        """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on
+        its front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
+        world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
+        bar, b = self._voxels.bar_of(world), self.bars
+        distance = _face_sigmas(
+            world, T_world_sensor[:3, 3], bar, b.segments.start, b.segments.direction, b.segments.length, b.across,
+            self._corner, self.ratio,
+        )  # fmt: skip
+        on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
+        return np.bincount(bar[bar >= 0], minlength=len(b.turn)), np.bincount(bar[on], minlength=len(b.turn))
+
+
+def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int = 0) -> Array:
+    """Points ``(N, 3)`` of a scan in the sensor frame, within range and not below the floor; about ``count`` of them,
+    evenly picked, or all for 0."""
+    flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
+    world, _ = world_points(flat, T_world_sensor, range_max_m, floor_m)
+    some = world[:: max(1, len(world) // count)] if count else world
+    return np.asarray((some - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])
+
+
+@njit(cache=True, error_model="numpy")
+def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, ratio):  # type: ignore[no-untyped-def]
+    """Distance ``(N,)`` of points in the world frame from the front faces of their bars in standard deviations of the
+    range noise; NaN for none."""
+    result = np.full(len(points), np.nan)
+    for i in range(len(points)):
+        b = bar[i]
+        if b >= 0:
+            x, c = points[i] - start[b], sensor - points[i]
+            u, v, t = sections.in_frame(direction[b], across[b], x[0], x[1], x[2])
+            p, q, w = sections.in_frame(direction[b], across[b], c[0], c[1], c[2])
+            found = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
+            result[i] = found[0] / (ratio * found[1])
+    return result
