@@ -96,6 +96,14 @@ def improve(bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array) 
     )  # fmt: skip
 
 
+def adjusted(bundle: Bundle, seen: Observations, prior: Array, stamp_s: Array, steps: int) -> tuple[Bundle, Equations]:
+    """The state after some steps of `improve` with the same points, and the equations of the last one."""
+    for _ in range(steps):
+        points = linearised(bundle, seen)
+        bundle = improve(bundle, points, prior, stamp_s)
+    return bundle, points
+
+
 class StateEquations(NamedTuple):
     """Normal equations of the states of K scans, by points, prior and IMU: ``matrix (K, D, D)``, between each and the
     next ``beside (K − 1, D, D)``, ``vector (K, D)``, and between states and bars ``between (K, D, 6 B)``. A state is a

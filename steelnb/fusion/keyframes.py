@@ -77,7 +77,6 @@ class Keyframes:
             )
         state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
         seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
-        for _ in range(STEPS):
-            state = bundle.improve(state, bundle.linearised(state, seen), self._prior, stamp_s)
+        state, _ = bundle.adjusted(state, seen, self._prior, stamp_s, STEPS)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

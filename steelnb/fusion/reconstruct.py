@@ -171,9 +171,7 @@ class MappedScans:
         T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
         state = bundle.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
         seen = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
-        for _ in range(ADJUST_STEPS):
-            state = bundle.improve(state, bundle.linearised(state, seen), T, stamp_s)
-        return state.T_world_sensor
+        return bundle.adjusted(state, seen, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections, angles or circles, to the points of each bar; the axes of the bars move to their centroids."""

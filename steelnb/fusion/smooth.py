@@ -60,9 +60,7 @@ def smooth(
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
             seen = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
-            for _ in range(steps):
-                equations = bundle.linearised(state, seen)
-                state = bundle.improve(state, equations, prior, stamp_s)
+            state, equations = bundle.adjusted(state, seen, prior, stamp_s, steps)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""
