@@ -14,7 +14,7 @@ from steelnb.errors import InputError
 from steelnb.keys import find_root
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
-from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
+from steelnb.settings import REPORT_NOISE, ExperimentSettings, Noise, TrajectoryName
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.types import Array
 
@@ -63,12 +63,12 @@ def report_range(noise: str, method: str, trajectory: str) -> tuple[float, float
 
 def at_level(noise: str, level: float) -> str:
     """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError`."""
-    NoiseSettings.parse(noise)
+    Noise.parse(noise)
     if noise == "none" or level == 1:
         return noise
     parts = (part.strip().partition(":") for part in noise.split("+"))
     scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
-    NoiseSettings.parse(scaled)
+    Noise.parse(scaled)
     return scaled
 
 

@@ -5,14 +5,14 @@ No estimator sees them.
 
 import itertools
 import math
-from typing import Annotated, Any, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from steelnb.errors import InputError
-from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted, table
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
-from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
@@ -39,12 +39,12 @@ class TowerSettings(Settings):
     top_width_m: Positive = 1.0
     arm_height_m: tuple[Positive, ...] = (10.2, 12.4, 14.6)
     arm_reach_m: tuple[Positive, ...] = (3.2, 3.8, 2.8)
-    arm_depth_m: Positive = 0.7
+    arm_depth_m: ClassVar[float] = 0.7
     leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
     ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
-    secondary_section_m: tuple[Positive, Positive] = (0.040, 0.004)
+    secondary_section_m: ClassVar[tuple[float, float]] = (0.040, 0.004)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -88,27 +88,16 @@ class TowerSettings(Settings):
 PlannerGoal = Literal["face", "around"]
 
 
-class PlannerSettings(Settings):
-    """A flight that `steelnb.planning` steers by what it sees.
-
-    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
-    """
-
-    goal: PlannerGoal = "around"
-
-
 class FlightSettings(Settings):
     """A simulated flight.
 
     ``vertical``, ``orbit`` and ``orbit-3.3``, the report's, go from one of the ``waypoints`` to the next, at rest at
     each; give them others for a flight of your own. The path of ``zigzag`` and ``loops`` follows from the tower:
-    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight has a ``planner``,
-    for which distance, heights, levels and speed are wishes, and its path depends on the odometry; the others have
-    none.
+    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight is steered by
+    `steelnb.planning`: distance, heights, levels and speed are wishes, and its path depends on the odometry. Its
+    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
 
-    ``gust_sigma_m_s`` is the standard deviation of the gusts along the vertical; ``gust_spectrum`` says whether they
-    are alike along all axes, with a correlation time of 2 s, or have the Dryden spectra near the ground
-    (`steelnb.simulation.gusts`).
+    ``gust_sigma_m_s`` is the standard deviation of the gusts along each axis.
     """
 
     trajectory: TrajectoryName = "zigzag"
@@ -119,8 +108,7 @@ class FlightSettings(Settings):
     levels: Annotated[int, Field(ge=2, le=100)] = 12
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
-    gust_spectrum: Literal["first-order", "dryden"] = "first-order"
-    planner: Annotated[PlannerSettings | None, table(PlannerSettings)] = None
+    goal: PlannerGoal = "around"
     waypoints: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")
@@ -137,15 +125,6 @@ class FlightSettings(Settings):
             raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {sum(seconds):g} s")
         return self
 
-    @model_validator(mode="after")
-    def _planned_by_a_planner(self) -> Self:
-        if (self.trajectory == "planned") != (self.planner is not None):
-            raise ValueError(
-                f"trajectory {self.trajectory!r} with {'no' if self.planner is None else 'a'} table planner: expected"
-                " one for 'planned', and for no other"
-            )
-        return self
-
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
         """A flight of ``presets/flights.toml`` by name. Default duration: the preset's own, else up to the last
@@ -159,6 +138,12 @@ class FlightSettings(Settings):
         return cls(trajectory=trajectory, **values)
 
 
+TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration"]
+"""What a real camera adds to the noise of its ranges: mixed pixels at edges; motion during the exposure; light by way
+of a second surface; noise and dropout by the light returned; an error periodic in the range; errors of offset and
+scale."""
+
+
 class TofSettings(Settings):
     """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
 
@@ -166,8 +151,9 @@ class TofSettings(Settings):
     depth along the optical axis has that noise and the limit ``range_max_m``; ranges remain along the ray. Scans come
     at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step; in the intervals ``blind_s`` (from, to)
     nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor
-    on the drone. With ``faults`` the sensor errs as a real one: the standard deviation of a range is then that of the
-    range at which the data sheet's target, seen squarely, returns as much light as the pixel got.
+    on the drone. With ``faults`` the sensor errs as a real one (`steelnb.simulation.exposure`): the standard deviation
+    of a range is then that of the range at which the data sheet's target, seen squarely, returns as much light as the
+    pixel got.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -183,7 +169,7 @@ class TofSettings(Settings):
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    faults: Annotated[TofFaultSettings | None, table(TofFaultSettings)] = None
+    faults: tuple[TofFault, ...] = ()
 
     @property
     def T_drone_sensor(self) -> Array:
@@ -196,7 +182,8 @@ class TofSettings(Settings):
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 
-class NoiseSettings(Settings):
+@dataclass(frozen=True)
+class Noise:
     """Drift of the pose prior, added at every simulator step (125 Hz).
 
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
@@ -204,20 +191,20 @@ class NoiseSettings(Settings):
     heading step; ``tilt_rad``: that of the slowly varying error of roll and of pitch, which the report does not have.
     """
 
-    random_walk_m: NotNegative = 0.0
-    constant_drift_m: NotNegative = 0.0
-    yaw_random_walk_rad: NotNegative = 0.0
-    tilt_rad: NotNegative = 0.0
+    random_walk_m: float = 0.0
+    constant_drift_m: float = 0.0
+    yaw_random_walk_rad: float = 0.0
+    tilt_rad: float = 0.0
 
     @classmethod
-    def parse(cls, text: str) -> "NoiseSettings":
+    def parse(cls, text: str) -> "Noise":
         """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
         A name without a level takes the report's, ``tilt`` one degree. ``constant-drift-per-axis`` reads the level as
         the step per axis, √3 more in all. ``none`` is no noise. Raises `InputError`.
 
-        >>> NoiseSettings.parse("random-walk+yaw-random-walk:0.001")
-        NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
+        >>> Noise.parse("random-walk+yaw-random-walk:0.001")
+        Noise(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
         """
         if not isinstance(text, str):
             raise InputError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
@@ -233,6 +220,8 @@ class NoiseSettings(Settings):
                 values[key] = factor * (float(level) if level else default)
             except ValueError:
                 raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
+            if not 0 <= values[key] < math.inf:
+                raise InputError(f"noise = {text!r}: {key} = {values[key]}: expected a number from 0 on")
         return cls(**values)
 
     def check_report(self) -> None:

@@ -13,12 +13,13 @@ from steelnb.odometry.features import DepthImage, Features, find_features, impor
 from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.registration import free_directions
-from steelnb.settings import CameraSettings, OdometrySettings, TofSettings
+from steelnb.settings import OdometrySettings, TofSettings
+from steelnb.simulation import FORWARD, TRACKING
 from steelnb.simulation.scene import rays
 from tests import naive
 from tests.odometry.conftest import BLIND_S, Watched
 
-K = CameraSettings.preset().K
+K = FORWARD.K
 SHAPE = (320, 422)
 TOF = TofSettings.preset("starling2")
 
@@ -182,7 +183,7 @@ def no_term(T, centre):
 
 @pytest.mark.parametrize(("dof", "turn"), [("se3", (0.02, -0.03, 0.04)), ("xyz_yaw", (0.0, 0.0, 0.04))])
 def test_the_pose_of_exact_sightings_is_found(dof, turn):
-    true, mount = np.eye(4), CameraSettings.preset("tracking").T_drone_camera
+    true, mount = np.eye(4), TRACKING.T_drone_camera
     true[:3, :3] = Rotation.from_euler("ZYX", [1.0, 0.1, -0.05]).as_matrix()
     true[:3, 3] = 3, -2, 5
     off = true.copy()
