@@ -11,7 +11,7 @@ from steelnb.images import CameraImages
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, OrbSettings
 from steelnb.simulation import (
     FORWARD,
     CastScans,
@@ -91,7 +91,7 @@ def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
 def take_images(settings: ExperimentSettings, tower: Tower, trajectory: Trajectory) -> CameraImages | None:
     """The images of the forward camera for a method by images, none of which is rendered before it is asked for; None
     for the others."""
-    return photograph(tower, trajectory, FORWARD, settings.seed) if settings.odometry.orb else None
+    return photograph(tower, trajectory, FORWARD, settings.seed) if isinstance(settings.odometry, OrbSettings) else None
 
 
 def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stamp_s: Array) -> Trajectory:

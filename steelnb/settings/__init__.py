@@ -9,12 +9,18 @@ from typing import get_args
 from steelnb.settings.base import Positive, Settings, parse_parameter
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
-    SEGMENT_METHODS,
     CloudSettings,
+    DeepVoSettings,
+    FaceSettings,
     FusionSettings,
     HoughSettings,
+    LibrarySettings,
+    LoamSettings,
+    MapSettings,
     OdometrySettings,
+    OrbSettings,
     PreprocessSettings,
+    RegistrationSettings,
     ReportCloudSettings,
     ReportSegmentSettings,
     SegmentSettings,
@@ -39,9 +45,10 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CloudSettings", "ExperimentSettings",
-    "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings", "Noise", "OdometrySettings", "PlannerGoal",
-    "Positive", "PreprocessSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",
-    "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "method_names",
-    "parse_parameter", "read_report_plots", "read_tables", "read_toml", "sensor_names",
+    "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
+    "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
+    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings", "PlannerGoal",
+    "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
+    "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
+    "method_names", "parse_parameter", "read_report_plots", "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

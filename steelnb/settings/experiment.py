@@ -2,11 +2,11 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
-from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.world import FlightSettings, Noise, TofSettings, TowerSettings, TrajectoryName
@@ -26,11 +26,11 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
-    odometry: OdometrySettings
+    odometry: Annotated[Family, Field(discriminator="family")]
 
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:
-        if self.flight.trajectory == "planned" and self.odometry.orb:
+        if self.flight.trajectory == "planned" and isinstance(self.odometry, OrbSettings):
             raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images on the way; expected "
                              "an odometry by clouds or segments")  # fmt: skip
         return self
@@ -68,7 +68,7 @@ class ExperimentSettings(Settings):
         by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
-        >>> settings.tof.rate_hz, settings.odometry.clouds.dof
+        >>> settings.tof.rate_hz, settings.odometry.dof
         (10.0, 'xyz_yaw')
         """
         odometry = OdometrySettings.preset(method, sensor)
@@ -112,9 +112,8 @@ class ExperimentSettings(Settings):
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
-        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``) and of the
-        odometry (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, ``orb``, and ``odometry`` for
-        its own).
+        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``); all else is the odometry's
+        (`OdometrySettings.override`).
         """
         settings = self
         for path, value in overrides.items():

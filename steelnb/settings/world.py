@@ -26,19 +26,17 @@ class TowerSettings(Settings):
 
     ``members`` names a CSV of ``steelnb/presets``, such as ``report-tower``, or a file ``FILE.csv``
     (`steelnb.simulation.lattice`). ``section``: sections are angles of ``(flange, thickness)`` or round rods as wide as
-    the flange. The ground is a square plate at z = 0, ``floor_half_m`` from its middle to its sides.
+    the flange. ``arms_m`` are height and reach of each arm. The ground is a square plate at z = 0.
     """
 
     members: str | None = None
     section: Literal["angle", "round"] = "angle"
-    floor_half_m: Positive = 60.0
     height_m: Positive = 16.0
     base_width_m: Positive = 4.0
     waist_height_m: Positive = 9.0
     waist_width_m: Positive = 1.7
     top_width_m: Positive = 1.0
-    arm_height_m: tuple[Positive, ...] = (10.2, 12.4, 14.6)
-    arm_reach_m: tuple[Positive, ...] = (3.2, 3.8, 2.8)
+    arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
     arm_depth_m: ClassVar[float] = 0.7
     leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
     ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
@@ -48,31 +46,30 @@ class TowerSettings(Settings):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if len(self.arm_height_m) != len(self.arm_reach_m):
-            raise ValueError("arm_height_m and arm_reach_m must have the same length")
         if not self.waist_height_m < self.height_m:
             raise ValueError("waist_height_m must lie below height_m")
-        levels = (self.waist_height_m, *self.arm_height_m)
-        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(levels[1:])):
-            raise ValueError("arms must be at least arm_depth_m apart")
-        if self.arm_height_m and (
-            min(self.arm_height_m) <= self.waist_height_m
-            or max(self.arm_height_m) + self.arm_depth_m > self.height_m + 1e-9
-        ):
-            raise ValueError("arms must lie between waist_height_m and height_m")
+        height_m = [height for height, _ in self.arms_m]
+        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(height_m)):
+            raise ValueError(f"arms_m: expected arms at least {self.arm_depth_m:g} m apart")
+        if height_m and not self.waist_height_m < min(height_m) <= max(height_m) <= self.height_m - self.arm_depth_m:
+            raise ValueError("arms_m: expected arms between waist_height_m and height_m")
         return self
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> Self:
-        shape = [
-            name for name in type(self).model_fields if name.startswith(("height", "base", "waist", "top", "arm_"))
-        ]
+        fields = type(self).model_fields
+        shape = [name for name in fields if name.startswith(("height", "base", "waist", "top", "arms"))]
         for name in shape if self.members is not None else ():
-            if name != "arm_section_m" and getattr(self, name) != type(self).model_fields[name].default:
+            if getattr(self, name) != fields[name].default:
                 raise ValueError(
                     f"{name} = {getattr(self, name)} with members = {self.members!r}: expected one of both"
                 )
         return self
+
+    @property
+    def floor_half_m(self) -> float:
+        """From the middle of the ground to its sides: the report's plate for a list of members, else far away."""
+        return 60.0 if self.members is None else 3.0
 
     @classmethod
     def preset(cls, tower: str = "tapered") -> "TowerSettings":
