@@ -45,7 +45,7 @@ every ten seconds, which a second core can do.
 
 def cases() -> dict[str, OdometrySettings]:
     """The odometries by the names of their rows."""
-    found = {name: ExperimentSettings.preset(method=name).odometry for name in OURS}
+    found: dict[str, OdometrySettings] = {name: ExperimentSettings.preset(method=name).odometry for name in OURS}
     for name in PEERS:
         settings = ExperimentSettings.preset(method=name).odometry
         for voxel_m in VOXELS_M:

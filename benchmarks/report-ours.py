@@ -28,13 +28,13 @@ VALUES: dict[str, dict[str, Any]] = {
         "prior_sigma": (0.05, 0.02),
         "clouds.sigma_filter_px": 0,
         "clouds.bars_weight": 1.0,
-        "segments.robust_scale_m": 0.03,
+        "clouds.robust_scale_m": 0.03,
     },
     "no robust weights": {"clouds.robust_scale": 100.0},
     "starling2, no bars": {"prior_sigma": (0.05, 0.02), "clouds.sigma_filter_px": 0, "clouds.bars_weight": 0.0},
 }
 """What differs between the sensors' presets; `best` has no bars in either."""
-OF_BARS = ("clouds.bars_weight", "segments.robust_scale_m")
+OF_BARS = ("clouds.bars_weight", "clouds.robust_scale_m")
 SHOWN = ("recall", "precision", "edge_recall", "edge_precision", "offset_median_m", "joint_error_median_m")
 
 

@@ -11,8 +11,9 @@ from steelnb.images import CameraImages
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, OrbSettings
 from steelnb.simulation import (
+    FORWARD,
     CastScans,
     Tower,
     Truth,
@@ -79,7 +80,7 @@ def pilot(
     settings: ExperimentSettings, tower: Tower, on_progress: Progress | None = None
 ) -> Callable[[], OnboardPilot] | None:
     """Makes the pilot of a planned flight; None for others."""
-    return partial(OnboardPilot, settings, tower, on_progress) if settings.flight.planner else None
+    return partial(OnboardPilot, settings, tower, on_progress) if settings.flight.trajectory == "planned" else None
 
 
 def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
@@ -88,8 +89,9 @@ def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
 
 
 def take_images(settings: ExperimentSettings, tower: Tower, trajectory: Trajectory) -> CameraImages | None:
-    """The images of the settings' camera, none of which is rendered before it is asked for; None without a camera."""
-    return photograph(tower, trajectory, settings.camera, settings.seed) if settings.camera else None
+    """The images of the forward camera for a method by images, none of which is rendered before it is asked for; None
+    for the others."""
+    return photograph(tower, trajectory, FORWARD, settings.seed) if isinstance(settings.odometry, OrbSettings) else None
 
 
 def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stamp_s: Array) -> Trajectory:
@@ -100,8 +102,8 @@ def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stam
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
-    """The same flight and scans under the noise of other settings, and with the images of their camera: what a
-    comparison of noises or methods needs."""
+    """The same flight and scans under the noise of other settings, and with the images that their method needs: for
+    comparisons of noises or methods."""
     prior = drift(settings, truth.trajectory, flight.imu, flight.prior.stamp_s)
     return replace(flight, prior=prior, images=take_images(settings, truth.tower, truth.trajectory))
 

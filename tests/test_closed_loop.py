@@ -65,7 +65,7 @@ def test_the_drone_does_what_the_planner_decides(around):
 
 def test_a_pilot_who_believes_a_wrong_pose_flies_another_path(around):
     settings, _, true = around
-    drifting = settings.replace(noise=settings.noise.replace(random_walk_m=0.02))
+    drifting = settings.replace(noise_name="random-walk:0.02")
     other, _ = fly(build_tower(settings.tower), drifting.flight, 5, OnboardPilot(drifting, build_tower(settings.tower)))
     np.testing.assert_array_equal(other.position[0], true.position[0])
     assert np.abs(other.position - true.position).max() > 0.02
@@ -109,13 +109,9 @@ def test_a_pilot_that_flies_into_the_ground_is_told_where():
 
 
 def test_a_planner_belongs_to_planned_flights_alone():
-    with pytest.raises(InputError, match="trajectory 'loops' with a table planner"):
-        ExperimentSettings.preset("loops", overrides={"flight.planner": {"goal": "face"}})
-    with pytest.raises(InputError, match="trajectory 'planned' with no table planner"):
-        ExperimentSettings.preset("planned", overrides={"flight.planner": False})
     with pytest.raises(InputError, match="goal = 'home'"):
-        ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "home"})
+        ExperimentSettings.preset("planned", overrides={"flight.goal": "home"})
     with pytest.raises(InputError, match="trajectory 'loops': expected 'planned'"):
         Planner(FlightSettings.preset("loops"), 1.5, 6.0)
-    chosen = ExperimentSettings.preset("planned", overrides={"flight.planner.goal": "face"})
-    assert chosen.flight.planner.goal == "face"
+    chosen = ExperimentSettings.preset("planned", overrides={"flight.goal": "face"})
+    assert chosen.flight.goal == "face"

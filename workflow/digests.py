@@ -24,7 +24,7 @@ from steelnb.odometry import make_odometry
 from steelnb.odometry.run import run
 from steelnb.odometry.segments import shared_segments
 from steelnb.points import preprocess_scan
-from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings, StructureSettings
+from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, MapSettings, StructureSettings
 from steelnb.types import Array, Flight
 
 PATH = Path("tests", "digests.json")
@@ -90,12 +90,14 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
         images = [whole.images.images[k] for k in taken.tolist()]
         flight = replace(flight, images=replace(whole.images, stamp_s=stamp_s[taken], images=images))
         yield f"{name}/images", digest(*images)
-    yield from _bars(name, flight, configured("least_squares").odometry)
+    by_segments = configured("least_squares").odometry
+    assert isinstance(by_segments, MapSettings)
+    yield from _bars(name, flight, by_segments)
     smoothed = None
     with shared_segments():
         for method in METHODS:
             chosen, odometry = flight, configured(method).odometry
-            if odometry.refit_s is not None:
+            if isinstance(odometry, FaceSettings):
                 chosen = whole.first(settings["scans_of_faces"])
                 odometry = odometry.override({"refit_s": settings.get("refit_s", odometry.refit_s)})
             found = run(chosen, make_odometry(odometry, chosen.T_drone_sensor, chosen.imu, chosen.images))
@@ -107,8 +109,7 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
     yield f"{name}/structure joints", digest(structure.joint, structure.tie)
 
 
-def _bars(name: str, flight: Flight, settings: OdometrySettings) -> Iterator[tuple[str, str]]:
-    assert settings.hough is not None
+def _bars(name: str, flight: Flight, settings: MapSettings) -> Iterator[tuple[str, str]]:
     k = len(flight) - 1
     points: Array = preprocess_scan(
         flight.scans[k], flight.prior.T_world_drone[k], flight.T_drone_sensor, settings.preprocess

@@ -19,7 +19,7 @@ class SegmentMap:
     """
 
     def __init__(self, settings: FusionSettings | None = None) -> None:
-        self.settings = settings or FusionSettings.preset()
+        self.settings = settings or FusionSettings()
         self.sightings = np.zeros(0, dtype=np.int64)
         self.inserts = 0
         self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last seen

@@ -4,14 +4,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb import rng
-from steelnb.settings import NoiseSettings
+from steelnb.settings import Noise
 from steelnb.types import Array, Trajectory
 
 TILT_S = 30.0
 """Correlation time of the error of roll and pitch."""
 
 
-def drifting(truth: Trajectory, settings: NoiseSettings, seed: rng.Seed) -> Trajectory:
+def drifting(truth: Trajectory, settings: Noise, seed: rng.Seed) -> Trajectory:
     """A trajectory ``T_world_drone (N, 4, 4)`` with the drift of a pose estimate; zero drift at the first stamp.
 
     Position errors, metres in the world frame, are sums over the steps of the trajectory (125 Hz in simulation): the
@@ -36,7 +36,7 @@ def drifted(truth: Trajectory, error: Array) -> Trajectory:
     return Trajectory(truth.stamp_s, T_world_drone)
 
 
-def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: rng.Seed) -> Array:
+def drift_errors(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
     """Turn about the drone and shift ``(N, 4, 4)``, world axes, of `drifting` at each stamp; they do not depend on the
     flight."""
     steps = len(stamp_s) - 1
@@ -61,7 +61,7 @@ def drift_errors(stamp_s: Array, settings: NoiseSettings, seed: rng.Seed) -> Arr
     return error
 
 
-def _steps_of_the_report(settings: NoiseSettings, steps: int) -> tuple[Array, Array, Array]:
+def _steps_of_the_report(settings: Noise, steps: int) -> tuple[Array, Array, Array]:
     """Random steps of the position ``(steps, 3)``, its constant step ``(3,)`` and steps of the heading ``(steps,)``."""
     settings.check_report()
     constant = settings.constant_drift_m * rng.report_generator().standard_normal(3)  # not of the level's length
@@ -82,6 +82,6 @@ def _tilt(stamp_s: Array, sigma_rad: float, seed: rng.Seed) -> Array:
     return np.pad(lfilter([sigma_rad * np.sqrt(1 - stays**2)], [1.0, -stays], steps, axis=0), ((0, 0), (0, 1)))
 
 
-def random_walk_rms_m(settings: NoiseSettings, stamp_s: Array, rate_hz: float = 125.0) -> Array:
+def random_walk_rms_m(settings: Noise, stamp_s: Array, rate_hz: float = 125.0) -> Array:
     """Root mean square length ``(N,)`` of the 3D random walk after ``stamp_s``: σ·√(3·rate·t)."""
     return np.asarray(settings.random_walk_m * np.sqrt(3 * rate_hz * stamp_s))

@@ -1,11 +1,15 @@
 """The interface of every odometry."""
 
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from steelnb.errors import InputError
 from steelnb.points.inputs import checked_cloud
+from steelnb.settings import OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
+
+S = TypeVar("S", bound=OdometrySettings)
 
 
 class Odometry(Protocol):
@@ -25,6 +29,15 @@ class Odometry(Protocol):
     def map_segments(self) -> Segments:
         """The bars of the map; none where the map is a cloud."""
         return Segments.empty()
+
+
+def settings_of(given: OdometrySettings | None, kind: type[S], method: str) -> S:
+    """The settings of an odometry, by default the preset of a ``method``. Raises `InputError` for those of another
+    family."""
+    found = given or OdometrySettings.preset(method)
+    if not isinstance(found, kind):
+        raise InputError(f"method {found.method!r} is of the family {found.family!r}; expected one such as {method!r}")
+    return found
 
 
 def scan_of(scan: Scan | Array) -> Scan:

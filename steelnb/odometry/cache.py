@@ -24,17 +24,17 @@ def run_kept(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) 
     """
     # To tell images apart takes too long, and neither weights nor the version of a library are settings.
     by_settings = CloudOdometry | FaceOdometry | SegmentOdometry | ReportCloudOdometry | ReportSegmentOdometry
-    if not isinstance(flight.scans, RangeScans) or not isinstance(odometry, by_settings) or odometry.settings.orb:
+    if not isinstance(flight.scans, RangeScans) or not isinstance(odometry, by_settings):
         return run(flight, odometry, on_step)
     scans, prior = flight.scans, flight.prior
     given = [scans.stamp_s, scans.range_m, scans.ray, prior.stamp_s, prior.T_world_drone, flight.T_drone_sensor]
-    if odometry.settings.inertial and flight.imu:
+    if getattr(odometry.settings, "inertial", None) and flight.imu:
         given += [flight.imu.stamp_s, flight.imu.specific_force, flight.imu.angular_rate]
 
     def key() -> object:
         content = [hashlib.sha256(np.ascontiguousarray(array).data).hexdigest() for array in given]
         # The rules of odometry by segments go by their names; methods by clouds differ in their settings alone.
-        named = {"smooth"} | (set() if odometry.settings.clouds is None else {"method"})
+        named = {"smooth"} | (set() if isinstance(odometry, SegmentOdometry) else {"method"})
         settings = odometry.settings.model_dump(mode="json", exclude=named)
         return [type(odometry).__name__, settings, *content]
 

@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.odometry.base import Odometry, nothing_left, scan_of
+from steelnb.odometry.base import Odometry, nothing_left, scan_of, settings_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PosePredictor
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
@@ -15,7 +14,7 @@ from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import AnyTarget, Target, Term, align, free_directions
-from steelnb.settings import OdometrySettings
+from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
 NEIGHBOURS = 20
@@ -29,6 +28,8 @@ NORMALS_MIN = 0.05
 """With a prediction of stated uncertainty: the share of normals below which a shift is the prediction's
 (`unobserved_shifts`). Before a wall, with noise, it is up to 0.02; before the report's tower 0.18 at least, with the
 report's sensor 0.06. On a tower 6 m wide it falls to 0.03 now and then."""
+JUMP_MAX_VOXELS = 10
+"""A step of more than so many voxels of the map is refused."""
 STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 """``fast`` → the rotation (rad) and translation (m) below which the solver stops."""
 
@@ -50,33 +51,31 @@ class CloudOdometry(Odometry):
 
     Parameters
     ----------
-    settings : a method by clouds, default ``OdometrySettings.preset("best")``.
+    settings : of the family of clouds or faces, default ``OdometrySettings.preset("best")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
     """
 
     BY_FEATURES = False
+    settings: RegistrationSettings | LoamSettings
 
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
-        self.settings = settings or OdometrySettings.preset("best")
-        if self.settings.clouds is None:
-            raise InputError(f"method {self.settings.method!r}: expected an odometry by clouds, such as 'best'")
-        self.clouds = self.settings.clouds
-        if (self.clouds.shape == "features") != self.BY_FEATURES:
-            given = f"method {self.settings.method!r}: clouds.shape = {self.clouds.shape!r}"
-            raise InputError(f"{given}: expected {'' if self.BY_FEATURES else 'another than '}'features'")
+        self.settings = s = self._own(settings)
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self.map = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)
-        self.predictor = PosePredictor(self.settings, imu)
-        self.free = free_directions("se3" if self.predictor.tilted else self.clouds.dof)
+        self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
+        self.predictor = PosePredictor(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
+        self.free = free_directions("se3" if self.predictor.tilted else s.dof)
         self.near_side = NearSide()
+
+    def _own(self, settings: OdometrySettings | None) -> RegistrationSettings | LoamSettings:
+        return settings_of(settings, RegistrationSettings, "best")
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        s, c, clock = self.settings, self.clouds, [time.perf_counter()]
+        s, clock = self.settings, [time.perf_counter()]
         T_init = self.predictor.pose(scan.stamp_s, T_world_drone_prior)
         if s.near_side:
             self.near_side.update(scan.points)
@@ -92,7 +91,7 @@ class CloudOdometry(Odometry):
         if (used or reason == "first scan") and len(points):
             self.insert(points, T_world_drone)
         if used:
-            if c.drop_rotation:
+            if s.drop_rotation:
                 T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
             self.predictor.correct(T_world_drone, T_world_drone_prior, unobserved, information)
         else:
@@ -104,13 +103,13 @@ class CloudOdometry(Odometry):
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan in the drone frame as the map takes them: denoised, filtered, moved by the
         near-side shift so far. ``T_world_drone (4, 4)``, an estimate, serves to cut the floor."""
-        if self.clouds.sigma_filter_px:
-            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.clouds.sigma_filter_px), scan.fault)
+        if self.settings.sigma_filter_px:
+            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.settings.sigma_filter_px), scan.fault)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
         return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.settings.near_side else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
-        s = self.clouds
+        s = self.settings
         if not len(points) or not len(self.map):
             return None, None
         world = points @ T_init[:3, :3].T + T_init[:3, 3]
@@ -121,7 +120,7 @@ class CloudOdometry(Odometry):
         tree = build_kdtree(self.map.means(chosen))
         if s.error != "gicp":
             return Target(tree), None
-        if s.shape == "neighbours":
+        if s.map != "measured":
             return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
         shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
         return Target.of_voxels(tree, shapes), self._ray_covariances(points)
@@ -141,7 +140,7 @@ class CloudOdometry(Odometry):
         )  # fmt: skip
 
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        s, known = self.clouds, self.predictor.known
+        s, known = self.settings, self.predictor.known
         whole = not self.BY_FEATURES
         inliers_min = INLIER_SHARE_MIN * len(points) if whole else 0.0
         if len(points) < POINTS_MIN[known and whole]:
@@ -163,7 +162,7 @@ class CloudOdometry(Odometry):
             return Registered(T_init, "too little overlap", result.inliers)
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
             return Registered(T_init, result.reason, result.inliers)
-        if jump > s.jump_max_m:
+        if jump > JUMP_MAX_VOXELS * s.map_voxel_m:
             return Registered(T_init, f"jump of {jump:.2f} m", result.inliers)
         T = result.T_target_source
         information = self.predictor.information_of(result.H, T, result.centre)
@@ -176,7 +175,7 @@ class CloudOdometry(Odometry):
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""
         touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
-        if self.clouds.shape != "neighbours":
+        if self.settings.map == "measured":
             self.map.update_shapes(touched)
 
     @property

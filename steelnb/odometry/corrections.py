@@ -7,7 +7,6 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import SegmentMap, associate
-from steelnb.settings import SegmentSettings
 from steelnb.types import Array, Segments
 
 GAIN = 0.5
@@ -34,13 +33,13 @@ class Correction:
 
 
 def no_correction(
-    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
+    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """No correction: the map that drift makes (the report's Figure 3.4a)."""
     return Correction(np.zeros(3), 0)
 
 
-def average(seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array) -> Correction:
+def average(seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array) -> Correction:
     """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
 
     Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
@@ -53,7 +52,7 @@ def average(seen: Segments, known: SegmentMap, settings: SegmentSettings, positi
 
 
 def least_squares(
-    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
+    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
@@ -68,7 +67,7 @@ def least_squares(
         matches = len(across)
         if not matches:
             return Correction(np.zeros(3), 0)
-        robust = 1.0 / (1.0 + (across**2).sum(axis=1) / settings.robust_scale_m**2) ** 2
+        robust = 1.0 / (1.0 + (across**2).sum(axis=1) / robust_scale_m**2) ** 2
         weight = robust * count / count.mean()
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
         H = (weight[:, None, None] * projector).sum(axis=0) + DAMPING_PAIRS * np.eye(3)
@@ -81,7 +80,7 @@ def least_squares(
 
 
 def least_squares_yaw(
-    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, prior: Array
+    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
 
@@ -91,7 +90,7 @@ def least_squares_yaw(
     state = np.zeros(4)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        bars = bar_equations(moved(seen, state, position), known, settings, position + state[1:])
+        bars = bar_equations(moved(seen, state, position), known, robust_scale_m, position + state[1:])
         matches = bars.matches
         if not matches:
             return Correction(np.zeros(3), 0)
@@ -118,7 +117,7 @@ class BarEquations:
 
 
 def bar_equations(
-    seen: Segments, known: SegmentMap, settings: SegmentSettings, position: Array, tilt: bool = False
+    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, tilt: bool = False
 ) -> BarEquations:
     """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars; with
     ``tilt`` of turns about the level axes, too.
@@ -131,7 +130,7 @@ def bar_equations(
     count = np.minimum(segments.count, POINTS_MAX)
     information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
     loss, H, b = _bar_equations(
-        shared_ends(segments, bars), bars.start, bars.direction, information, position, settings.robust_scale_m,
+        shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m,
         6 if tilt else 4,
     )  # fmt: skip
     return BarEquations(H, b, loss, len(bars))
@@ -182,7 +181,7 @@ def shared_ends(segments: Segments, bars: Segments) -> Array:
     return np.asarray(segments.start[:, None] + share[..., None] * (segments.end - segments.start)[:, None])
 
 
-CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, SegmentSettings, Array, Array], Correction]] = {
+CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array, Array], Correction]] = {
     "none": no_correction,
     "average": average,
     "least_squares": least_squares,

@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.odometry.base import Odometry, scan_of
+from steelnb.odometry.base import Odometry, scan_of, settings_of
 from steelnb.odometry.network import Network, read_network
 from steelnb.points.inputs import checked_pose
-from steelnb.settings import OdometrySettings
+from steelnb.settings import DeepVoSettings, OdometrySettings
 from steelnb.settings.presets import PRESETS
 from steelnb.types import Array, OdometryStep, Scan
 
@@ -100,16 +99,14 @@ class DeepVoOdometry(Odometry):
 
     Parameters
     ----------
-    settings : with ``weights``, default ``OdometrySettings.preset("deepvo")``.
+    settings : of the family ``deepvo``, default ``OdometrySettings.preset("deepvo")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
 
     Raises `InputError` for weights that cannot be used.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset("deepvo")
-        if self.settings.weights is None:
-            raise InputError(f"method {self.settings.method!r}: expected a learned odometry, such as 'deepvo'")
+        self.settings = settings_of(settings, DeepVoSettings, "deepvo")
         packaged = PRESETS / self.settings.weights
         self.network = read_network(packaged if packaged.is_file() else Path(self.settings.weights))
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")

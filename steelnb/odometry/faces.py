@@ -13,18 +13,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.errors import InputError
 from steelnb.fusion.bundle import Bundle
 from steelnb.fusion.inertial import TILT_SIGMA_RAD
 from steelnb.fusion.keyframes import Keyframes, Readings
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
-from steelnb.odometry.base import scan_of
-from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.combined import CombinedOdometry
+from steelnb.odometry.base import scan_of, settings_of
+from steelnb.odometry.combined import by_clouds
 from steelnb.odometry.inertial_prediction import NONE, SCAN_SHARE, information_at
 from steelnb.points.inputs import checked_pose
-from steelnb.settings import OdometrySettings, StructureSettings
+from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
 KEYFRAME_S = 1.0
@@ -51,7 +49,7 @@ class FaceOdometry:
 
     Parameters
     ----------
-    settings : a method by clouds with ``refit_s``, default ``OdometrySettings.preset("faces")``.
+    settings : of the family of faces, default ``OdometrySettings.preset("faces")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     imu : readings in the axes of the drone, as for `CloudOdometry`; they take part in the adjustments, too.
     """
@@ -59,11 +57,8 @@ class FaceOdometry:
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
-        self.settings = settings or OdometrySettings.preset("faces")
-        if self.settings.clouds is None or self.settings.refit_s is None:
-            raise InputError(f"method {self.settings.method!r}: expected one by clouds with refit_s, such as 'faces'")
-        by_bars = self.settings.clouds.bars_weight > 0
-        self.clouds = (CombinedOdometry if by_bars else CloudOdometry)(self.settings, T_drone_sensor, imu)
+        self.settings = settings_of(settings, FaceSettings, "faces")
+        self.clouds = by_clouds(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor
         seen, self.predictor = self.settings.preprocess, self.clouds.predictor
         self.inertial = self.predictor.inertial
@@ -167,7 +162,7 @@ class FaceOdometry:
 
     def _start_adjustment(self) -> None:
         """Adjust the keyframes in a thread, if it is time to."""
-        period_s = self.settings.refit_s or np.inf
+        period_s = self.settings.refit_s
         self._refit_s = min(self._refit_s, self._stamp_s + period_s)
         if self._stamp_s < self._refit_s - 1e-6:
             return

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from steelnb.odometry.clouds import STOP, CloudOdometry, Registered
-from steelnb.points import VoxelMap, smooth_ranges, voxel_grid
+from steelnb.odometry.base import settings_of
+from steelnb.odometry.clouds import JUMP_MAX_VOXELS, STOP, CloudOdometry, Registered
+from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.features import Features, loam_features, scan_lines
 from steelnb.registration import AnyTarget, FeatureTarget, align
-from steelnb.settings import OdometrySettings
+from steelnb.settings import LoamSettings, OdometrySettings
 from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
@@ -26,31 +27,30 @@ class LoamOdometry(CloudOdometry):
 
     Parameters
     ----------
-    settings : a method by features, default ``OdometrySettings.preset("loam")``.
+    settings : of the family ``loam``, default ``OdometrySettings.preset("loam")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
     BY_FEATURES = True
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        super().__init__(settings or OdometrySettings.preset("loam"), T_drone_sensor)
-        self.planes = VoxelMap(self.clouds.map_voxel_m, self.clouds.accumulate)  # `map` is that of the edges
+        super().__init__(settings, T_drone_sensor)
+        self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` is that of the edges
         none = np.zeros(0, dtype=np.int64)
         self._seen = Features(np.zeros((0, 3)), none, none)  # in this scan, drone frame, before they are thinned out
         self._plane: IntArray = none  # of the points that `preprocessed` gave
         self._last = self._seen.point, none  # of the scan before, world frame
 
+    def _own(self, settings: OdometrySettings | None) -> LoamSettings:
+        return settings_of(settings, LoamSettings, "loam")
+
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, without the floor and thinned out."""
         image, s = scan.points if scan.points.ndim == 3 else scan_lines(scan.points), self.settings
-        if self.clouds.sigma_filter_px:
-            image = smooth_ranges(image, self.clouds.sigma_filter_px)
         found = loam_features(image)
         point = found.point @ self.T_drone_sensor[:3, :3].T + self.T_drone_sensor[:3, 3]
         inside = (np.abs(point) <= s.preprocess.crop_m).all(axis=1)
         inside &= point @ T_world_drone[2, :3] + T_world_drone[2, 3] >= s.preprocess.floor_m
-        if s.near_side:
-            point = self.near_side.shifted(point, self.T_drone_sensor[:3, 3])
         self._seen = Features(point[inside], found.plane[inside], found.rank[inside])
         kinds = [voxel_grid(self._seen.point[self._seen.plane == kind], s.preprocess.voxel_leaf_m) for kind in (0, 1)]
         self._plane = np.repeat([0, 1], [len(points) for points in kinds])
@@ -61,7 +61,7 @@ class LoamOdometry(CloudOdometry):
             return None, None
         world = points @ T_init[:3, :3].T + T_init[:3, 3]
         low, high = world.min(axis=0), world.max(axis=0)
-        reach = float((high - low).max() / 2 + 2 * self.clouds.max_correspondence_m)
+        reach = float((high - low).max() / 2 + 2 * self.settings.max_correspondence_m)
         chosen = [voxels.near((low + high) / 2, reach) for voxels in (self.map, self.planes)]
         if not any(map(len, chosen)):
             return None, None
@@ -80,13 +80,13 @@ class LoamOdometry(CloudOdometry):
             return T_init
         edges, planes = (last[of_plane == kind] for kind in (0, 1))
         target = FeatureTarget.of(edges, planes, seen.plane[sharp], SIGMA_M)
-        s, zero = self.clouds, np.zeros((int(sharp.sum()), 6))
+        s, zero = self.settings, np.zeros((int(sharp.sum()), 6))
         result = align(
             seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
             s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
         )  # fmt: skip
         moved_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
-        return result.T_target_source if result.converged and moved_m <= s.jump_max_m else T_init
+        return result.T_target_source if result.converged and moved_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)`` of the drone frame to the maps at a pose that is known."""

@@ -10,10 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.odometry.base import Odometry, scan_of
+from steelnb.odometry.base import Odometry, scan_of, settings_of
 from steelnb.points.inputs import checked_pose
-from steelnb.settings import OdometrySettings
+from steelnb.settings import LibrarySettings, OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan
 
 POINTS_MIN = 10
@@ -33,15 +32,13 @@ class PeerOdometry(Odometry):
 
     Parameters
     ----------
-    settings : with a ``library``, default ``OdometrySettings.preset("kiss-icp")``; its voxel is
+    settings : of the family ``library``, default ``OdometrySettings.preset("kiss-icp")``; its voxel is
         ``preprocess.voxel_leaf_m``, and points beyond ``preprocess.crop_m`` are left out.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset("kiss-icp")
-        if self.settings.library is None:
-            raise InputError(f"method {self.settings.method!r}: expected one with a library, such as 'kiss-icp'")
+        self.settings = settings_of(settings, LibrarySettings, "kiss-icp")
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
         self._register: Register | None = None

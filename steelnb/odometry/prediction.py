@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion.poses import DRIFT_PERIOD_S, TILT_S, tilt_stays
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
 from steelnb.registration import Term, prior_term
-from steelnb.settings import OdometrySettings
+from steelnb.settings import ImuSettings
 from steelnb.types import Array, Imu
 
 DRIFT_GAIN = 0.05
@@ -64,25 +64,27 @@ class Prediction:
 
 
 class PosePredictor:
-    """Predicts by the drifting prior and the rate of its drift; or, where the settings have ``inertial``, by an IMU.
+    """Predicts by the drifting prior and the rate of its drift; or, where its ``noise`` is known, by an IMU.
 
     `pose` changes nothing that a second call would see, `correct` or `lose` does: a prediction may be asked for more
     than once.
 
     Parameters
     ----------
-    settings : ``prior_sigma``, ``tilt_sigma_rad`` and ``inertial`` are used.
+    prior_sigma, tilt_sigma_rad, noise : the ``prior_sigma``, ``tilt_sigma_rad`` and ``inertial`` of the settings.
     imu : readings in the axes of the drone, up to the scan at hand.
     """
 
-    def __init__(self, settings: OdometrySettings, imu: Imu | None = None) -> None:
-        self.drift = Prediction(settings.prior_sigma is not None, settings.tilt_sigma_rad)
-        noise = settings.inertial
+    def __init__(
+        self, prior_sigma: tuple[float, float] | None, tilt_sigma_rad: float = 0.0, noise: ImuSettings | None = None,
+        imu: Imu | None = None,
+    ) -> None:  # fmt: skip
+        self.drift = Prediction(prior_sigma is not None, tilt_sigma_rad)
         self.inertial = InertialPrediction(imu, noise) if noise is not None and imu is not None else None
-        self.tilted = settings.tilt_sigma_rad > 0 or self.inertial is not None  # roll and pitch are found, too
+        self.tilted = tilt_sigma_rad > 0 or self.inertial is not None  # roll and pitch are found, too
         self._information: Array | None = None  # of the prediction by the drift, rotation first, (6, 6)
-        if settings.prior_sigma is not None:
-            place, turn = settings.prior_sigma
+        if prior_sigma is not None:
+            place, turn = prior_sigma
             self._information = np.diag([turn**-2.0] * 3 + [place**-2.0] * 3)
         self._stamp_s = self._ahead_s = np.nan  # of the last scan, and of the one predicted
 

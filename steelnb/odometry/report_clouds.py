@@ -8,18 +8,18 @@ the registration fails or the step is too large, E and map stay as they were.
 """
 
 import time
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
-from steelnb.odometry.base import Odometry, scan_of
+from steelnb.odometry.base import Odometry, scan_of, settings_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Aligned, Target, align, free_directions, gicp_as_pcl, icp_as_pcl
-from steelnb.settings import OdometrySettings
+from steelnb.settings import OdometrySettings, ReportCloudSettings
 from steelnb.types import Array, OdometryStep, Scan
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
@@ -32,6 +32,26 @@ NEIGHBOURS = 20
 """Nearest neighbours of which a covariance is estimated, PCL's default."""
 
 
+class Program(NamedTuple):
+    """What differs between the report's programs. ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's
+    criteria (`steelnb.registration.as_pcl`); GICP has no ``mse_change_min``. ``drop_rotation`` keeps only the
+    translation of each step, although the scan enters the map turned."""
+
+    error: Literal["point", "gicp"]
+    max_correspondence_m: float
+    iterations_max: int
+    epsilon: float
+    mse_change_min: float = 0.0
+    drop_rotation: bool = False
+
+
+PROGRAMS = {
+    "icp": Program("point", 0.5, 150, 1e-3, 1e-3),
+    "icp-3dof": Program("point", 0.1, 200, 5e-4, 1e-6, drop_rotation=True),
+    "gicp": Program("gicp", 0.3, 150, 1e-5),
+}
+
+
 class ReportCloudOdometry(Odometry):
     """Corrects a drifting pose by registering each scan to the map, trait by trait as the report's program.
 
@@ -39,17 +59,15 @@ class ReportCloudOdometry(Odometry):
 
     Parameters
     ----------
-    settings : with a table ``report_clouds``, default ``OdometrySettings.preset("report-gicp")``.
+    settings : of the family ``report_clouds``, default ``OdometrySettings.preset("report-gicp")``.
     T_drone_sensor : (4, 4), the mount of the sensor, used where ``mount`` is switched; default identity.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset("report-gicp")
-        if self.settings.report_clouds is None:
-            raise InputError(f"method {self.settings.method!r}: expected one such as 'report-gicp'")
-        self.traits = self.settings.report_clouds
+        self.settings = settings_of(settings, ReportCloudSettings, "report-gicp")
+        self.program, self.switched = PROGRAMS[self.settings.program], self.settings.switched
         mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self.T_drone_sensor = mount if "mount" in self.traits.switched else np.eye(4)
+        self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
         self.map = VoxelMap(VOXEL_M, accumulate=False)
         self.first = np.zeros((0, 3))  # the first scan is thinned together with the second one
         self.correction = np.eye(4)
@@ -67,16 +85,16 @@ class ReportCloudOdometry(Odometry):
         if not reason:
             found = self.registered(points)
             step, matches = found.T_target_source, found.inliers
-            if self.traits.drop_rotation:
+            if self.program.drop_rotation:
                 step = np.eye(4)
                 step[:3, 3] = found.T_target_source[:3, 3]
-            reason = "" if "gates" in self.traits.switched else refusal(step)
+            reason = "" if "gates" in self.switched else refusal(step)
             reason = reason if found.converged else "too few pairs"
             clock.append(time.perf_counter())
             if not reason:
                 aligned = points @ found.T_target_source[:3, :3].T + found.T_target_source[:3, 3]
                 self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
-                right = "order" in self.traits.switched
+                right = "order" in self.switched
                 self.correction = step @ self.correction if right else self.correction @ step
         clock += [time.perf_counter()] * (5 - len(clock))
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
@@ -86,23 +104,23 @@ class ReportCloudOdometry(Odometry):
         """The scan's points inside the box ``(N, 3)``, in the world frame by the correction so far."""
         points = scan.points.reshape(-1, 3)
         points = points[((points >= BOX_LOW) & (points <= BOX_HIGH)).all(axis=1)]  # NaN is not inside
-        if "thinning" in self.traits.switched:
+        if "thinning" in self.switched:
             points = voxel_grid(points, self.settings.preprocess.voxel_leaf_m)
         T_world_sensor = self.correction @ T_world_drone_prior @ self.T_drone_sensor
         world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        return world[world[:, 2] >= self.settings.preprocess.floor_m] if "floor" in self.traits.switched else world
+        return world[world[:, 2] >= self.settings.preprocess.floor_m] if "floor" in self.switched else world
 
     def registered(self, points: Array) -> Aligned:
         """The step that lays placed points ``(N, 3)`` on the whole map."""
-        t, tree, covariance = self.traits, build_kdtree(self.map_points()), None
+        t, tree, covariance = self.program, build_kdtree(self.map_points()), None
         target = Target(tree)
         if t.error == "gicp":
             covariance = neighbour_covariances(points, NEIGHBOURS)
-            if "covariances" in t.switched:
+            if "covariances" in self.switched:
                 target = Target(tree, covariance=neighbour_covariances(tree.point, NEIGHBOURS, tree))
             else:
                 target, covariance = Target.with_planes(tree, NEIGHBOURS), regularised(covariance)
-        if "solver" in t.switched:
+        if "solver" in self.switched:
             found = align(
                 points, target, t.error, free_directions("se3"), np.eye(4), t.max_correspondence_m, covariance,
                 iterations_max=t.iterations_max, rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,

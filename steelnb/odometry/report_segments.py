@@ -11,13 +11,12 @@ import time
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.odometry.base import Odometry, nothing_left, scan_of
+from steelnb.odometry.base import Odometry, nothing_left, scan_of, settings_of
 from steelnb.odometry.corrections import GAIN
 from steelnb.odometry.segments import points_along, timed_segments
 from steelnb.points import preprocess_scan
 from steelnb.points.inputs import checked_pose
-from steelnb.settings import OdometrySettings
+from steelnb.settings import OdometrySettings, ReportSegmentSettings
 from steelnb.types import Array, IntArray, OdometryStep, Scan, Segments
 
 NO_FLOOR_M = -1e6
@@ -39,15 +38,14 @@ class ReportSegmentOdometry(Odometry):
 
     Parameters
     ----------
-    settings : with a table ``report_segments``, default ``OdometrySettings.preset("report-segments", "report")``.
+    settings : of the family ``report_segments``, default ``OdometrySettings.preset("report-segments", "report")``.
     T_drone_sensor : (4, 4), the mount of the sensor, used where ``mount`` is switched; default identity.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset("report-segments", "report")
-        if self.settings.report_segments is None or self.settings.hough is None:
-            raise InputError(f"method {self.settings.method!r}: expected 'report-segments'")
-        self.switched, self.hough = self.settings.report_segments.switched, self.settings.hough
+        given = settings or OdometrySettings.preset("report-segments", "report")
+        self.settings = settings_of(given, ReportSegmentSettings, "report-segments")
+        self.switched = self.settings.switched
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
         mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
@@ -59,7 +57,7 @@ class ReportSegmentOdometry(Odometry):
         clock = [time.perf_counter()]
         points = preprocess_scan(scan, prior, self.T_drone_sensor, self.preprocess)
         clock.append(time.perf_counter())
-        found, hough_s = timed_segments(points, self.hough)
+        found, hough_s = timed_segments(points, self.settings.hough)
         before = self._corrected(prior)
         seen = found.transformed(before)
         seen = seen.take(np.maximum(seen.start[:, 2], seen.end[:, 2]) > FLOOR_M)

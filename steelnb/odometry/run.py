@@ -30,8 +30,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     Raises `InputError` where fewer scans can be read than the flight has poses, and before the first scan where
     smoothing is to use readings of an IMU that are in other units or axes.
     """
-    settings = _settings(odometry)
-    if settings is not None and settings.inertial and flight.imu is not None:
+    if getattr(_settings(odometry), "inertial", None) and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
     return smoothed(flight, run_online(flight, odometry, on_step), odometry)
 
@@ -72,7 +71,8 @@ def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate
         return estimate
     begin, seen = time.perf_counter(), settings.preprocess
     structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
-    estimate = smooth(flight, estimate, structure, settings.tilt_sigma_rad, settings.inertial)
+    tilt_sigma_rad, noise = getattr(settings, "tilt_sigma_rad", 0.0), getattr(settings, "inertial", None)
+    estimate = smooth(flight, estimate, structure, tilt_sigma_rad, noise)
     share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})
 

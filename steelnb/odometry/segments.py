@@ -9,16 +9,15 @@ from contextvars import ContextVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
-from steelnb.odometry.base import nothing_left, scan_of
+from steelnb.odometry.base import nothing_left, scan_of, settings_of
 from steelnb.odometry.corrections import CORRECTIONS, moved
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
 from steelnb.points import preprocess_scan
 from steelnb.points.inputs import checked_pose
-from steelnb.settings import HoughSettings, OdometrySettings
+from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
 
 Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
@@ -32,17 +31,12 @@ class SegmentOdometry:
 
     Parameters
     ----------
-    settings : a method by segments, default ``OdometrySettings.preset("least_squares_yaw")``.
+    settings : of the family of segments, default ``OdometrySettings.preset("least_squares_yaw")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset("least_squares_yaw")
-        if self.settings.method not in CORRECTIONS:
-            raise InputError(f"method {self.settings.method!r}: expected one of {', '.join(CORRECTIONS)}")
-        if self.settings.hough is None or self.settings.segments is None:
-            raise InputError(f"method {self.settings.method!r}: expected tables hough and segments")
-        self.hough, self.segments = self.settings.hough, self.settings.segments
+        self.settings = settings_of(settings, SegmentSettings, "least_squares_yaw")
         self.prior = np.zeros(4)  # information about yaw, x, y, z
         if self.settings.prior_sigma is not None:
             sigma_m, sigma_rad = self.settings.prior_sigma
@@ -68,11 +62,11 @@ class SegmentOdometry:
             self.near_side.update(scan.points)
             points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
         clock.append(time.perf_counter())
-        found, hough_s = timed_segments(points, self.hough)
+        found, hough_s = timed_segments(points, s.hough)
         seen = found.transformed(T_world_drone)
         clock.append(time.perf_counter())
         position = T_world_drone[:3, 3].copy()
-        correction = CORRECTIONS[s.method](seen, self.map, self.segments, position, self.prior)
+        correction = CORRECTIONS[s.method](seen, self.map, s.robust_scale_m, position, self.prior)
         T_world_drone[:3, :3] = Rotation.from_euler("z", correction.yaw_rad).as_matrix() @ T_world_drone[:3, :3]
         T_world_drone[:3, 3] += correction.offset
         if correction.matches:

@@ -52,7 +52,7 @@ class Decision:
 class Planner:
     """Decides ten times a second; `see` adds a scan to its map.
 
-    ``flight``: what to fly, with a table ``planner``; raises `InputError` for one that none steers. Its camera sees
+    ``flight``: what to fly; raises `InputError` for another than a ``planned`` one. Its camera sees
     ``fov_rad`` wide, ``range_max_m`` far. All poses are estimates, in the world frame of the map.
     """
 
@@ -63,9 +63,8 @@ class Planner:
     bars: Segments = field(default_factory=Segments.empty)
 
     def __post_init__(self) -> None:
-        if self.flight.planner is None:
+        if self.flight.trajectory != "planned":
             raise InputError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
-        self.goal = self.flight.planner.goal
         self._scans, self._near = 0, np.zeros((0, 3))  # the last scan, world frame
         self._lost_s: float | None = None
         self._begun: tuple[float, float] | None = None  # time and heading of the first decision
@@ -104,7 +103,7 @@ class Planner:
         if self._lost_s is not None:
             wished, turn, state = self._recover(stamp_s - self._lost_s, position, yaw, points)
         else:
-            follow = self._face if self.goal == "face" else self._around
+            follow = self._face if self.flight.goal == "face" else self._around
             (wished, turn), state = follow(stamp_s - self._begun[0], position, yaw, points), "follow"
         u = self._kept_off(wished, position)
         u = u * min(1.0, 1.5 * self.flight.speed_m_s / max(float(np.linalg.norm(u)), 1e-9))

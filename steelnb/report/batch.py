@@ -14,7 +14,15 @@ from steelnb.errors import InputError
 from steelnb.keys import find_root
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
-from steelnb.settings import REPORT_NOISE, ExperimentSettings, NoiseSettings, TrajectoryName
+from steelnb.settings import (
+    REPORT_NOISE,
+    ExperimentSettings,
+    LoamSettings,
+    Noise,
+    RegistrationSettings,
+    ReportCloudSettings,
+    TrajectoryName,
+)
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.types import Array
 
@@ -63,12 +71,12 @@ def report_range(noise: str, method: str, trajectory: str) -> tuple[float, float
 
 def at_level(noise: str, level: float) -> str:
     """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError`."""
-    NoiseSettings.parse(noise)
+    Noise.parse(noise)
     if noise == "none" or level == 1:
         return noise
     parts = (part.strip().partition(":") for part in noise.split("+"))
     scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
-    NoiseSettings.parse(scaled)
+    Noise.parse(scaled)
     return scaled
 
 
@@ -179,11 +187,10 @@ def seeds_text(seeds: Iterable[rng.Seed]) -> str:
 def map_kind(settings: ExperimentSettings) -> str:
     """The map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which forgets), or
     ``bars``."""
-    if settings.odometry.report_clouds is not None:
-        return "re-voxelised"
-    if settings.odometry.clouds is None:
-        return "bars"
-    return "weighted" if settings.odometry.clouds.accumulate else "re-voxelised"
+    chosen = settings.odometry
+    if isinstance(chosen, RegistrationSettings | LoamSettings):
+        return "re-voxelised" if chosen.map == "re-voxelised" else "weighted"
+    return "re-voxelised" if isinstance(chosen, ReportCloudSettings) else "bars"
 
 
 def table(results: Sequence[experiment.Result]) -> pd.DataFrame:

@@ -14,10 +14,11 @@ from steelnb import experiment, rng
 from steelnb.experiment import Result
 from steelnb.metrics import basin_radius_m, largest_slip, position_error_m
 from steelnb.odometry import CloudOdometry
+from steelnb.odometry.report_clouds import PROGRAMS
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import caption, case_of, make_cases
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
-from steelnb.settings import ExperimentSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, ReportCloudSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.study.row import WRONG_M, paired_clouds
 from steelnb.types import Array, Flight
@@ -77,8 +78,10 @@ def label(settings: ExperimentSettings) -> str:
 
 
 def _reach_m(settings: ExperimentSettings) -> float:
-    settings_of = settings.odometry.clouds or settings.odometry.report_clouds
-    return float(getattr(settings_of, "max_correspondence_m", np.nan))
+    chosen = settings.odometry
+    if isinstance(chosen, ReportCloudSettings):
+        return PROGRAMS[chosen.program].max_correspondence_m
+    return float(getattr(chosen, "max_correspondence_m", np.nan))
 
 
 def beside_best(result: Result, overrides: dict[str, Any]) -> tuple[dict[str, Result], dict[str, tuple[Array, Array]]]:

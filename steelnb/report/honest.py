@@ -8,7 +8,7 @@ import pandas as pd
 from steelnb import experiment
 from steelnb.report.study_runs import OURS, whole_flights
 from steelnb.report.style import BLACK, GREY, ORANGE, Figure, gather_legend, style
-from steelnb.settings import ExperimentSettings, ImuSettings, TofFaultSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, ImuSettings, TofFault, TrajectoryName
 from steelnb.simulation import measured_imu
 from steelnb.types import Array, Imu, RangeScans
 
@@ -19,14 +19,14 @@ BEFORE = "clouds.sigma_filter_px=0, inertial=False"
 """Variant of a study's run with the honest sensor and the settings that methods have for the ideal one."""
 CASES = {(IDEAL, ""): "ideal", (HONEST, BEFORE): "honest, ideal's settings", (HONEST, ""): "honest"}
 """Sensor and variant of the runs compared, and what to call them."""
-FAULTS: dict[str, tuple[str, ...]] = {
-    "footprint: mixed pixels": ("footprint_px", "lateral_px"),
-    "exposure during motion": ("exposure_s",),
-    "multipath": ("multipath", "reflectivity"),
-    "wiggling": ("wiggle_m",),
-    "offset and scale of a camera": ("offset_sigma_m", "scale_sigma"),
+FAULTS: dict[str, TofFault] = {
+    "footprint: mixed pixels": "footprint",
+    "exposure during motion": "exposure",
+    "multipath": "multipath",
+    "wiggling": "wiggle",
+    "offset and scale of a camera": "calibration",
 }
-"""Faults that bias a range, and their settings; range noise is left out beside one of them."""
+"""Faults that bias a range; range noise is left out beside one of them."""
 NOISE, AMPLITUDE, ALL = "range noise of the data sheet", "noise by amplitude, dropout", "all together"
 FAR_M = 0.05
 GROUND_M = 0.1
@@ -37,13 +37,12 @@ IMU_S, IMU_HZ = 3600.0, 125.0
 def range_errors(trajectory: TrajectoryName, seed: int, duration_s: float) -> dict[str, Array]:
     """Name of a fault → range errors ``(K, H, W)`` of a flight's scans on steel, metres: NaN where there is none,
     infinite where a return was lost. `NOISE` alone is what the ideal sensor has, `ALL` what the honest one has."""
-    noisy, usual = ("reflectivity", "sigma_max_m"), TofFaultSettings()
     exact, height_m = _ranges(trajectory, IDEAL, seed, duration_s, WHITE)
     exact = np.where(height_m > GROUND_M, exact, np.nan)
     flown: dict[str, tuple[str, dict[str, Any]]] = {NOISE: (IDEAL, {})}
-    for name, kept, noise in [(AMPLITUDE, noisy, {}), *((name, kept, WHITE) for name, kept in FAULTS.items())]:
-        off = {f"tof.faults.{fault}": value for fault, value in usual.model_dump().items() if fault not in kept}
-        flown[name] = HONEST, off | noise
+    flown[AMPLITUDE] = HONEST, {"tof.faults": ["amplitude"]}
+    for name, fault in FAULTS.items():
+        flown[name] = HONEST, {"tof.faults": [fault], **WHITE}
     flown[ALL] = HONEST, {}
     found = {}
     for name, (sensor, overrides) in flown.items():

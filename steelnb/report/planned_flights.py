@@ -37,7 +37,7 @@ FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "wide loops": ("loops", {"flight.standoff_m": 2.4}),
     "loops": ("loops", {}),
     "planned": ("planned", {}),
-    "up a face": ("planned", {"flight.planner.goal": "face", "flight.height_max_m": 15.0, "flight.speed_m_s": 0.18}),
+    "up a face": ("planned", {"flight.goal": "face", "flight.height_max_m": 15.0, "flight.speed_m_s": 0.18}),
 }
 """Name → trajectory and overrides. `wide loops` has loops about as wide as the report's, 3.5 to 4.3 m to either side of
 the tower's axis; `planned` goes around as far, as high and as fast as `loops`; `up a face` as high and as fast as

@@ -26,7 +26,7 @@ from steelnb.report.recording_figures import figure_path
 from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments, orientation
 from steelnb.report.words import counted
-from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
@@ -88,7 +88,7 @@ def run_recording(
 
     Nothing is written on an error. Raises `InputError`, `OutputError`.
     """
-    if settings.odometry.orb and flight.images is None:
+    if isinstance(settings.odometry, OrbSettings) and flight.images is None:
         raise InputError(f"{flight.name}: no images for method {settings.odometry.method!r}: recordings have none here")
     true, notes = truth_at_scans(flight, truth)
     origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from steelnb.errors import InputError
 from steelnb.points import voxel_grid
 from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings.base import setting_names
 from steelnb.types import Array, Flight
 
 FIRST_SCANS = 10
@@ -25,8 +27,7 @@ MEDIAN_MAX_M = 300.0
 LENGTHS = {
     "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
-    "fusion.distance_max_m": 1, "segments.robust_scale_m": 1,
-    "clouds.max_correspondence_m": 1, "clouds.map_voxel_m": 1, "clouds.jump_max_m": 1,
+    "fusion.distance_max_m": 1, "robust_scale_m": 1, "max_correspondence_m": 1, "map_voxel_m": 1,
 }  # fmt: skip
 """The settings that go with the distance of most points, and the power of the length in each."""
 
@@ -77,15 +78,14 @@ class Scene:
         scale, leaf_m = self.median_m / (0.5 * range_max_m), preset.odometry.preprocess.voxel_leaf_m
         while scale > SCALE_MIN and len(voxel_grid(self.points, scale * leaf_m)) < POINTS_MIN:
             scale *= 0.9
-        tables = preset.odometry.model_dump(exclude_none=True)
-        changed = {}
+        changed: dict[str, float] = {}
         if self.range_m > SCALE_MIN * range_max_m:
             changed["preprocess.crop_m"] = float(f"{self.range_m:.3g}")
         if scale > SCALE_MIN:
+            known = setting_names(preset.odometry)
             for name, power in LENGTHS.items():
-                table, _, setting = name.partition(".")
-                if table in tables:
-                    changed[name] = float(f"{tables[table][setting] * scale**power:.3g}")
+                if name in known:
+                    changed[name] = float(f"{attrgetter(name)(preset.odometry) * scale**power:.3g}")
         if self.underground > UNDERGROUND_SHARE:
             changed["preprocess.floor_m"] = NO_FLOOR_M
         return changed

@@ -25,9 +25,9 @@ from steelnb.report.style import (
     project_perspective,
     style,
 )
-from steelnb.settings import CameraSettings, NoiseSettings
+from steelnb.settings import Noise
 from steelnb.settings.report_plots import ReportPlot
-from steelnb.simulation import Tower, Truth, photograph
+from steelnb.simulation import FORWARD, TRACKING, Tower, Truth, photograph
 from steelnb.simulation.sections import PLATE
 from steelnb.types import Array, Flight, Trajectory
 
@@ -71,7 +71,7 @@ def drift_curves(noise: str, seeds: Sequence[rng.Seed], duration_s: float) -> tu
     Drift does not depend on the flight, so a drone that stays where it is will do. Errors are of the position in
     metres or, where the noise has none, of the heading in radians.
     """
-    settings = NoiseSettings.parse(noise)
+    settings = Noise.parse(noise)
     stamp = np.arange(round(duration_s * RATE_HZ) + 1) / RATE_HZ
     still = Trajectory(stamp, np.tile(np.eye(4), (len(stamp), 1, 1)))
     errors = np.empty((len(seeds), len(stamp)))
@@ -84,13 +84,13 @@ def drift_curves(noise: str, seeds: Sequence[rng.Seed], duration_s: float) -> tu
 
 def expected_drift(noise: str, stamp_s: Array) -> Array:
     """Root mean square ``(N,)`` that the model of a noise gives: metres, or radians for a yaw noise."""
-    settings = NoiseSettings.parse(noise)
+    settings = Noise.parse(noise)
     if _turns_only(settings):
         return np.asarray(settings.yaw_random_walk_rad * np.sqrt(RATE_HZ * stamp_s))
     return np.hypot(random_walk_rms_m(settings, stamp_s, RATE_HZ), settings.constant_drift_m * RATE_HZ * stamp_s)
 
 
-def _turns_only(settings: NoiseSettings) -> bool:
+def _turns_only(settings: Noise) -> bool:
     return settings.yaw_random_walk_rad > 0 and not (settings.random_walk_m or settings.constant_drift_m)
 
 
@@ -98,7 +98,7 @@ def drift_table(curves: dict[str, tuple[Array, Array]], every_s: float = 60.0) -
     """One row a noise and minute: the measured and the expected root mean square, and the share of seeds above 1."""
     rows = []
     for noise, (stamp, errors) in curves.items():
-        unit, expected = "rad" if _turns_only(NoiseSettings.parse(noise)) else "m", expected_drift(noise, stamp)
+        unit, expected = "rad" if _turns_only(Noise.parse(noise)) else "m", expected_drift(noise, stamp)
         for time_s in np.arange(every_s, stamp[-1] + 1e-9, every_s):
             k = int(np.searchsorted(stamp, time_s - 1e-9))
             rms, above = np.sqrt((errors[:, k] ** 2).mean()), (errors[:, k] > 1).mean()
@@ -115,8 +115,8 @@ def drift_metrics(drift: pd.DataFrame) -> dict[str, float]:
 def drone_views(truth: Truth, seed: rng.Seed) -> dict[str, GreyImage]:
     """What the report's two cameras see in the middle of a flight, by what to call it."""
     views = {}
-    for name in ("forward", "tracking"):
-        taken = photograph(truth.tower, truth.trajectory, CameraSettings.preset(name), seed)
+    for name, model in (("forward", FORWARD), ("tracking", TRACKING)):
+        taken = photograph(truth.tower, truth.trajectory, model, seed)
         middle = len(taken) // 2
         if (image := taken.images[middle]) is not None:
             views[f"{name} camera, at {taken.stamp_s[middle]:.0f} s"] = image

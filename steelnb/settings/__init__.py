@@ -7,28 +7,34 @@ the method. Lengths are metres, angles radians, times seconds; the unit is in th
 from typing import get_args
 
 from steelnb.settings.base import Positive, Settings, parse_parameter
-from steelnb.settings.camera import CameraSettings
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
-    SEGMENT_METHODS,
     CloudSettings,
+    DeepVoSettings,
+    FaceSettings,
     FusionSettings,
     HoughSettings,
+    LibrarySettings,
+    LoamSettings,
+    MapSettings,
     OdometrySettings,
+    OrbSettings,
     PreprocessSettings,
+    RegistrationSettings,
     ReportCloudSettings,
     ReportSegmentSettings,
     SegmentSettings,
 )
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.settings.sensors import ImuSettings, TofFaultSettings
+from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.structure import StructureSettings
 from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
-    NoiseSettings,
+    Noise,
     PlannerGoal,
+    TofFault,
     TofSettings,
     TowerSettings,
     TrajectoryName,
@@ -39,10 +45,10 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SEGMENT_METHODS", "SENSORS", "TRAJECTORIES", "CameraSettings",
-    "CloudSettings", "ExperimentSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "NoiseSettings", "OdometrySettings", "PlannerGoal", "Positive", "PreprocessSettings", "ReportCloudSettings",
-    "ReportSegmentSettings", "SegmentSettings", "Settings", "StructureSettings", "TofFaultSettings", "TofSettings",
-    "TowerSettings", "TrajectoryName", "method_names", "parse_parameter", "read_report_plots",
-    "read_tables", "read_toml", "sensor_names",
+    "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
+    "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
+    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings", "PlannerGoal",
+    "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
+    "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
+    "method_names", "parse_parameter", "read_report_plots", "read_tables", "read_toml", "sensor_names",
 ]  # fmt: skip

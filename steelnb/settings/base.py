@@ -34,8 +34,8 @@ def _checked_seed(given: Any) -> rng.Seed:
 
 
 SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
-_SHOWN = 400
-"""Characters of the longest message: a value may be a whole file."""
+_SHOWN = 200
+"""Characters of a value in a message: it may be a whole file."""
 S = TypeVar("S", bound="Settings")
 
 
@@ -48,7 +48,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as fault:
-            raise InputError(describe_fault(type(self).__name__, fault)) from None
+            raise InputError(describe_fault(type(self), fault)) from None
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked like the original."""
@@ -75,14 +75,17 @@ def mount(position_m: tuple[float, float, float], rpy_deg: tuple[float, float, f
     return T
 
 
-def describe_fault(where: str, fault: ValidationError) -> str:
+def describe_fault(kind: type[BaseModel], fault: ValidationError) -> str:
     """The first fault of a pydantic error as one line: where, the value given, and the value expected."""
     first = fault.errors()[0]
     message = first["msg"].removeprefix("Value error, ")
     message = f"{message[:1].lower()}{message[1:]}"
     if not first["loc"]:
-        return f"{where}: {message}"[:_SHOWN]
-    return f"{where}: {'.'.join(str(part) for part in first['loc'])} = {first['input']!r}: {message}"[:_SHOWN]
+        return f"{kind.__name__}: {message}"
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        message = f"unknown setting{guess(name, kind.model_fields)}; expected one of {', '.join(kind.model_fields)}"
+    return f"{kind.__name__}: {name} = {first['input']!r:.{_SHOWN}}: {message}"
 
 
 def guess(name: Any, known: Iterable[str]) -> str:

@@ -2,22 +2,21 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
-from steelnb.settings.camera import CameraSettings
-from steelnb.settings.odometry import OdometrySettings
+from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.settings.sensors import ImuSettings
-from steelnb.settings.world import FlightSettings, NoiseSettings, TofSettings, TowerSettings, TrajectoryName
+from steelnb.settings.world import FlightSettings, Noise, TofSettings, TowerSettings, TrajectoryName
 
 
 class ExperimentSettings(Settings):
     """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower.
 
-    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them. ``camera``:
-    None where no images are taken.
+    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them.
+    ``noise_name`` is read by `Noise.parse`.
     """
 
     sensor: str
@@ -27,26 +26,30 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
-    camera: Annotated[CameraSettings | None, table(CameraSettings)] = None
-    noise: NoiseSettings
-    odometry: OdometrySettings
+    odometry: Annotated[Family, Field(discriminator="family")]
 
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:
-        if self.flight.planner is not None and self.odometry.orb:
+        if self.flight.trajectory == "planned" and isinstance(self.odometry, OrbSettings):
             raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images on the way; expected "
                              "an odometry by clouds or segments")  # fmt: skip
         return self
 
     @model_validator(mode="after")
     def _as_the_report(self) -> Self:
+        noise = self.noise  # raises for another name
         if self.seed == "report":
-            self.noise.check_report()
+            noise.check_report()
         if not self.tof.start_s < self.flight.duration_s:
             raise ValueError(
                 f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
             )
         return self
+
+    @property
+    def noise(self) -> Noise:
+        """The drift that ``noise_name`` names."""
+        return Noise.parse(self.noise_name)
 
     @classmethod
     def preset(
@@ -62,11 +65,10 @@ class ExperimentSettings(Settings):
         """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
 
         The flight names its tower, and its duration where none is given. ``overrides`` changes single settings, named
-        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`. A method by image features has
-        the forward camera.
+        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
-        >>> settings.tof.rate_hz, settings.odometry.clouds.dof
+        >>> settings.tof.rate_hz, settings.odometry.dof
         (10.0, 'xyz_yaw')
         """
         odometry = OdometrySettings.preset(method, sensor)
@@ -78,8 +80,6 @@ class ExperimentSettings(Settings):
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             imu=ImuSettings.preset(sensor),
-            camera=CameraSettings.preset() if odometry.orb else None,
-            noise=NoiseSettings.parse(noise),
             odometry=odometry,
         )
         return settings.override(overrides or {})
@@ -112,9 +112,8 @@ class ExperimentSettings(Settings):
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
-        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``, ``camera``, ``noise``) and of the
-        odometry (``preprocess``, ``hough``, ``fusion``, ``segments``, ``clouds``, ``orb``, and ``odometry`` for
-        its own).
+        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``); all else is the odometry's
+        (`OdometrySettings.override`).
         """
         settings = self
         for path, value in overrides.items():

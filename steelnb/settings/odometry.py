@@ -1,16 +1,25 @@
-"""Settings of the estimators. Lengths in metres, angles in radians."""
+"""Settings of the estimators, one class a family of methods. Lengths in metres, angles in radians."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 
-from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, overridden, quoted, table
-from steelnb.settings.presets import method_names, method_preset, sensor_preset
+from steelnb.errors import InputError
+from steelnb.settings.base import (
+    Finite,
+    NotNegative,
+    Positive,
+    Probability,
+    Settings,
+    guess,
+    overridden,
+    setting_names,
+    table,
+)
+from steelnb.settings.presets import method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 
-SEGMENT_METHODS = ("none", "average", "least_squares", "least_squares_yaw")
-"""Odometries by segments alone; all others but ``orb``, ``deepvo`` and those of libraries are by clouds, ``combined``
-and those based on it by both."""
+SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
 
 
 class PreprocessSettings(Settings):
@@ -29,12 +38,12 @@ class HoughSettings(Settings):
     original ends its search.
     """
 
-    dx_m: Positive
-    min_votes: Annotated[int, Field(ge=2)]
-    max_lines: Annotated[int, Field(ge=1)]
+    dx_m: Positive = 0.07
+    min_votes: Annotated[int, Field(ge=2)] = 20
+    max_lines: Annotated[int, Field(ge=1)] = 40
     granularity: Annotated[int, Field(ge=0, le=6)] = 4
-    gap_max_m: Positive
-    pca_ratio_min: Probability
+    gap_max_m: Positive = 0.25
+    pca_ratio_min: Probability = 0.98
     density_min_per_m: NotNegative = 0.0
     length_min_m: NotNegative = 0.0
     skip_weak: bool = False
@@ -43,36 +52,111 @@ class HoughSettings(Settings):
 class FusionSettings(Settings):
     """Association of segments with mapped bars: angle, and distance across, on top of both radii if ``add_radii``."""
 
-    angle_max_rad: Positive
-    distance_max_m: Positive
+    angle_max_rad: Positive = 0.13962634015954636  # 8 degrees
+    distance_max_m: Positive = 0.15
     add_radii: bool = False
 
-    @classmethod
-    def preset(cls, sensor: str = "starling2") -> "FusionSettings":
-        """The settings that belong to a sensor."""
-        return cls(**sensor_preset(sensor).get("fusion", {}))
+
+def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
+    if imu is not None and not (imu.gyro_noise and imu.accelerometer_noise):
+        raise ValueError("an IMU without noise: expected that of its data sheet")
+    return imu
 
 
-class SegmentSettings(Settings):
-    """Correction by segments: the robust scale (Geman-McClure) of all rules but ``average``."""
+Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), table(ImuSettings)]
+"""Errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`) and take part in
+smoothing, None for none."""
 
+
+class OdometrySettings(Settings):
+    """What all families have; `preset` gives those of a method.
+
+    ``smooth``: after the last scan, all poses and bars are adjusted together (`steelnb.fusion.smooth`).
+    """
+
+    family: str
+    method: str
+    preprocess: Annotated[PreprocessSettings, table(PreprocessSettings)] = PreprocessSettings()
+    smooth: bool = False
+
+    prefix: ClassVar[str] = "odometry"
+    """May stand before the name of a setting in `override`."""
+    crop: ClassVar[Literal["clouds", "segments"]] = "clouds"
+    """Which ``preprocess`` of a sensor's preset is the family's."""
+
+    @staticmethod
+    def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
+        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and bars,
+        or by image features, uses the IMU beside the sensor. Raises `InputError`.
+
+        >>> settings = OdometrySettings.preset("faces")
+        >>> settings.family, settings.refit_s
+        ('faces', 10.0)
+        """
+        of_sensor = sensor_preset(sensor)
+        values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
+        kind = FAMILIES[values["family"]]
+        values |= {name: of_sensor.get(name, {}) for name in ("hough", "fusion") if name in kind.model_fields}
+        values["preprocess"] = of_sensor.get("preprocess", {}).get(kind.crop, {}) | values.get("preprocess", {})
+        if values.get("bars_weight") or kind is OrbSettings:
+            values["inertial"] = of_sensor.get("imu")
+        return kind(**values).override(overrides or {})
+
+    def override(self, overrides: dict[str, Any]) -> Self:
+        """A copy with single settings changed, named as ``prior_sigma``, ``clouds.map_voxel_m`` or
+        ``preprocess.crop_m``. Raises `InputError` for one that the family does not have."""
+        changed = self
+        for path, value in overrides.items():
+            name = path.removeprefix(f"{self.prefix}.")
+            known = [each for each in setting_names(self) if each not in ("family", "method")]
+            if name not in known and name not in type(self).model_fields:
+                raise InputError(
+                    f"overrides: unknown setting {path!r}{guess(name, known)}; method {self.method!r} is of the family"
+                    f" {self.family!r}, which has {', '.join(known)}"
+                )
+            changed = overridden(changed, {name: value})
+        return changed
+
+
+class MapSettings(OdometrySettings):
+    """What methods by segments, clouds and faces share.
+
+    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``prior_sigma`` are the standard
+    deviations of a correction from its prediction, metres and radians, which then follows the rate of the drift; None
+    for a drift that is taken to stand still. ``hough``, ``fusion`` and ``robust_scale_m``, the robust scale
+    (Geman-McClure) of all rules but ``average``, are those of bars.
+    """
+
+    near_side: bool = False
+    prior_sigma: tuple[Positive, Positive] | None = None
+    hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
+    fusion: Annotated[FusionSettings, table(FusionSettings)] = FusionSettings()
     robust_scale_m: Positive = 0.05
 
 
-class CloudSettings(Settings):
+class SegmentSettings(MapSettings):
+    """Correction by segments; the method is the rule (`steelnb.odometry.corrections`)."""
+
+    family: Literal["segments"] = "segments"
+    method: SegmentMethod
+
+    prefix: ClassVar[str] = "segments"
+    crop: ClassVar[Literal["clouds", "segments"]] = "segments"
+
+
+class RegistrationSettings(MapSettings):
     """Registration of each scan to a voxel map.
 
-    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``shape`` is
-    the source of the covariances of GICP: the nearest neighbours, regularised to planes (``neighbours``), or the points
-    that the map has accumulated around each voxel and the sensor's noise along each ray (``measured``), or lines and
-    planes of LOAM's ``features``, which then are all that takes part (`steelnb.odometry.loam`). ``accumulate`` keeps
-    count-weighted means in the map; without it the map is voxelised anew with every scan, as the original does.
-    ``fast`` extrapolates the solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad
-    and 0.2 mm. ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation,
-    and inserts the rotated cloud.
-    ``bars_weight`` is the weight of a pair of bars in ``combined``. A step of more than ``jump_max_m`` is refused. With
-    ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of its surface that many
-    pixels around (`steelnb.points.smooth_ranges`).
+    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``map``: it
+    is ``re-voxelised`` with every scan, as the original does, or keeps ``weighted`` means by count; with ``measured``,
+    it does too, and the covariances of GICP are those of the points accumulated around each voxel and of the sensor's
+    noise along each ray instead of those of the nearest neighbours, regularised to planes. ``fast`` extrapolates the
+    solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm.
+    ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation, and inserts
+    the rotated cloud. ``bars_weight``: with more than 0, pairs of bars with that weight join the solve
+    (`steelnb.odometry.combined`). With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged
+    with those of its surface that many pixels around (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard
+    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them.
     """
 
     error: Literal["point", "plane", "gicp"] = "gicp"
@@ -80,42 +164,98 @@ class CloudSettings(Settings):
     robust_scale: Positive | None = None
     max_correspondence_m: Positive = 0.3
     iterations_max: Annotated[int, Field(ge=1)] = 150
+    map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
     map_voxel_m: Positive = 0.1
-    accumulate: bool = False
-    shape: Literal["neighbours", "measured", "features"] = "neighbours"
     fast: bool = False
     drop_rotation: bool = False
     bars_weight: NotNegative = 0.0
-    jump_max_m: Positive = 1.0
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
+    tilt_sigma_rad: NotNegative = 0.0
+    inertial: Inertial = None
+
+    prefix: ClassVar[str] = "clouds"
+
+
+class CloudSettings(RegistrationSettings):
+    """Odometry by clouds, and with ``bars_weight`` by bars beside them."""
+
+    family: Literal["clouds"] = "clouds"
+
+
+class FaceSettings(RegistrationSettings):
+    """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`); ``refit_s``: seconds between
+    two adjustments of keyframes and bars."""
+
+    family: Literal["faces"] = "faces"
+    refit_s: Positive = 10.0
+
+
+class LoamSettings(OdometrySettings):
+    """LOAM (`steelnb.odometry.loam`). What else `RegistrationSettings` has is fixed."""
+
+    family: Literal["loam"] = "loam"
+    max_correspondence_m: Positive = 0.3
+    map_voxel_m: Positive = 0.1
+
+    prefix: ClassVar[str] = "loam"
+    error: ClassVar[Literal["gicp"]] = "gicp"
+    dof: ClassVar[Literal["se3"]] = "se3"
+    robust_scale: ClassVar[float] = 5.0
+    iterations_max: ClassVar[int] = 15
+    map: ClassVar[Literal["weighted"]] = "weighted"
+    sigma_filter_px: ClassVar[int] = 0
+    fast: ClassVar[bool] = False
+    near_side: ClassVar[bool] = False
+    drop_rotation: ClassVar[bool] = False
+    prior_sigma: ClassVar[None] = None
+    tilt_sigma_rad: ClassVar[float] = 0.0
+    inertial: ClassVar[None] = None
+
+
+class OrbSettings(OdometrySettings):
+    """Visual odometry by ORB features (`steelnb.odometry.orb`); ``tilt_sigma_rad`` as in `RegistrationSettings`."""
+
+    family: Literal["orb"] = "orb"
+    tilt_sigma_rad: NotNegative = 0.0
+    inertial: Inertial = None
+
+
+class DeepVoSettings(OdometrySettings):
+    """Learned odometry (`steelnb.odometry.deepvo`); ``weights``: a file of the package's presets, or a path."""
+
+    family: Literal["deepvo"] = "deepvo"
+    weights: str = "deepvo.npz"
+
+
+class LibrarySettings(OdometrySettings):
+    """Odometry of a library (`steelnb.odometry.peers`)."""
+
+    family: Literal["library"] = "library"
+    library: Literal["kiss_icp", "small_gicp"]
 
 
 CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariances", "solver"]
 SegmentTrait = Literal["mount", "logging", "mapping", "weight"]
 
 
-class ReportCloudSettings(Settings):
-    """The report's program for odometry by clouds (`steelnb.odometry.report_clouds`). Each default is the original's.
+class ReportCloudSettings(OdometrySettings):
+    """The report's program for odometry by clouds (`steelnb.odometry.report_clouds`).
 
-    ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's criteria (`steelnb.registration.as_pcl`); GICP has
-    no ``mse_change_min``. ``drop_rotation`` keeps only the translation of each step, although the scan enters the map
-    turned. ``switched`` are the traits of the original that are replaced: ``floor``, points below
-    ``preprocess.floor_m`` are left out; ``thinning``, the scan goes through a voxel grid of
-    ``preprocess.voxel_leaf_m``; ``mount``, the scan is placed at the sensor instead of at the drone; ``gates``, no step
-    is too large; ``order``, a step joins the correction on the left; ``covariances`` of GICP are those of the
-    neighbours instead of planes; ``solver``, `steelnb.registration.align` instead of PCL's.
+    ``switched`` are the traits of the original that are replaced: ``floor``, points below ``preprocess.floor_m`` are
+    left out; ``thinning``, the scan goes through a voxel grid of ``preprocess.voxel_leaf_m``; ``mount``, the scan is
+    placed at the sensor instead of at the drone; ``gates``, no step is too large; ``order``, a step joins the
+    correction on the left; ``covariances`` of GICP are those of the neighbours instead of planes; ``solver``,
+    `steelnb.registration.align` instead of PCL's.
     """
 
-    error: Literal["point", "gicp"] = "gicp"
-    max_correspondence_m: Positive = 0.3
-    iterations_max: Annotated[int, Field(ge=1)] = 150
-    epsilon: Positive = 1e-5
-    mse_change_min: NotNegative = 0.0
-    drop_rotation: bool = False
+    family: Literal["report_clouds"] = "report_clouds"
+    program: Literal["icp", "icp-3dof", "gicp"] = "gicp"
     switched: tuple[CloudTrait, ...] = ()
 
+    prefix: ClassVar[str] = "report_clouds"
 
-class ReportSegmentSettings(Settings):
+
+class ReportSegmentSettings(OdometrySettings):
     """The report's program for odometry by segments (`steelnb.odometry.report_segments`).
 
     ``switched`` are the traits of the original that are replaced: ``mount``, points are those of the drone frame;
@@ -123,108 +263,17 @@ class ReportSegmentSettings(Settings):
     enter the map; ``weight``, a segment moves its bar by its share of the points.
     """
 
+    family: Literal["report_segments"] = "report_segments"
+    hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
     switched: tuple[SegmentTrait, ...] = ()
 
+    prefix: ClassVar[str] = "report_segments"
+    crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
-class OdometrySettings(Settings):
-    """One method and all that it takes from the sensor's and the method's preset.
 
-    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``prior_sigma`` are the standard
-    deviations of a correction from its prediction, metres and radians, which then follows the rate of the drift; None
-    for a drift that is taken to stand still; ``tilt_sigma_rad`` is that of the prior's roll and pitch, which are then
-    corrected, too, by clouds; 0 keeps them. ``smooth``: after the last scan, all poses and bars are adjusted together
-    (`steelnb.fusion.smooth`); ``refit_s``: seconds between two adjustments of keyframes and bars during the flight
-    (`steelnb.odometry.faces`), None for none; ``inertial``: errors of the IMU whose readings predict the pose of a scan
-    (`steelnb.odometry.inertial_prediction`) and take part in smoothing, None for none. ``weights``: file with the
-    weights of a learned odometry (`steelnb.odometry.deepvo`), of the package's presets or a path, None for all others.
-    ``library``: the one that does the odometry of others (`steelnb.odometry.peers`), None for our own. ``orb``: whether
-    it is visual odometry by ORB features (`steelnb.odometry.orb`). ``report_clouds``, ``report_segments``: the report's
-    own programs. Tables that a method does not use are None.
-    """
-
-    method: str
-    near_side: bool = False
-    prior_sigma: tuple[Positive, Positive] | None = None
-    tilt_sigma_rad: NotNegative = 0.0
-    smooth: bool = False
-    refit_s: Positive | None = None
-    preprocess: PreprocessSettings
-    hough: HoughSettings | None = None
-    fusion: FusionSettings | None = None
-    segments: SegmentSettings | None = None
-    clouds: CloudSettings | None = None
-    orb: bool = False
-    weights: str | None = None
-    library: Literal["kiss_icp", "small_gicp"] | None = None
-    report_clouds: Annotated[ReportCloudSettings | None, table(ReportCloudSettings)] = None
-    report_segments: Annotated[ReportSegmentSettings | None, table(ReportSegmentSettings)] = None
-    inertial: Annotated[ImuSettings | None, table(ImuSettings)] = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.method not in method_names():
-            raise ValueError(f"method {self.method!r}: expected one of {quoted(method_names())}")
-        others = {"orb": self.orb or None, "weights": self.weights, "a library": self.library,
-                  "report_clouds": self.report_clouds, "report_segments": self.report_segments}  # fmt: skip
-        other = [name for name, given in others.items() if given is not None]
-        if len(other) > 1:
-            raise ValueError(f"method {self.method!r}: {' and '.join(other)}: expected one of them")
-        alone = "".join(other)
-        if alone and (self.clouds is not None or self.segments is not None or self.smooth):
-            raise ValueError(f"method {self.method!r}: {alone}: expected no tables clouds and segments, no smooth")
-        if (self.clouds is None and not alone) != (self.method in SEGMENT_METHODS):
-            raise ValueError(f"method {self.method!r}: has {'no' if self.clouds is None else 'a'} table clouds")
-        by_bars = not alone and (self.clouds is None or self.clouds.bars_weight > 0)
-        if by_bars and (self.segments is None or self.hough is None or self.fusion is None):
-            raise ValueError(f"method {self.method!r}: expected tables segments, hough and fusion")
-        if self.orb and self.prior_sigma is None:
-            raise ValueError(f"method {self.method!r}: orb: expected prior_sigma")
-        if self.report_segments is not None and self.hough is None:
-            raise ValueError(f"method {self.method!r}: expected a table hough")
-        by_points = self.clouds is not None or self.orb
-        if self.tilt_sigma_rad and (not by_points or self.prior_sigma is None):
-            given = f"tilt_sigma_rad = {self.tilt_sigma_rad:g}"
-            raise ValueError(f"method {self.method!r}: {given}: expected a method by clouds with prior_sigma")
-        features = self.clouds is not None and self.clouds.shape == "features"
-        if self.clouds and features and (self.clouds.error != "gicp" or by_bars or self.refit_s):
-            given = f"clouds.shape = {self.clouds.shape!r}"
-            raise ValueError(f"method {self.method!r}: {given}: expected error = 'gicp', no bars_weight and no refit_s")
-        if self.refit_s is not None and self.clouds is None:
-            raise ValueError(f"method {self.method!r}: refit_s = {self.refit_s:g}: expected a method by clouds")
-        if self.inertial is not None and not self.orb and (self.clouds is None or not by_bars):
-            raise ValueError(f"method {self.method!r}: a table inertial: expected a method by clouds and bars, or orb")
-        if self.inertial is not None and not (self.inertial.gyro_noise and self.inertial.accelerometer_noise):
-            raise ValueError(f"method {self.method!r}: inertial without noise: expected that of an IMU's data sheet")
-        return self
-
-    @classmethod
-    def preset(
-        cls, method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None
-    ) -> "OdometrySettings":
-        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and
-        bars, or by features of images, uses the IMU beside the sensor. Raises `InputError`."""
-        of_sensor = sensor_preset(sensor)
-        tables = method_preset(method, of_sensor.get("methods", {}))
-        others = ("clouds", "orb", "weights", "library", "report_clouds")
-        crop = "segments" if tables.keys().isdisjoint(others) else "clouds"
-        kinds = {"segments": SegmentSettings, "clouds": CloudSettings}
-        built = {name: kind(**tables.pop(name)) for name, kind in kinds.items() if name in tables}
-        clouds = built.get("clouds")
-        inertial = "orb" in tables or (isinstance(clouds, CloudSettings) and clouds.bars_weight > 0)
-        if inertial and "imu" in of_sensor:
-            tables["inertial"] = of_sensor["imu"]
-        crops = of_sensor.get("preprocess", {}).get(crop, {})
-        if "segments" in built or "report_segments" in tables:
-            built["hough"] = HoughSettings(**of_sensor.get("hough", {}))
-        if "segments" in built:
-            built["fusion"] = FusionSettings.preset(sensor)
-        preprocess = PreprocessSettings(**{**crops, **tables.pop("preprocess", {})})
-        settings = cls(method=method, preprocess=preprocess, **built, **tables)
-        return settings.override(overrides or {})
-
-    def override(self, overrides: dict[str, Any]) -> "OdometrySettings":
-        """A copy with single settings changed, named as ``prior_sigma`` or ``clouds.map_voxel_m``.
-
-        Raises `InputError` for one that the method does not have.
-        """
-        return overridden(self, overrides)
+Family = (
+    SegmentSettings | CloudSettings | FaceSettings | LoamSettings | OrbSettings | DeepVoSettings | LibrarySettings
+    | ReportCloudSettings | ReportSegmentSettings
+)  # fmt: skip
+FAMILIES: dict[str, type[Family]] = {kind.model_fields["family"].default: kind for kind in get_args(Family)}
+"""Family → its settings."""

@@ -1,13 +1,11 @@
 """The report's plots of an error over samples: which flight, which noise, and at which steps the samples came."""
 
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from steelnb.errors import InputError
-from steelnb.settings.base import NotNegative, Positive, Settings
 from steelnb.settings.presets import PRESETS, read_toml
 from steelnb.settings.world import TrajectoryName
 from steelnb.types import Array
@@ -17,7 +15,8 @@ STEP_S = 0.008
 NOISES = {"3.2": "constant-drift", "3.3": "constant-drift", "3.5": "random-walk", "3.6": "constant-drift"}
 
 
-class ReportPlot(Settings):
+@dataclass(frozen=True, kw_only=True)
+class ReportPlot:
     """One of the plots of ``presets/report-plots.toml``, named as in ``notebooks/report-curves.csv``.
 
     Sample k came at the simulator's step ``first_step + k * steps_per_sample``. ``samples``: how many the plot shows
@@ -25,14 +24,14 @@ class ReportPlot(Settings):
     trajectory.
     """
 
-    figure: Literal["3.2", "3.3", "3.5", "3.6"]
-    trajectory: Literal["vertical", "orbit"]
-    method: Literal["average", "icp", "icp-3dof", "gicp"]
+    figure: str
+    trajectory: TrajectoryName
+    method: str
     flight: TrajectoryName | None = None
-    first_step: NotNegative
-    steps_per_sample: Positive
-    samples: Annotated[int, Field(ge=1)]
-    earlier_samples: Annotated[int, Field(ge=0)] = 0
+    first_step: int
+    steps_per_sample: float
+    samples: int
+    earlier_samples: int = 0
 
     @property
     def noise(self) -> str:
@@ -62,11 +61,13 @@ class ReportPlot(Settings):
     @classmethod
     def find(cls, figure: str, trajectory: str, method: str) -> "ReportPlot":
         """The plot of a figure, trajectory and method. Raises `InputError`."""
-        plots = {(plot.figure, plot.trajectory, plot.method): plot for plot in read_report_plots()}
+        plots: dict[tuple[str, str, str], ReportPlot] = {
+            (plot.figure, plot.trajectory, plot.method): plot for plot in read_report_plots()
+        }
         if (figure, trajectory, method) not in plots:
             known = "; ".join(" ".join(names) for names in plots)
             raise InputError(f"plot {figure} {trajectory} {method}: expected one of {known}")
-        return plots[figure, trajectory, method]  # type: ignore[index]
+        return plots[figure, trajectory, method]
 
 
 @cache

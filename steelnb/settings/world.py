@@ -5,14 +5,14 @@ No estimator sees them.
 
 import itertools
 import math
-from typing import Annotated, Any, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from steelnb.errors import InputError
-from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted, table
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
-from steelnb.settings.sensors import TofFaultSettings
 from steelnb.types import Array
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
@@ -26,53 +26,50 @@ class TowerSettings(Settings):
 
     ``members`` names a CSV of ``steelnb/presets``, such as ``report-tower``, or a file ``FILE.csv``
     (`steelnb.simulation.lattice`). ``section``: sections are angles of ``(flange, thickness)`` or round rods as wide as
-    the flange. The ground is a square plate at z = 0, ``floor_half_m`` from its middle to its sides.
+    the flange. ``arms_m`` are height and reach of each arm. The ground is a square plate at z = 0.
     """
 
     members: str | None = None
     section: Literal["angle", "round"] = "angle"
-    floor_half_m: Positive = 60.0
     height_m: Positive = 16.0
     base_width_m: Positive = 4.0
     waist_height_m: Positive = 9.0
     waist_width_m: Positive = 1.7
     top_width_m: Positive = 1.0
-    arm_height_m: tuple[Positive, ...] = (10.2, 12.4, 14.6)
-    arm_reach_m: tuple[Positive, ...] = (3.2, 3.8, 2.8)
-    arm_depth_m: Positive = 0.7
+    arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
+    arm_depth_m: ClassVar[float] = 0.7
     leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
     ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
     arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
-    secondary_section_m: tuple[Positive, Positive] = (0.040, 0.004)
+    secondary_section_m: ClassVar[tuple[float, float]] = (0.040, 0.004)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if len(self.arm_height_m) != len(self.arm_reach_m):
-            raise ValueError("arm_height_m and arm_reach_m must have the same length")
         if not self.waist_height_m < self.height_m:
             raise ValueError("waist_height_m must lie below height_m")
-        levels = (self.waist_height_m, *self.arm_height_m)
-        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(levels[1:])):
-            raise ValueError("arms must be at least arm_depth_m apart")
-        if self.arm_height_m and (
-            min(self.arm_height_m) <= self.waist_height_m
-            or max(self.arm_height_m) + self.arm_depth_m > self.height_m + 1e-9
-        ):
-            raise ValueError("arms must lie between waist_height_m and height_m")
+        height_m = [height for height, _ in self.arms_m]
+        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(height_m)):
+            raise ValueError(f"arms_m: expected arms at least {self.arm_depth_m:g} m apart")
+        if height_m and not self.waist_height_m < min(height_m) <= max(height_m) <= self.height_m - self.arm_depth_m:
+            raise ValueError("arms_m: expected arms between waist_height_m and height_m")
         return self
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> Self:
-        shape = [
-            name for name in type(self).model_fields if name.startswith(("height", "base", "waist", "top", "arm_"))
-        ]
+        fields = type(self).model_fields
+        shape = [name for name in fields if name.startswith(("height", "base", "waist", "top", "arms"))]
         for name in shape if self.members is not None else ():
-            if name != "arm_section_m" and getattr(self, name) != type(self).model_fields[name].default:
+            if getattr(self, name) != fields[name].default:
                 raise ValueError(
                     f"{name} = {getattr(self, name)} with members = {self.members!r}: expected one of both"
                 )
         return self
+
+    @property
+    def floor_half_m(self) -> float:
+        """From the middle of the ground to its sides: the report's plate for a list of members, else far away."""
+        return 60.0 if self.members is None else 3.0
 
     @classmethod
     def preset(cls, tower: str = "tapered") -> "TowerSettings":
@@ -88,27 +85,16 @@ class TowerSettings(Settings):
 PlannerGoal = Literal["face", "around"]
 
 
-class PlannerSettings(Settings):
-    """A flight that `steelnb.planning` steers by what it sees.
-
-    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
-    """
-
-    goal: PlannerGoal = "around"
-
-
 class FlightSettings(Settings):
     """A simulated flight.
 
     ``vertical``, ``orbit`` and ``orbit-3.3``, the report's, go from one of the ``waypoints`` to the next, at rest at
     each; give them others for a flight of your own. The path of ``zigzag`` and ``loops`` follows from the tower:
-    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight has a ``planner``,
-    for which distance, heights, levels and speed are wishes, and its path depends on the odometry; the others have
-    none.
+    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight is steered by
+    `steelnb.planning`: distance, heights, levels and speed are wishes, and its path depends on the odometry. Its
+    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
 
-    ``gust_sigma_m_s`` is the standard deviation of the gusts along the vertical; ``gust_spectrum`` says whether they
-    are alike along all axes, with a correlation time of 2 s, or have the Dryden spectra near the ground
-    (`steelnb.simulation.gusts`).
+    ``gust_sigma_m_s`` is the standard deviation of the gusts along each axis.
     """
 
     trajectory: TrajectoryName = "zigzag"
@@ -119,8 +105,7 @@ class FlightSettings(Settings):
     levels: Annotated[int, Field(ge=2, le=100)] = 12
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
-    gust_spectrum: Literal["first-order", "dryden"] = "first-order"
-    planner: Annotated[PlannerSettings | None, table(PlannerSettings)] = None
+    goal: PlannerGoal = "around"
     waypoints: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")
@@ -137,15 +122,6 @@ class FlightSettings(Settings):
             raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {sum(seconds):g} s")
         return self
 
-    @model_validator(mode="after")
-    def _planned_by_a_planner(self) -> Self:
-        if (self.trajectory == "planned") != (self.planner is not None):
-            raise ValueError(
-                f"trajectory {self.trajectory!r} with {'no' if self.planner is None else 'a'} table planner: expected"
-                " one for 'planned', and for no other"
-            )
-        return self
-
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
         """A flight of ``presets/flights.toml`` by name. Default duration: the preset's own, else up to the last
@@ -159,6 +135,12 @@ class FlightSettings(Settings):
         return cls(trajectory=trajectory, **values)
 
 
+TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration"]
+"""What a real camera adds to the noise of its ranges: mixed pixels at edges; motion during the exposure; light by way
+of a second surface; noise and dropout by the light returned; an error periodic in the range; errors of offset and
+scale."""
+
+
 class TofSettings(Settings):
     """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
 
@@ -166,8 +148,9 @@ class TofSettings(Settings):
     depth along the optical axis has that noise and the limit ``range_max_m``; ranges remain along the ray. Scans come
     at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step; in the intervals ``blind_s`` (from, to)
     nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor
-    on the drone. With ``faults`` the sensor errs as a real one: the standard deviation of a range is then that of the
-    range at which the data sheet's target, seen squarely, returns as much light as the pixel got.
+    on the drone. With ``faults`` the sensor errs as a real one (`steelnb.simulation.exposure`): the standard deviation
+    of a range is then that of the range at which the data sheet's target, seen squarely, returns as much light as the
+    pixel got.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -183,7 +166,7 @@ class TofSettings(Settings):
     blind_s: tuple[tuple[float, float], ...] = ()
     mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
     mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    faults: Annotated[TofFaultSettings | None, table(TofFaultSettings)] = None
+    faults: tuple[TofFault, ...] = ()
 
     @property
     def T_drone_sensor(self) -> Array:
@@ -196,7 +179,8 @@ class TofSettings(Settings):
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 
-class NoiseSettings(Settings):
+@dataclass(frozen=True)
+class Noise:
     """Drift of the pose prior, added at every simulator step (125 Hz).
 
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
@@ -204,20 +188,20 @@ class NoiseSettings(Settings):
     heading step; ``tilt_rad``: that of the slowly varying error of roll and of pitch, which the report does not have.
     """
 
-    random_walk_m: NotNegative = 0.0
-    constant_drift_m: NotNegative = 0.0
-    yaw_random_walk_rad: NotNegative = 0.0
-    tilt_rad: NotNegative = 0.0
+    random_walk_m: float = 0.0
+    constant_drift_m: float = 0.0
+    yaw_random_walk_rad: float = 0.0
+    tilt_rad: float = 0.0
 
     @classmethod
-    def parse(cls, text: str) -> "NoiseSettings":
+    def parse(cls, text: str) -> "Noise":
         """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
         A name without a level takes the report's, ``tilt`` one degree. ``constant-drift-per-axis`` reads the level as
         the step per axis, √3 more in all. ``none`` is no noise. Raises `InputError`.
 
-        >>> NoiseSettings.parse("random-walk+yaw-random-walk:0.001")
-        NoiseSettings(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
+        >>> Noise.parse("random-walk+yaw-random-walk:0.001")
+        Noise(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
         """
         if not isinstance(text, str):
             raise InputError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
@@ -233,6 +217,8 @@ class NoiseSettings(Settings):
                 values[key] = factor * (float(level) if level else default)
             except ValueError:
                 raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
+            if not 0 <= values[key] < math.inf:
+                raise InputError(f"noise = {text!r}: {key} = {values[key]}: expected a number from 0 on")
         return cls(**values)
 
     def check_report(self) -> None:

@@ -1,7 +1,7 @@
 """Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
 
 from steelnb.simulation.cache import fly_and_scan
-from steelnb.simulation.cameras import Camera, photograph
+from steelnb.simulation.cameras import FORWARD, TRACKING, Camera, CameraModel, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.sections import Member
@@ -10,6 +10,7 @@ from steelnb.simulation.tower import Tower, build_tower, build_tubes
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "Camera", "CastScans", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower", "build_tubes",
-    "filtered_attitude", "fly", "fly_and_scan", "measured_imu", "photograph", "scan_flight",
+    "FORWARD", "TRACKING", "Camera", "CameraModel", "CastScans", "Command", "Member", "Pilot", "Tower", "Truth",
+    "Visibility", "build_tower", "build_tubes", "filtered_attitude", "fly", "fly_and_scan", "measured_imu",
+    "photograph", "scan_flight",
 ]  # fmt: skip

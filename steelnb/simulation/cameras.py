@@ -1,7 +1,9 @@
 """Grey cameras on a flight: images by ray casting, with texture, motion blur and noise."""
 
 import functools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,13 +11,15 @@ from numpy.typing import NDArray
 
 from steelnb import rng
 from steelnb.images import CameraImages, GreyImage
-from steelnb.settings import CameraSettings
+from steelnb.settings.base import mount
 from steelnb.simulation.scene import Hits, Scene, cast_bundle, make_scene, rays
 from steelnb.simulation.sections import GROUND
 from steelnb.simulation.texture import Floats, Texture, make_texture, shade
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray, Trajectory
 
+RATE_HZ = 10.0
+"""Images a second."""
 EXPOSURE_S = 0.002
 READ_NOISE, GAIN = 1.0, 0.03
 """The variance of a pixel is READ_NOISE² + GAIN · grey, in grey levels of 255, where the gain is the number of levels
@@ -28,6 +32,49 @@ EDGE = 0.03
 """Relative difference of neighbouring ranges that makes an edge of a member."""
 
 
+@dataclass(frozen=True)
+class CameraModel:
+    """A global-shutter pinhole camera with square pixels, optical axis along the camera's x axis, y left, z up.
+
+    ``samples`` rays are cast through a pixel, spread over its area and over the time of the exposure, centred on the
+    stamp: that smooths edges and blurs what moves. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the
+    drone's axes) place the camera on the drone.
+    """
+
+    columns: int
+    rows: int
+    fov_horizontal_rad: float
+    mount_m: tuple[float, float, float]
+    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    samples: int = 4
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels, the same along both axes."""
+        return self.columns / (2 * math.tan(self.fov_horizontal_rad / 2))
+
+    @property
+    def fov_vertical_rad(self) -> float:
+        """Vertical field of view, which follows from square pixels."""
+        return 2 * math.atan(self.rows / (2 * self.focal_px))
+
+    @property
+    def K(self) -> Array:
+        """Intrinsics ``(3, 3)`` as `steelnb.images.CameraImages` has them."""
+        f = self.focal_px
+        return np.array([[f, 0, (self.columns - 1) / 2], [0, f, (self.rows - 1) / 2], [0, 0, 1]])
+
+    @property
+    def T_drone_camera(self) -> Array:
+        """The mount of the camera, ``(4, 4)``."""
+        return mount(self.mount_m, self.mount_rpy_deg)
+
+
+FORWARD = CameraModel(422, 320, 1.74, (0.06, 0.0, 0.02))
+TRACKING = CameraModel(640, 480, 2.32, (0.06, 0.0, -0.02), (0.0, 45.0, 0.0))
+"""The two cameras of the report's drone; the second one looks down."""
+
+
 class Rendered(NamedTuple):
     """Images ``(H, W)``: ``grey`` float32 without noise, and of the ray in the middle of each pixel ``range_m`` along
     it, infinite for no hit, and the ``member`` hit, −1 for the ground and for none."""
@@ -37,31 +84,31 @@ class Rendered(NamedTuple):
     member: IntArray
 
 
-def photograph(tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: rng.Seed) -> CameraImages:
+def photograph(tower: Tower, trajectory: Trajectory, model: CameraModel, seed: rng.Seed) -> CameraImages:
     """Images along a true trajectory, each rendered when it is asked for.
 
     ``trajectory``: true poses of the drone, world frame, the first at t = 0. The noise of image k comes from the stream
     ``("camera", k)`` of the seed, so that an image does not depend on which others are asked for.
     """
     step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])  # stamps are those of poses, as those of scans are
-    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / settings.rate_hz) / step_s).astype(int)
+    index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / RATE_HZ) / step_s).astype(int)
     stamp_s = trajectory.stamp_s[index]
-    images = _Images(tower, trajectory, settings, seed, stamp_s)
-    return CameraImages(stamp_s, images, settings.K, settings.T_drone_camera)
+    images = _Images(tower, trajectory, model, seed, stamp_s)
+    return CameraImages(stamp_s, images, model.K, model.T_drone_camera)
 
 
 class Camera:
     """A camera that can be held anywhere around a tower."""
 
-    def __init__(self, tower: Tower, settings: CameraSettings) -> None:
-        self.settings = settings
+    def __init__(self, tower: Tower, model: CameraModel) -> None:
+        self.model = model
         self._scene: Scene = make_scene(tower)
         self._texture: Texture = make_texture(tower)
-        ray, count = rays(settings), settings.samples - 1
+        ray, count = rays(model), model.samples - 1
         plane = (ray / ray[..., :1]).reshape(-1, 3)
         angle = 2 * np.pi * np.arange(count) / max(count, 1) + 0.3
         place = np.zeros((count + 1, 3))  # the first ray in the middle of the pixel, the others around it
-        place[1:, 1:] = SPREAD_PX / settings.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
+        place[1:, 1:] = SPREAD_PX / model.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
         direction = plane + place[:, None]
         self._direction = (direction / np.linalg.norm(direction, axis=2)[..., None]).astype(np.float32)
         self.moments_s = EXPOSURE_S * np.append(0.0, np.linspace(-0.5, 0.5, count))
@@ -71,7 +118,7 @@ class Camera:
 
         All rays of a pixel are cast where the image is blurred, or changes from one surface to another.
         """
-        shape = self.settings.rows, self.settings.columns
+        shape = self.model.rows, self.model.columns
         grey, hit = self._cast(T_world_camera[:1], self._direction[:1])
         range_m, member = hit.range_m.reshape(shape), hit.member.reshape(shape)
         if len(T_world_camera) > 1:
@@ -88,14 +135,14 @@ class Camera:
         for sample, ray, T in zip(bundle, direction, T_world_camera, strict=True):
             np.matmul(ray, T[:3, :3].T.astype(np.float32), out=sample[:, 3:])
         hit = cast_bundle(self._scene, bundle)
-        grey = shade(self._texture, bundle.reshape(-1, 6), hit, 1 / self.settings.focal_px)
+        grey = shade(self._texture, bundle.reshape(-1, 6), hit, 1 / self.model.focal_px)
         return grey.reshape(direction.shape[:2]), hit
 
     def _motion_px(self, T_world_camera: Array) -> float:
         """Motion of the image of a surface 1 m away during the exposure, in pixels."""
         first, last = T_world_camera[1], T_world_camera[-1]
         turned = 0.5 * np.linalg.norm(first[:3, :3] - last[:3, :3])
-        return float(self.settings.focal_px * (turned + np.linalg.norm(first[:3, 3] - last[:3, 3])))
+        return float(self.model.focal_px * (turned + np.linalg.norm(first[:3, 3] - last[:3, 3])))
 
     def exposed(self, grey: Floats, noise: np.random.Generator) -> GreyImage:
         """An image ``(H, W)`` as read from the sensor, with noise."""
@@ -120,14 +167,14 @@ class _Images(Sequence[GreyImage]):
     """The images of `photograph`."""
 
     def __init__(
-        self, tower: Tower, trajectory: Trajectory, settings: CameraSettings, seed: rng.Seed, stamp_s: Array
+        self, tower: Tower, trajectory: Trajectory, model: CameraModel, seed: rng.Seed, stamp_s: Array
     ) -> None:
-        self._tower, self._trajectory, self._settings, self._seed = tower, trajectory, settings, seed
+        self._tower, self._trajectory, self._model, self._seed = tower, trajectory, model, seed
         self._stamp_s = stamp_s
 
     @functools.cached_property
     def _camera(self) -> Camera:
-        return Camera(self._tower, self._settings)
+        return Camera(self._tower, self._model)
 
     def __len__(self) -> int:
         return len(self._stamp_s)
@@ -137,7 +184,5 @@ class _Images(Sequence[GreyImage]):
             return [self[k] for k in range(len(self))[index]]
         k = range(len(self))[index]
         noise, stamp_s, camera = rng.stream(self._seed, "camera", k), float(self._stamp_s[k]), self._camera
-        if any(first <= stamp_s < last for first, last in self._settings.blind_s):
-            return camera.exposed(np.zeros((self._settings.rows, self._settings.columns), np.float32), noise)
         T_world_drone = self._trajectory.between(stamp_s + camera.moments_s)
-        return camera.exposed(camera.render(T_world_drone @ self._settings.T_drone_camera).grey, noise)
+        return camera.exposed(camera.render(T_world_drone @ self._model.T_drone_camera).grey, noise)

@@ -12,13 +12,14 @@ the lens, wrong multiples of the ambiguity, errors of the lens's calibration, an
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.settings import TofFaultSettings, TofSettings
+from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.scene import Scene, cast_bundle, rays
 from steelnb.simulation.sections import GROUND
 from steelnb.types import Array, IntArray
@@ -40,6 +41,55 @@ WIGGLE_PERIOD_M = 0.625
 _LIFT_M = 1e-3
 
 
+@dataclass(frozen=True)
+class Faults:
+    """Sizes of the faults of a kind of camera; the defaults are those of a faultless one.
+
+    ``footprint_px``: width of the patch that a pixel sees, in pixels, which makes mixed pixels at depth edges;
+    ``lateral_px``: standard deviation of its place across the ray; ``exposure_s``: time over which a scan is taken,
+    centred on its stamp; ``multipath``: share of the light that goes on from one surface to the next, where 1 is a
+    matt surface; ``reflectivity``: that of all surfaces by that of the data sheet's target; ``sigma_max_m``: a pixel is
+    dropped where the noise that its amplitude promises is higher. ``wiggle_m``: amplitude of the error that is periodic
+    in the range. ``offset_sigma_m`` and ``scale_sigma``: standard deviations, over the cameras of a kind, of a constant
+    error of the range and of one in proportion to it; each seed has a camera of its own.
+    """
+
+    footprint_px: float = 0.0
+    lateral_px: float = 0.0
+    exposure_s: float = 0.0
+    multipath: float = 0.0
+    reflectivity: float = 1.0
+    sigma_max_m: float = 1.0
+    wiggle_m: float = 0.0
+    offset_sigma_m: float = 0.0
+    scale_sigma: float = 0.0
+
+
+REFLECTIVITY = 0.5
+"""Of weathered zinc by a white target, in the near infrared: assumed."""
+REAL: dict[TofFault, dict[str, float]] = {
+    # A pixel sees its whole square; blur of the lens is left out. Lateral noise is assumed: 1/sqrt(12), a place known
+    # to the pixel; Nguyen, Izadi, Lovell (3DIMPVT 2012) have 0.8 with structured light.
+    "footprint": {"footprint_px": 1.0, "lateral_px": 0.3},
+    # Assumed: 8 + 1 raw images of up to 2 ms at 5 Hz (pmd Royale, MODE_9_5FPS_2000), each read out in about 1.3 ms.
+    "exposure": {"exposure_s": 0.03},
+    "multipath": {"multipath": 1.0, "reflectivity": REFLECTIVITY},  # matt surfaces
+    "amplitude": {"reflectivity": REFLECTIVITY, "sigma_max_m": 0.07},  # pmd Royale, NoiseThreshold
+    # Assumed: calibration leaves a few mm to 1 cm; its form as in Lindner, Schiller, Kolb, Koch (CVIU 114, 2010).
+    "wiggle": {"wiggle_m": 0.005},
+    # The data sheet's error of 1 % within 0.5 to 4 m leaves room for 5 mm at 0.5 m and, as a limit of three standard
+    # deviations, for 0.3 % of the range.
+    "calibration": {"offset_sigma_m": 0.005, "scale_sigma": 0.003},
+}
+"""Fault → its size for the camera of a Starling 2. "Assumed" is what no data sheet or paper says of this camera."""
+
+
+def faults_of(settings: TofSettings) -> Faults | None:
+    """The sizes of the settings' faults, None for none."""
+    sizes = {name: size for fault in settings.faults for name, size in REAL[fault].items()}
+    return Faults(**sizes) if sizes else None
+
+
 class Camera(NamedTuple):
     """One camera of its kind: constant error of the range, its scale, and the phase of its wiggling, in radians."""
 
@@ -59,21 +109,22 @@ class Exposure(NamedTuple):
     member: IntArray
 
 
-def draw_camera(faults: TofFaultSettings, random: np.random.Generator) -> Camera:
-    """A camera of the kind that the settings describe."""
+def draw_camera(faults: Faults, random: np.random.Generator) -> Camera:
+    """A camera of the kind that has the faults."""
     offset, scale = random.standard_normal(2)
     phase = random.uniform(0, 2 * math.pi)
     return Camera(faults.offset_sigma_m * offset, 1 + faults.scale_sigma * scale, phase)
 
 
 def expose(
-    scene: Scene, settings: TofSettings, camera: Camera, T_world_sensor: Array, random: np.random.Generator
-) -> Exposure:
+    scene: Scene, settings: TofSettings, faults: Faults, camera: Camera, T_world_sensor: Array,
+    random: np.random.Generator,
+) -> Exposure:  # fmt: skip
     """One exposure, without noise, from the poses ``T_world_sensor (9, 4, 4)`` at its nine moments (`MOMENTS`).
 
-    ``settings`` have faults; ``random`` draws the lateral noise and the way that light goes on from a surface.
+    ``random`` draws the lateral noise and the way that light goes on from a surface.
     """
-    faults, ray = settings.faults or TofFaultSettings(), rays(settings)
+    ray = rays(settings)
     plane = (ray[..., 1:] / ray[..., :1]).reshape(-1, 2)
     pixel = np.array([-math.tan(settings.fov_horizontal_rad / 2) * 2 / settings.columns,
                       -math.tan(settings.fov_vertical_rad / 2) * 2 / settings.rows])  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 
 from steelnb import rng
 from steelnb.settings import TofSettings
-from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, draw_camera, expose
+from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, Faults, draw_camera, expose, faults_of
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
@@ -90,8 +90,9 @@ def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
 
 def exposed_poses(trajectory: Trajectory, stamp_s: Array, T_drone_sensor: Array, settings: TofSettings) -> Array:
     """True poses ``(K, 9, 4, 4)`` of the sensor at the moments of the exposures at ``stamp_s (K,)``."""
-    if settings.faults and settings.faults.exposure_s > 0:
-        return trajectory.between(stamp_s[:, None] + settings.faults.exposure_s * MOMENTS) @ T_drone_sensor
+    faults = faults_of(settings)
+    if faults and faults.exposure_s > 0:
+        return trajectory.between(stamp_s[:, None] + faults.exposure_s * MOMENTS) @ T_drone_sensor
     T_world_sensor = trajectory.at(stamp_s).T_world_drone @ T_drone_sensor
     return np.broadcast_to(T_world_sensor[:, None], (len(stamp_s), len(MOMENTS), 4, 4))
 
@@ -101,18 +102,19 @@ class TofCamera:
 
     def __init__(self, tower: Tower, settings: TofSettings, seed: rng.Seed) -> None:
         self.settings, self.ray, self._scene, self._seed = settings, rays(settings), make_scene(tower), seed
-        self._own = draw_camera(settings.faults, rng.stream(seed, "tof-camera")) if settings.faults else None
+        self.faults = faults_of(settings)
+        self._own = draw_camera(self.faults, rng.stream(seed, "tof-camera")) if self.faults else None
 
     @property
     def latency_s(self) -> float:
         """From the stamp of a scan to the end of its exposure."""
-        return self.settings.faults.exposure_s * float(MOMENTS.max()) if self.settings.faults else 0.0
+        return self.faults.exposure_s * float(MOMENTS.max()) if self.faults else 0.0
 
     def expose(self, T_world_sensor: Array, random: np.random.Generator) -> Exposure:
         """One exposure, without noise, from the poses ``(9, 4, 4)`` at its moments; without faults, from the middle
         one."""
-        if self._own:
-            return expose(self._scene, self.settings, self._own, T_world_sensor, random)
+        if self.faults and self._own:
+            return expose(self._scene, self.settings, self.faults, self._own, T_world_sensor, random)
         exact, member = cast_rays(self._scene, T_world_sensor[MIDDLE : MIDDLE + 1], self.ray)
         return Exposure(exact[0], None, exact[0], member[0])
 
@@ -121,7 +123,7 @@ class TofCamera:
         is measured from."""
         seen = self.expose(T_world_sensor, rng.stream(self._seed, "tof-rays", k))
         noise = rng.stream(self._seed, "tof", k)
-        image = measured_ranges(seen.range_m, self.settings, noise, as_far_as_m=seen.as_far_as_m)
+        image = measured_ranges(seen.range_m, self.settings, noise, self.faults, seen.as_far_as_m)
         if any(first <= stamp_s < last for first, last in self.settings.blind_s):
             image[:] = np.nan
         return image, seen
@@ -134,8 +136,9 @@ class TofCamera:
 
 
 def measured_ranges(
-    exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, as_far_as_m: np.ndarray | None = None
-) -> np.ndarray:
+    exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, faults: Faults | None = None,
+    as_far_as_m: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Measured range image ``(H, W)`` float32 from the exact one, metres, infinite where nothing is hit.
 
     Gaussian noise within the sensor's limits, NaN for no return; with faults, pixels whose noise is reckoned too high
@@ -145,16 +148,16 @@ def measured_ranges(
     if settings.noise_on == "depth":
         ahead = rays(settings)[..., 0].astype(np.float32)
         far = None if as_far_as_m is None else as_far_as_m * ahead
-        return measured_ranges(exact_m * ahead, settings.replace(noise_on="range"), noise, far) / ahead
+        return measured_ranges(exact_m * ahead, settings.replace(noise_on="range"), noise, faults, far) / ahead
     result = exact_m.astype(np.float32)
     seen = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
     value = result.ravel()[seen]
     far = value if as_far_as_m is None else as_far_as_m.ravel()[seen]
     sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * far)
     value = value + sigma * noise.standard_normal(len(value), dtype=np.float32)
-    if settings.faults:
+    if faults:
         reckoned = sigma * (1 + AMPLITUDE_SCATTER * noise.standard_normal(len(value), dtype=np.float32))
-        value[reckoned > settings.faults.sigma_max_m] = np.nan
+        value[reckoned > faults.sigma_max_m] = np.nan
     result.fill(np.nan)
     result.ravel()[seen] = value
     return result

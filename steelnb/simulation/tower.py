@@ -87,7 +87,7 @@ def _build_tapered(settings: TowerSettings) -> Tower:
     build = _Builder(settings)
     lower = _panel_levels(settings)
     upper = [settings.waist_height_m]
-    for z in settings.arm_height_m:
+    for z, _ in settings.arms_m:
         upper += [z, z + settings.arm_depth_m]
     if settings.height_m - upper[-1] > 1e-6:
         upper.append(settings.height_m)
@@ -104,7 +104,7 @@ def _build_tapered(settings: TowerSettings) -> Tower:
         flanges = inwards * [1, 0, 0], inwards * [0, 1, 0]
         build.add("leg", [build.corner(k, z) for z in lower], *flanges)
         build.add("leg", [build.corner(k, z) for z in upper], *flanges)
-    for z, reach in zip(settings.arm_height_m, settings.arm_reach_m, strict=True):
+    for z, reach in settings.arms_m:
         for side in (-1, 1):
             _arm(build, z, reach, side)
 

@@ -35,7 +35,7 @@ class Viewer:
     def view(self, T_world_sensor: Array, noise: np.random.Generator, floor_m: float = 0.3) -> View:
         """One scan, without the ground and all that is measured below ``floor_m``."""
         seen = self._camera.expose(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)  # held still
-        measured = measured_ranges(seen.range_m, self.tof, noise, as_far_as_m=seen.as_far_as_m)
+        measured = measured_ranges(seen.range_m, self.tof, noise, self._camera.faults, seen.as_far_as_m)
         returned = np.isfinite(measured) & np.isfinite(seen.exact_m)
         member = seen.member[returned]
         rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]

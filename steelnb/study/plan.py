@@ -131,7 +131,7 @@ def make_run(settings: ExperimentSettings, variant: str = "", depends_on: str = 
     """Run with its keys; ``depends_on`` stands for code and libraries, by default `software_digest`."""
     values, depends_on = settings.model_dump(mode="json"), depends_on or software_digest()
     shared = {name: values[name] for name in ("tower", "flight", "tof", "seed")}
-    if settings.flight.planner:  # steers by what noise and odometry make of the flight
+    if settings.flight.trajectory == "planned":  # steers by what noise and odometry make of the flight
         shared = values
     return Run(settings, variant, digest(values, variant, depends_on)[:32], digest(shared, depends_on)[:32])
 

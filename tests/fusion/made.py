@@ -55,8 +55,8 @@ def small_tower():
     plain = {f"{kind}_section_m": (0.072, 0.006) for kind in ("ring", "bracing")} | {"leg_section_m": (0.12, 0.01)}
     return build_tower(
         TowerSettings(
-            height_m=5.0, base_width_m=2.4, waist_height_m=3.0, waist_width_m=1.8, top_width_m=1.4, arm_height_m=(),
-            arm_reach_m=(), **plain,
+            height_m=5.0, base_width_m=2.4, waist_height_m=3.0, waist_width_m=1.8, top_width_m=1.4, arms_m=(),
+            **plain,
         )
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.noise import drifting, random_walk_rms_m
-from steelnb.settings import NoiseSettings
+from steelnb.settings import Noise
 from steelnb.types import Trajectory
 
 
@@ -18,19 +18,19 @@ def still(seconds):
 
 def errors(noise, seconds, seeds):
     truth = still(seconds)
-    return np.array([drifting(truth, NoiseSettings.parse(noise), s).position[-1] - [1, 2, 3] for s in range(seeds)])
+    return np.array([drifting(truth, Noise.parse(noise), s).position[-1] - [1, 2, 3] for s in range(seeds)])
 
 
 def test_random_walk_has_the_root_mean_square_of_its_model():
     error = errors("random-walk", 20, 400)
-    expected = random_walk_rms_m(NoiseSettings(random_walk_m=0.002), np.array([20.0]))[0]
+    expected = random_walk_rms_m(Noise(random_walk_m=0.002), np.array([20.0]))[0]
     assert expected == pytest.approx(0.002 * np.sqrt(3 * 125 * 20))
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.08)
     assert np.abs(error.mean(axis=0)).max() < 4 * expected / np.sqrt(3 * 400)
 
 
 def test_algorithm_1_is_a_cumulated_normal_vector():
-    settings = NoiseSettings(random_walk_m=0.002)
+    settings = Noise(random_walk_m=0.002)
     steps = np.diff(drifting(still(40), settings, 5).position, axis=0)
     assert steps.std() == pytest.approx(0.002, rel=0.02)
     lag = np.corrcoef(steps[1:, 0], steps[:-1, 0])[0, 1]
@@ -49,18 +49,18 @@ def test_constant_drift_has_the_length_asked_for_in_a_direction_of_its_seed():
 
 def test_yaw_walk_turns_the_heading_and_leaves_the_position():
     truth = still(10)
-    drifted = drifting(truth, NoiseSettings(yaw_random_walk_rad=0.0005), 2)
+    drifted = drifting(truth, Noise(yaw_random_walk_rad=0.0005), 2)
     np.testing.assert_array_equal(drifted.position, truth.position)
     R = drifted.T_world_drone[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(R[:, 2, 2], 1)
-    final = [drifting(truth, NoiseSettings(yaw_random_walk_rad=0.0005), s).T_world_drone[-1] for s in range(300)]
+    final = [drifting(truth, Noise(yaw_random_walk_rad=0.0005), s).T_world_drone[-1] for s in range(300)]
     assert np.std([np.arctan2(T[1, 0], T[0, 0]) for T in final]) == pytest.approx(0.0005 * np.sqrt(1250), rel=0.12)
 
 
 def test_tilt_wanders_about_zero_in_roll_and_pitch_alone():
     truth = still(100)
-    settings = NoiseSettings.parse("tilt")
+    settings = Noise.parse("tilt")
     assert settings.tilt_rad == np.radians(1)
     turned = [drifting(truth, settings, seed) for seed in range(60)]
     np.testing.assert_array_equal(turned[0].position, truth.position)
@@ -74,8 +74,8 @@ def test_tilt_wanders_about_zero_in_roll_and_pitch_alone():
 
 def test_drift_begins_at_zero_and_a_sum_contains_its_parts():
     truth = still(4)
-    parts = [drifting(truth, NoiseSettings.parse(name), 7) for name in ("random-walk", "constant-drift")]
-    whole = drifting(truth, NoiseSettings.parse("random-walk+constant-drift"), 7)
+    parts = [drifting(truth, Noise.parse(name), 7) for name in ("random-walk", "constant-drift")]
+    whole = drifting(truth, Noise.parse("random-walk+constant-drift"), 7)
     np.testing.assert_array_equal(whole.T_world_drone[0], truth.T_world_drone[0])
     moved = [part.position - truth.position for part in parts]
     np.testing.assert_allclose(whole.position - truth.position, moved[0] + moved[1], atol=1e-12)
@@ -87,9 +87,7 @@ def test_drift_is_that_of_its_seed_and_in_proportion_to_its_level(seed, level):
     truth = still(2)
     names = ("random_walk_m", "constant_drift_m", "yaw_random_walk_rad")
     for name in names:
-        one, same, more, none = (
-            drifting(truth, NoiseSettings(**{name: 1e-4 * size}), seed) for size in (1.0, 1.0, level, 0.0)
-        )
+        one, same, more, none = (drifting(truth, Noise(**{name: 1e-4 * size}), seed) for size in (1.0, 1.0, level, 0.0))
         np.testing.assert_array_equal(one.T_world_drone, same.T_world_drone)
         np.testing.assert_array_equal(none.T_world_drone, truth.T_world_drone)
         np.testing.assert_allclose(more.position - truth.position, level * (one.position - truth.position), atol=1e-12)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from steelnb.noise import drift_errors
-from steelnb.settings import NoiseSettings, read_report_plots
+from steelnb.settings import Noise, read_report_plots
 
 CURVES = pd.read_csv(Path(__file__).parents[2] / "notebooks" / "report-curves.csv", dtype={"figure": str})
 
@@ -23,7 +23,7 @@ def shown_and_drawn(plot):
     ]
     step = plot.step_at(chosen["step"].to_numpy())
     stamp_s = np.arange(np.ceil(step.max()) + 1) / 125
-    error = drift_errors(stamp_s, NoiseSettings.parse(plot.noise), "report")
+    error = drift_errors(stamp_s, Noise.parse(plot.noise), "report")
     return chosen["error_m"].to_numpy(), np.interp(step, np.arange(len(error)), np.linalg.norm(error[:, :3, 3], axis=1))
 
 
@@ -49,9 +49,9 @@ def test_draws_are_those_of_numpy_s_old_generator_in_the_original_s_order():
         place = place + generator.normal(0, 0.002, 3)
         heading += generator.normal(0, 0.0005)
         walk.append(place)
-    both = drift_errors(np.arange(51) / 125, NoiseSettings.parse("random-walk+yaw-random-walk"), "report")
+    both = drift_errors(np.arange(51) / 125, Noise.parse("random-walk+yaw-random-walk"), "report")
     np.testing.assert_allclose(both[:, :3, 3], walk, atol=1e-15)
     assert np.arctan2(both[-1, 1, 0], both[-1, 0, 0]) == pytest.approx(heading)
-    constant = drift_errors(np.arange(51) / 125, NoiseSettings.parse("constant-drift"), "report")
+    constant = drift_errors(np.arange(51) / 125, Noise.parse("constant-drift"), "report")
     np.testing.assert_allclose(np.diff(1e3 * constant[:, :3, 3], axis=0), [[0.0497, -0.0138, 0.0648]] * 50, atol=5e-5)
     np.testing.assert_array_equal(constant[:, :3, :3], np.tile(np.eye(3), (51, 1, 1)))

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from steelnb import experiment
 from steelnb.settings import ExperimentSettings
+from steelnb.simulation import FORWARD
 
 BLIND_S = (4.0, 4.5)
 
@@ -28,11 +30,12 @@ class Watched(Sequence):
 @pytest.fixture(scope="session")
 def loops_with_images():
     """Six seconds of loops whose camera sees nothing for half of one; rendered images are kept."""
-    overrides = {"camera.blind_s": (BLIND_S,), "camera.samples": 2}
-    settings = ExperimentSettings.preset("loops", "random-walk:0.004", "orb", seed=12, duration_s=6.0).override(
-        overrides
-    )
-    flight, truth = experiment.simulate(settings)
+    settings = ExperimentSettings.preset("loops", "random-walk:0.004", "orb", seed=12, duration_s=6.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "FORWARD", replace(FORWARD, samples=2))
+        flight, truth = experiment.simulate(settings)
     number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
-    images = [flight.images.images[k] for k in number]
+    dark = np.zeros((FORWARD.rows, FORWARD.columns), np.uint8)
+    blind = (flight.prior.stamp_s >= BLIND_S[0]) & (flight.prior.stamp_s < BLIND_S[1])
+    images = [dark if is_blind else flight.images.images[k] for k, is_blind in zip(number, blind, strict=True)]
     return settings, replace(flight, images=replace(flight.images, stamp_s=flight.prior.stamp_s, images=images)), truth

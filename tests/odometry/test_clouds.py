@@ -38,7 +38,9 @@ def run(world):
 
 
 CLOUDS_ALONE = [
-    method for method in METHODS if (s := OdometrySettings.preset(method)).clouds is not None and s.segments is None
+    method
+    for method in METHODS
+    if (s := OdometrySettings.preset(method)).family in ("clouds", "loam") and not getattr(s, "bars_weight", 0)
 ]
 
 
@@ -75,7 +77,7 @@ def test_restricted_methods_leave_the_other_angles_alone(world, run):
 def test_only_the_original_s_fault_maps_scans_elsewhere_than_it_says_they_are(world, run, method, same):
     settings, flight, _ = world
     odometry, steps, _ = run(method)
-    again = VoxelMap(odometry.clouds.map_voxel_m, odometry.clouds.accumulate)
+    again = VoxelMap(odometry.settings.map_voxel_m, odometry.settings.map != "re-voxelised")
     for scan, step, T in zip(flight.scans, steps, flight.prior.T_world_drone, strict=True):
         # The floor is cut at the pose before the correction: that of the step before, moved on by the prior.
         points = preprocess_scan(scan, T, flight.T_drone_sensor, settings.odometry.preprocess.replace(floor_m=0.6))

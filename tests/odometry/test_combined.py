@@ -12,7 +12,7 @@ from steelnb.odometry import (
     make_odometry,
     run,
 )
-from steelnb.settings import ExperimentSettings, OdometrySettings, SegmentSettings
+from steelnb.settings import ExperimentSettings, OdometrySettings
 
 NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
 
@@ -75,7 +75,7 @@ def test_segments_are_found_once_a_scan(world, monkeypatch):
 def test_the_defaults_run():
     odometry = CombinedOdometry()
     assert odometry.settings == OdometrySettings.preset("combined", "starling2")
-    assert odometry.bars == SegmentSettings(robust_scale_m=0.03)
+    assert odometry.settings.robust_scale_m == 0.03
     step = odometry.update(np.full((4, 4, 3), np.nan), np.eye(4))
     assert not step.used
 

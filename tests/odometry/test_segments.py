@@ -4,7 +4,7 @@ import pytest
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
-from steelnb.settings import FusionSettings, OdometrySettings, SegmentSettings
+from steelnb.settings import OdometrySettings
 from steelnb.types import Scan, Segments
 from tests import naive
 
@@ -27,12 +27,14 @@ DRONE = np.array([-3.0, 1.0, 2.0])
 """Position of the drone, about which a yaw turns."""
 NONE = np.zeros(4)
 """No prior information."""
+SCALE_M = 0.05
+FUSION = OdometrySettings.preset("average", "report-4cm").fusion
 
 
 @pytest.fixture
 def known():
     """Bars that were seen twice, as `bar_equations` asks for."""
-    bars = SegmentMap(FusionSettings.preset("report-4cm"))
+    bars = SegmentMap(FUSION)
     bars.insert(seen(0))
     bars.insert(seen(0))
     return bars
@@ -41,7 +43,7 @@ def known():
 @pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
 def test_least_squares_finds_the_translation(known, offset, monkeypatch):
     monkeypatch.setattr(corrections, "DAMPING_PAIRS", 0.0)
-    correction = least_squares(seen(offset), known, SegmentSettings(), DRONE, NONE)
+    correction = least_squares(seen(offset), known, SCALE_M, DRONE, NONE)
     np.testing.assert_allclose(correction.offset, -np.array(offset), atol=1e-3)
     assert correction.matches == len(BARS)
 
@@ -51,21 +53,18 @@ def test_least_squares_ignores_a_bar_that_moved(known, monkeypatch):
     one_moved = seen([0.05, 0, 0])
     one_moved.start[4] += [0, 0.15, 0]
     one_moved.end[4] += [0, 0.15, 0]
-    correction = least_squares(one_moved, known, SegmentSettings(), DRONE, NONE)
+    correction = least_squares(one_moved, known, SCALE_M, DRONE, NONE)
     np.testing.assert_allclose(correction.offset, [-0.05, 0, 0], atol=0.01)
 
 
 def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypatch):
     upright = seen([0.05, 0.04, 0.07], BARS[:2])
-    correction = least_squares(upright, known, SegmentSettings(), DRONE, NONE)
+    correction = least_squares(upright, known, SCALE_M, DRONE, NONE)
     assert abs(correction.offset[2]) < 1e-9
     assert -0.05 < correction.offset[0] < -0.02  # damping holds back
     monkeypatch.setattr(corrections, "DAMPING_PAIRS", 1e-6)
-    free = least_squares(upright, known, SegmentSettings(), DRONE, NONE)
+    free = least_squares(upright, known, SCALE_M, DRONE, NONE)
     np.testing.assert_allclose(free.offset, [-0.05, -0.04, 0], atol=2e-3)
-
-
-FREE = SegmentSettings()
 
 
 @pytest.mark.parametrize(("yaw", "offset"), [(0.02, [0, 0, 0]), (-0.015, [0.03, -0.04, 0.02]), (0, [0, 0.05, 0])])
@@ -73,7 +72,7 @@ def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch)
     monkeypatch.setattr(corrections, "ITERATIONS_MAX", 60)
     monkeypatch.setattr(corrections, "TOLERANCE_M", 1e-9)
     away = moved(seen(0), np.append(yaw, offset), DRONE)
-    correction = least_squares_yaw(away, known, FREE, DRONE, NONE)
+    correction = least_squares_yaw(away, known, SCALE_M, DRONE, NONE)
     back = moved(away, np.append(correction.yaw_rad, correction.offset), DRONE)
     assert correction.yaw_rad == pytest.approx(-yaw, abs=1e-6)
     np.testing.assert_allclose(back.start, BARS[:, 0], atol=1e-5)
@@ -83,15 +82,14 @@ def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch)
 def test_bar_equations_are_the_derivatives_of_their_loss(known):
     # Gauss–Newton leaves the change of the robust weights out of H, so b is exact and H is that of fixed weights.
     apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
-    settings = FREE.replace(robust_scale_m=0.05)
-    b, step = bar_equations(apart, known, settings, DRONE).b, 1e-6
+    b, step = bar_equations(apart, known, SCALE_M, DRONE).b, 1e-6
     for k, axis in enumerate(np.eye(4)):
         ahead, behind = (
-            bar_equations(moved(apart, sign * step * axis, DRONE), known, settings, DRONE).loss for sign in (1, -1)
+            bar_equations(moved(apart, sign * step * axis, DRONE), known, SCALE_M, DRONE).loss for sign in (1, -1)
         )
         slack = 1e-3 * np.abs(b).max()  # the ends shared slide a little
         assert (ahead - behind) / (2 * step) == pytest.approx(b[k], abs=slack)
-    near, square = seen([3e-4, -2e-4, 1e-4]), settings.replace(robust_scale_m=1e6)
+    near, square = seen([3e-4, -2e-4, 1e-4]), 1e6
     here = bar_equations(near, known, square, DRONE)
     for k, axis in enumerate(np.eye(4)):
         there = bar_equations(moved(near, step * axis, DRONE), known, square, DRONE)
@@ -101,11 +99,11 @@ def test_bar_equations_are_the_derivatives_of_their_loss(known):
 @pytest.mark.parametrize("tilt", [False, True])
 def test_bar_equations_are_those_of_the_definition(known, tilt):
     apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
-    found = bar_equations(apart, known, FREE, DRONE, tilt)
+    found = bar_equations(apart, known, SCALE_M, DRONE, tilt)
     bars = known.segments.take(associate(apart, known.segments, known.settings))
     information = 0.5 * apart.count / (apart.radius**2 + corrections.SIGMA_FLOOR_M**2)
     loss, H, b = naive.bar_equations(
-        shared_ends(apart, bars), bars.start, bars.direction, information, DRONE, FREE.robust_scale_m, 6 if tilt else 4
+        shared_ends(apart, bars), bars.start, bars.direction, information, DRONE, SCALE_M, 6 if tilt else 4
     )
     assert found.matches == len(apart)
     assert found.loss == pytest.approx(loss, rel=1e-12)
@@ -115,12 +113,12 @@ def test_bar_equations_are_those_of_the_definition(known, tilt):
 
 def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
     upright, prior = seen([0.05, 0.04, 0.07], BARS[:2]), np.array([0.02**-2, *[0.05**-2] * 3])
-    correction = least_squares_yaw(upright, known, FREE, DRONE, prior)
+    correction = least_squares_yaw(upright, known, SCALE_M, DRONE, prior)
     assert abs(correction.offset[2]) < 1e-9
     np.testing.assert_allclose(correction.offset[:2], [-0.05, -0.04], atol=5e-3)
-    new = SegmentMap(FusionSettings.preset("report-4cm"))
+    new = SegmentMap(FUSION)
     new.insert(seen(0))
-    assert least_squares_yaw(upright, new, FREE, DRONE, prior).matches == 0
+    assert least_squares_yaw(upright, new, SCALE_M, DRONE, prior).matches == 0
 
 
 def test_shared_ends_lie_where_both_are():
@@ -132,7 +130,7 @@ def test_shared_ends_lie_where_both_are():
 
 def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
     # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
-    correction = average(seen([0, 0, 0.06]), known, SegmentSettings(), DRONE, NONE)
+    correction = average(seen([0, 0, 0.06]), known, SCALE_M, DRONE, NONE)
     d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
     across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)
     np.testing.assert_allclose(correction.offset, -0.5 * across.mean(axis=0), atol=1e-9)
@@ -141,7 +139,7 @@ def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
 
 @pytest.mark.parametrize("rule", [average, least_squares, least_squares_yaw])
 def test_no_match_gives_no_correction(known, rule):
-    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, SegmentSettings(), DRONE, NONE)
+    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, SCALE_M, DRONE, NONE)
     assert correction.matches == 0
     np.testing.assert_array_equal(correction.offset, 0)
 

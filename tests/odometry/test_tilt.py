@@ -68,7 +68,7 @@ def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
     later = prediction.pose(prior, TILT_S)[:3, :3] @ prior[:3, :3].T
     np.testing.assert_allclose(tilt_of(later.T), -np.exp(-1) * np.array([0.03, -0.02]), atol=2e-5)
     assert np.arctan2(later[1, 0], later[0, 0]) == pytest.approx(0.7, abs=1e-3)
-    predictor = PosePredictor(OdometrySettings.preset("best", overrides={"tilt_sigma_rad": SIGMA_RAD}))
+    predictor = PosePredictor((0.05, 0.02), SIGMA_RAD)
     predictor.correct(pose, prior)
     for passed_s, sigma_rad in ((1e6, SIGMA_RAD), (0.1, SIGMA_RAD * (0.2 / TILT_S) ** 0.5)):
         predictor._stamp_s = 0.0
@@ -76,7 +76,6 @@ def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
         assert np.diag(predictor._information)[:2] == pytest.approx(sigma_rad**-2.0, rel=0.02)
 
 
-@pytest.mark.parametrize("method", ["gicp", "least_squares_yaw"])
-def test_methods_that_cannot_refuse(method):
-    with pytest.raises(InputError, match=r"tilt_sigma_rad = 0\.01: expected a method by clouds with prior_sigma"):
-        OdometrySettings.preset(method, overrides={"tilt_sigma_rad": 0.01})
+def test_methods_by_segments_cannot():
+    with pytest.raises(InputError, match=r"'tilt_sigma_rad'; method 'average' is of the family 'segments', which has"):
+        OdometrySettings.preset("average", overrides={"tilt_sigma_rad": 0.01})

@@ -10,7 +10,7 @@ from steelnb.types import Segments
 
 TAN_HORIZONTAL, TAN_VERTICAL, RANGE_M = 0.93, 1.32, 6.0
 AROUND = FlightSettings.preset("planned")
-FACE = AROUND.replace(planner={"goal": "face"}, standoff_m=1.2, speed_m_s=0.5, levels=4)
+FACE = AROUND.replace(goal="face", standoff_m=1.2, speed_m_s=0.5, levels=4)
 PERIOD_S = 0.1
 
 

@@ -15,7 +15,7 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 
 @pytest.fixture(scope="module")
 def runs():
-    wanted = ["icp-3dof", ("icp-3dof", {"clouds.accumulate": True}), "gicp"]
+    wanted = ["icp-3dof", ("icp-3dof", {"clouds.map": "weighted"}), "gicp"]
     cases = batch.make_cases(["zigzag"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
     seen: list[int] = []
     found = batch.run_all(cases, on_run=lambda runs: seen.append(len(runs)))
@@ -79,7 +79,7 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     assert np.ptp(grid, axis=0) == pytest.approx([0.4, 0.0, 0.4])
     assert len(grid) == 25
     segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
-    with pytest.raises(InputError, match="an odometry by clouds"):
+    with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
         false_convergence.find_basin(segments, flight, truth, 0, starts)
 
 
@@ -103,7 +103,7 @@ def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():
     )
     assert [case.seed for case in search] == [1] * 12 + [2] * 12
     assert [len(case.tof.blind_s) for case in search[:12]] == [0, 0, 0, 1, 1, 1] * 2
-    assert [case.odometry.clouds.max_correspondence_m for case in search[:2]] == [0.1, 0.5]
+    assert [case.odometry.max_correspondence_m for case in search[:2]] == [0.1, 0.5]
     assert search[2].odometry.method == "report-icp-3dof"
 
 

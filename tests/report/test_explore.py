@@ -12,7 +12,7 @@ from steelnb.errors import CollisionError, InputError
 from steelnb.report import batch, explore
 from steelnb.report.explore import PLOTLY_TYPE
 from steelnb.report.panel import Panel
-from steelnb.settings import NoiseSettings
+from steelnb.settings import Noise
 
 SHORT = {"tof.rate_hz": 2.5}
 FIRST = ("loops", "random-walk", 1.0, "report-4cm", "icp-3dof", 1, 6.0, SHORT)
@@ -35,7 +35,7 @@ def view() -> explore.View:
     ],
 )
 def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float, turn_rad: float) -> None:
-    settings = NoiseSettings.parse(batch.at_level(noise, level))
+    settings = Noise.parse(batch.at_level(noise, level))
     assert settings.random_walk_m == pytest.approx(walk_m)
     assert settings.yaw_random_walk_rad == pytest.approx(turn_rad)
 
@@ -54,7 +54,7 @@ def test_a_flight_is_the_experiment_of_the_same_settings(view: explore.View) -> 
 
 def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: explore.View) -> None:
     flown = view.result.settings
-    more = explore.fly(flown.replace(noise=NoiseSettings.parse("constant-drift")))
+    more = explore.fly(flown.replace(noise_name="constant-drift"))
     assert more.result.truth is view.result.truth
     assert not np.allclose(more.result.prior.position, view.result.prior.position)
     other = explore.fly(flown.override({"tof.columns": 32}))

@@ -50,7 +50,7 @@ def test_in_a_larger_scene_all_lengths_are_in_proportion(method):
             if name == "crop_m":
                 continue
             found = after[table][name] if name else after[table]
-            power = LENGTHS.get(f"{table}.{name}", 0)
+            power = LENGTHS.get(f"{table}.{name}" if name else table, 0)
             assert found == (pytest.approx(value * scale**power, rel=0.01) if power else value), (table, name)
 
 
@@ -92,7 +92,7 @@ def test_what_is_given_comes_first():
     seen = settings.odometry.preprocess
     assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
     assert (structure.range_max_m, structure.floor_m) == (20.0, -3.0)
-    assert settings.odometry.clouds.map_voxel_m == pytest.approx(0.667, rel=0.01)
+    assert settings.odometry.map_voxel_m == pytest.approx(0.667, rel=0.01)
     assert settings_line(settings) == "settings  range 20 m, floor at -3 m, voxels of 0.1 m"
     assert "no floor" in settings_line(recording_settings(scene=Scene.of(flight))[0])
 

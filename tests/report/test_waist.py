@@ -12,9 +12,7 @@ from steelnb.settings import ExperimentSettings, TowerSettings
 @pytest.fixture(scope="module")
 def flown():
     # A short tower, so that a short flight passes its waist.
-    tower = TowerSettings(
-        height_m=6.0, base_width_m=3.0, waist_height_m=3.0, waist_width_m=1.5, arm_height_m=(), arm_reach_m=()
-    )
+    tower = TowerSettings(height_m=6.0, base_width_m=3.0, waist_height_m=3.0, waist_width_m=1.5, arms_m=())
     fast = {"flight.height_max_m": 5.0, "flight.levels": 6, "flight.speed_m_s": 0.6}
     settings = ExperimentSettings.preset(
         "zigzag", method="average", sensor="report-4cm", seed=21, duration_s=32.0, overrides=fast

@@ -2,14 +2,15 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from steelnb.errors import InputError
 from steelnb.metrics.members import seen_members
-from steelnb.settings import CameraSettings, TofFaultSettings, TofSettings, TowerSettings
-from steelnb.simulation import Camera, build_tower, scan_flight
+from steelnb.settings import TofSettings, TowerSettings
+from steelnb.simulation import FORWARD, Camera, build_tower, scan_flight
 from steelnb.simulation.flight import HALF_BOX_M
 from steelnb.simulation.lattice import COLUMNS, find_joints
 from steelnb.simulation.scene import cast_bundle, make_scene
@@ -280,11 +281,11 @@ def test_plates_of_a_list_are_seen_and_are_no_bars(tmp_path):
     points = plain[0].points.reshape(-1, 3)
     np.testing.assert_allclose(points[:, 0], 1.5, rtol=1e-5)
     assert visibility.returns.sum() == 0
-    faulty = tof.replace(faults=TofFaultSettings(multipath=1.0))
+    faulty = tof.replace(faults=("multipath",))
     np.testing.assert_allclose(scan_flight(tower, flight, np.eye(4), faulty, 1)[0].range_m, plain.range_m, rtol=0.05)
     member = np.full(len(points), PLATE)
     assert not seen_members(tower.axes, points, member).visibility.returns.any()
-    camera = CameraSettings.preset("forward").replace(columns=80, rows=80, fov_horizontal_rad=0.8)
+    camera = replace(FORWARD, columns=80, rows=80, fov_horizontal_rad=0.8)
     rendered = Camera(tower, camera).render(np.tile(T, (camera.samples, 1, 1)))
     assert (rendered.member == PLATE).all()
     assert min(rendered.grey.std(axis=0).min(), rendered.grey.std(axis=1).min()) > 1.0  # no stripes

@@ -70,9 +70,7 @@ def test_the_heel_of_each_section_lies_on_the_axis_and_legs_open_inwards(tower):
 
 
 def test_other_towers_can_be_built():
-    tower = build_tower(
-        TowerSettings(height_m=30.0, waist_height_m=18.0, arm_height_m=(20.0, 25.0), arm_reach_m=(5.0, 4.0))
-    )
+    tower = build_tower(TowerSettings(height_m=30.0, waist_height_m=18.0, arms_m=((20.0, 5.0), (25.0, 4.0))))
     assert pieces_of(tower)[1] == 1
     assert tower.joints[:, 2].max() == 30.0
     assert half_width(tower.settings, 18.0) == pytest.approx(0.85)
