@@ -140,9 +140,9 @@ def record(
         settings = ExperimentSettings.preset(**given)
         check_target(file, force)
         shown.stage("flying")
-        flight, truth = experiment.simulate_anew(settings, shown.share)
+        flight, truth = experiment.simulate(settings, shown.share)
         shown.stage(f"writing {file.name}")
-        write_flight(file, flight, truth, shown.share, overwrite=force)
+        write_flight(file, flight, truth.trajectory, shown.share, overwrite=force)
     print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
 
 
