@@ -73,7 +73,7 @@ def run(
     ] = None,
     scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")] = None,
     poses: Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")] = None,
-    truth: Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")] = None,
+    truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for judging alone.")] = None,
     mount: Annotated[
         str | None,
         typer.Option(
@@ -103,7 +103,7 @@ def run(
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
         shown.stage(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, truth=truth, T_drone_sensor=_mount(mount))
+        flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
         true = read_truth(recording, truth=truth)
         settings, structure = recording_settings(odometry, scene=Scene.of(flight), **given)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
