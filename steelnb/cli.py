@@ -73,7 +73,7 @@ def run(
     ] = None,
     scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")] = None,
     poses: Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")] = None,
-    truth: Annotated[str | None, typer.Option(help="Topic or trajectory file of the truth; for judging alone.")] = None,
+    truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for judging alone.")] = None,
     mount: Annotated[
         str | None,
         typer.Option(
@@ -103,7 +103,7 @@ def run(
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
         shown.stage(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, truth=truth, T_drone_sensor=_mount(mount))
+        flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
         true = read_truth(recording, truth=truth)
         settings, structure = recording_settings(odometry, scene=Scene.of(flight), **given)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
@@ -140,9 +140,9 @@ def record(
         settings = ExperimentSettings.preset(**given)
         check_target(file, force)
         shown.stage("flying")
-        flight, truth = experiment.simulate_anew(settings, shown.share)
+        flight, truth = experiment.simulate(settings, shown.share)
         shown.stage(f"writing {file.name}")
-        write_flight(file, flight, truth, shown.share, overwrite=force)
+        write_flight(file, flight, truth.trajectory, shown.share, overwrite=force)
     print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
 
 

@@ -4,9 +4,7 @@ The true drone flies in `steelnb.simulation`; camera, IMU and drifting prior are
 `steelnb.experiment` makes them of a whole flight, and the planner has the odometry's estimate only.
 """
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,24 +17,14 @@ from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
 from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, Imu, IntArray, OdometryStep, Trajectory
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One decision: time, estimated pose, what was decided, and the seconds that it took."""
-
-    stamp_s: float
-    T_world_drone: Array
-    decision: Decision
-    seconds: float
+from steelnb.types import Imu, OdometryStep, Trajectory
 
 
 class OnboardPilot:
     """Camera, drifting prior, odometry and planner of a drone: a pilot for `steelnb.simulation.fly`.
 
-    ``steps`` are those of the odometry so far, ``moments`` the decisions. ``on_progress`` gets the share of the flight
-    that is done.
+    ``steps`` are those of the odometry so far, ``decisions`` of the planner with their times. ``on_progress`` gets the
+    share of the flight that is done.
     """
 
     def __init__(
@@ -57,7 +45,7 @@ class OnboardPilot:
         reach_m = min(settings.tof.range_max_m, settings.odometry.preprocess.crop_m)
         self.planner = Planner(settings.flight, settings.tof.fov_horizontal_rad, reach_m)
         self.steps: list[OdometryStep] = []
-        self.moments: list[Moment] = []
+        self.decisions: list[tuple[float, Decision]] = []
 
     def __call__(self, truth: Trajectory, exact: Imu) -> Command | None:
         """The command after a piece of the flight."""
@@ -75,19 +63,12 @@ class OnboardPilot:
             last = self._prior[self._scan_step[len(self.steps) - 1]]
             T = self.steps[-1].T_world_drone @ np.linalg.inv(last) @ T
         self._on_progress(now / (len(self._prior) - 1))
-        began = time.perf_counter()
         decision = self.planner.decide(now * STEP_S, T)
-        self.moments.append(Moment(now * STEP_S, T, decision, time.perf_counter() - began))
+        self.decisions.append((now * STEP_S, decision))
         if decision.state == "end":
             return None
         forward, left, up = decision.velocity.tolist()
         return Command((forward, left, up), decision.yaw_rate)
-
-    def estimate(self) -> tuple[Trajectory, IntArray]:
-        """The corrected poses of the scans so far, and the number of pairs of each."""
-        stamp_s = np.array([step.stamp_s for step in self.steps])
-        poses = np.array([step.T_world_drone for step in self.steps]).reshape(-1, 4, 4)
-        return Trajectory(stamp_s, poses), np.array([step.matches for step in self.steps], dtype=np.int64)
 
     def _read(self, truth: Trajectory, exact: Imu, first: int) -> None:
         """Readings and drifting poses of a piece of the flight that begins with the step ``first``."""

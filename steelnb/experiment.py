@@ -7,24 +7,12 @@ from functools import partial
 import numpy as np
 
 from steelnb.closed_loop import OnboardPilot
-from steelnb.images import CameraImages
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
 from steelnb.odometry import make_odometry, run_kept
 from steelnb.settings import ExperimentSettings, OrbSettings
-from steelnb.simulation import (
-    FORWARD,
-    CastScans,
-    Tower,
-    Truth,
-    build_tower,
-    filtered_attitude,
-    fly,
-    fly_and_scan,
-    measured_imu,
-    photograph,
-)
-from steelnb.types import Array, Estimate, Flight, Imu, Trajectory
+from steelnb.simulation import FORWARD, Truth, build_tower, filtered_attitude, fly_and_scan, measured_imu, photograph
+from steelnb.types import Estimate, Flight
 
 Progress = Callable[[float], None]
 
@@ -50,62 +38,28 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     Who steers a planned flight sees no more: drifting poses and scans, and what the settings' odometry makes of them;
     it takes as long as the odometry, and tells how far it has come.
     """
-    tower, given = build_tower(settings.tower), (settings.flight, settings.tof, settings.seed)
-    steering = pilot(settings, tower, on_progress)
-    depends_on = (settings.model_dump(mode="json"), OnboardPilot.__module__) if steering else None
-    trajectory, exact, scans, visibility = fly_and_scan(tower, *given, steering, depends_on)
-    imu, images = read_imu(settings, exact), take_images(settings, tower, trajectory)
-    prior = drift(settings, trajectory, imu, scans.stamp_s)
-    flight = Flight(scans, prior, settings.tof.T_drone_sensor, imu, images=images)
-    return flight, Truth(trajectory, tower, visibility)
-
-
-def simulate_anew(
-    settings: ExperimentSettings, on_progress: Progress | None = None, steering: OnboardPilot | None = None
-) -> tuple[Flight, Trajectory]:
-    """The flight of `simulate`, whose scans are cast whenever they are iterated over, and the true trajectory: a flight
-    of any length takes no more memory than its poses.
-
-    ``steering`` is the pilot of a planned flight, for who wants to hear of its decisions afterwards; default a new one.
-    """
-    tower, mount = build_tower(settings.tower), settings.tof.T_drone_sensor
-    make = pilot(settings, tower, on_progress)
-    trajectory, exact = fly(tower, settings.flight, settings.seed, steering or (make() if make else None))
-    scans, imu = CastScans(tower, trajectory, mount, settings.tof, settings.seed), read_imu(settings, exact)
-    images = take_images(settings, tower, trajectory)
-    return Flight(scans, drift(settings, trajectory, imu, scans.stamp_s), mount, imu, images=images), trajectory
-
-
-def pilot(
-    settings: ExperimentSettings, tower: Tower, on_progress: Progress | None = None
-) -> Callable[[], OnboardPilot] | None:
-    """Makes the pilot of a planned flight; None for others."""
-    return partial(OnboardPilot, settings, tower, on_progress) if settings.flight.trajectory == "planned" else None
-
-
-def read_imu(settings: ExperimentSettings, exact: Imu) -> Imu:
-    """What the IMU reads: the exact values, or with the errors of the settings."""
-    return measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
-
-
-def take_images(settings: ExperimentSettings, tower: Tower, trajectory: Trajectory) -> CameraImages | None:
-    """The images of the forward camera for a method by images, none of which is rendered before it is asked for; None
-    for the others."""
-    return photograph(tower, trajectory, FORWARD, settings.seed) if isinstance(settings.odometry, OrbSettings) else None
-
-
-def drift(settings: ExperimentSettings, truth: Trajectory, imu: Imu | None, stamp_s: Array) -> Trajectory:
-    """The drifting poses at the scans; with an IMU in the settings, roll and pitch are those of a filter on it."""
-    if settings.imu and imu:
-        truth = filtered_attitude(truth, imu)
-    return drifting(truth, settings.noise, settings.seed).at(stamp_s)
+    tower, planned = build_tower(settings.tower), settings.flight.trajectory == "planned"
+    pilot = partial(OnboardPilot, settings, tower, on_progress) if planned else None
+    trajectory, exact, scans, visibility = fly_and_scan(settings, tower, pilot)
+    imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
+    truth = Truth(trajectory, tower, visibility)
+    unmoved = Flight(scans, trajectory.at(scans.stamp_s), settings.tof.T_drone_sensor, imu)
+    return redrift(settings, unmoved, truth), truth
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
-    """The same flight and scans under the noise of other settings, and with the images that their method needs: for
-    comparisons of noises or methods."""
-    prior = drift(settings, truth.trajectory, flight.imu, flight.prior.stamp_s)
-    return replace(flight, prior=prior, images=take_images(settings, truth.tower, truth.trajectory))
+    """The same flight and scans with the drift of other settings, and with the images that their method needs.
+
+    With an IMU in the settings, roll and pitch are those of a filter on its readings. An image is rendered when it is
+    asked for.
+    """
+    seen, seed = truth.trajectory, settings.seed
+    if settings.imu and flight.imu:
+        seen = filtered_attitude(seen, flight.imu)
+    prior = drifting(seen, settings.noise, seed).at(flight.prior.stamp_s)
+    by_images = isinstance(settings.odometry, OrbSettings)
+    images = photograph(truth.tower, truth.trajectory, FORWARD, seed) if by_images else None
+    return replace(flight, prior=prior, images=images)
 
 
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:

@@ -113,18 +113,3 @@ def test_the_caption_of_a_figure_names_flights_noise_sensor_and_seeds(runs):
     more = pd.concat([table, table.assign(seed=-1, tower="light")])
     assert batch.caption(more[["trajectory", "seed"]]) == f"{flight}2 seeds"
     assert batch.caption(more[-1:]).endswith("tower light, sensor " + s.sensor + ", seed -1")
-
-
-def test_scans_cast_anew_are_those_of_the_simulation_to_the_bit() -> None:
-    small = {"tof.columns": 22, "tof.rows": 30, "tof.blind_s": [[0.5, 1.0]]}
-    settings = ExperimentSettings.preset(seed=5, duration_s=3.0, overrides=small)
-    (flight, truth), (anew, trajectory) = experiment.simulate(settings), experiment.simulate_anew(settings)
-    np.testing.assert_array_equal(anew.prior.T_world_drone, flight.prior.T_world_drone)
-    np.testing.assert_array_equal(trajectory.T_world_drone, truth.trajectory.T_world_drone)
-    assert len(anew.scans) == len(flight.scans) == 15
-    for _ in range(2):
-        for scan, expected in zip(anew.scans, flight.scans, strict=True):
-            assert scan.stamp_s == expected.stamp_s
-            np.testing.assert_array_equal(scan.points, expected.points)
-    np.testing.assert_array_equal(anew.scans[-2].points, flight.scans[13].points)
-    assert [scan.stamp_s for scan in anew.scans[1:3]] == [scan.stamp_s for scan in flight.scans[1:3]]

@@ -93,15 +93,9 @@ class Bag:
             return self._decode(raw, kind)
 
     def read(self, *topics: str) -> None:
-        """Take in all messages of some topics; those that cannot be decoded are counted in ``skipped``."""
+        """Take in all messages of some topics. Raises `InputError` for one that cannot be decoded."""
         for topic, decode in self.messages(*topics):
-            kind = self.types[topic]
-            try:
-                self._take(topic, kind, decode())
-            except InputError:
-                self.skipped[f"unreadable {kind.rpartition('/')[2]}"] += 1
-                if kind in (CLOUD, IMAGE):  # in step with the messages
-                    self._rows[topic].append(np.nan)
+            self._take(topic, self.types[topic], decode())
 
     def _take(self, topic: str, kind: str, message: Any) -> None:
         if kind in TF:
@@ -127,7 +121,7 @@ class Bag:
             self._rows[topic].extend(_numbers(pose.position, pose.orientation))
 
     def stamp_s(self, scans: str) -> Array:
-        """Stamps ``(N,)`` of the scans that were read, NaN for those that cannot be decoded."""
+        """Stamps ``(N,)`` of the scans that were read."""
         return np.array(self._rows[scans])
 
     def poses_of_tf(self) -> str:

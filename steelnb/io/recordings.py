@@ -24,7 +24,6 @@ def read_flight(
     *,
     scans: str | None = None,
     poses: str | None = None,
-    truth: str | None = None,
     T_drone_sensor: Array | None = None,
 ) -> Flight:
     """Open a recorded flight; its scans are read one at a time as they are iterated over.
@@ -35,18 +34,16 @@ def read_flight(
         the sensor frame with a trajectory of the drone (TUM).
     scans : topic or sub-folder of the scans; by default the only one of a fitting type.
     poses : topic or trajectory file of the drone's drifting poses; by default the only one, or tf.
-    truth : topic or file of the true poses, which are then not taken for the drifting ones. `read_truth` reads them.
     T_drone_sensor : mount of the sensor ``(4, 4)``; by default by tf_static, else the identity.
 
     Returns a `Flight` whose ``prior`` is interpolated at the scans, whose ``facts`` name topics and mount, and whose
     ``skipped`` counts what was left out. Raises `InputError`.
     """
     path = Path(path)
-    stamp_s, walk, prior, mount, facts, imu, skipped = _opener(path)(path, scans, poses, truth)
+    stamp_s, walk, prior, mount, facts, imu, skipped = _opener(path)(path, scans, poses)
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
-    latest = np.fmax.accumulate(np.append(-np.inf, stamp_s))[:-1]
-    number = np.flatnonzero(np.isfinite(stamp_s) & (stamp_s > latest))
+    number = np.flatnonzero(np.diff(np.maximum.accumulate(stamp_s), prepend=-np.inf) > 0)
     skipped["scan whose stamp does not rise"] += len(stamp_s) - len(number)
     T_world_drone, covered = interpolate(prior, stamp_s[number])
     skipped["scan without a pose near"] += int((~covered).sum())
@@ -62,17 +59,13 @@ def read_flight(
 def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | None:
     """The true poses of the drone beside a recorded flight, for judging alone; None where there are none.
 
-    ``truth`` names a topic or a trajectory file; by default ``STEM.truth.tum`` beside the recording, or
-    ``groundtruth.tum`` in a folder of clouds. Raises `InputError`.
+    ``truth`` names a trajectory file; by default ``STEM.truth.tum`` beside the recording, or ``groundtruth.tum`` in a
+    folder of clouds. Raises `InputError`.
     """
     path = Path(path)
     if truth is None:
         known = [truth_path(path), *(path / name for name in TRUE)]
         return next((read_trajectory(file) for file in known if file.is_file()), None)
-    if is_bag(path) and not Path(truth).exists():
-        bag = Bag(path)
-        bag.read(bag.choose("true poses", truth, bag.of_type(ODOMETRY, POSE)))
-        return bag.poses(truth)
     return read_trajectory(_named_file(path, truth))
 
 
@@ -120,7 +113,7 @@ _Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Count
 """Stamps of all scans, the scans, the drone's poses, the mount, facts, the IMU, and what was skipped."""
 
 
-def _opener(path: Path) -> Callable[[Path, str | None, str | None, str | None], _Parts]:
+def _opener(path: Path) -> Callable[[Path, str | None, str | None], _Parts]:
     if not path.exists():
         raise InputError(f"{path}: does not exist; expected a recording")
     if not path.is_dir() and not is_bag(path):
@@ -128,12 +121,12 @@ def _opener(path: Path) -> Callable[[Path, str | None, str | None, str | None], 
     return _open_bag if is_bag(path) else _open_clouds
 
 
-def _open_bag(path: Path, scans: str | None, poses: str | None, truth: str | None) -> _Parts:
+def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
     bag = Bag(path)
     clouds, moving, inertial = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
     seen = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
     in_file = poses is not None and poses not in bag.types and Path(poses).is_file()
-    possible = [topic for topic in bag.of_type(ODOMETRY, POSE) if topic != truth]
+    possible = bag.of_type(ODOMETRY, POSE)
     by_topic = [] if in_file or not (possible or poses or not moving) else [bag.choose("poses", poses, possible)]
     bag.read(seen, *by_topic, *moving, *inertial, *([] if clouds else bag.of_type(CAMERA)))
     source = str(poses) if in_file else by_topic[0] if by_topic else bag.poses_of_tf()
@@ -146,7 +139,7 @@ def _open_bag(path: Path, scans: str | None, poses: str | None, truth: str | Non
     return bag.stamp_s(seen), partial(bag.walk, seen, to_points), prior, mount, facts, imu, bag.skipped
 
 
-def _open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | None) -> _Parts:
+def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
     """A folder of clouds: its files by the numbers in their names, 9 before 10.
 
     Stamps are in the names, as seconds with a decimal point or as whole nanoseconds; else they are those of the poses,
@@ -158,7 +151,7 @@ def _open_clouds(path: Path, scans: str | None, poses: str | None, truth: str | 
         raise InputError(f"{folder}: no clouds in it; expected files that end with {', '.join(READERS)}")
     files.sort(key=lambda file: ([float(number) for number in re.findall(r"\d+(?:\.\d+)?", file.stem)], file.stem))
     texts = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
-    found = [_named_file(path, poses)] if poses else [file for file in texts if file.name not in (*TRUE, truth)]
+    found = [_named_file(path, poses)] if poses else [file for file in texts if file.name not in TRUE]
     if len(found) != 1:
         listed = ", ".join(file.name for file in found) or "no trajectory"
         raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of the poses'")

@@ -58,17 +58,14 @@ def pose_matrices(rows: Array) -> Array:
     return T
 
 
-def interpolate(
-    trajectory: Trajectory, stamp_s: Array, gap_max_s: float | None = None
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to ``gap_max_s``, by
-    default two usual intervals, within the limits of `GAP_MAX_S`.
+def interpolate(trajectory: Trajectory, stamp_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to two usual intervals,
+    within the limits of `GAP_MAX_S`.
 
     Positions linearly, rotations by slerp; exactly the recorded pose at its own stamp.
     """
     own = trajectory.stamp_s
-    if gap_max_s is None:
-        gap_max_s = float(np.clip(2 * np.median(np.diff(own)), *GAP_MAX_S)) if len(own) > 1 else GAP_MAX_S[0]
+    gap_max_s = np.clip(2 * np.median(np.diff(own)), *GAP_MAX_S) if len(own) > 1 else GAP_MAX_S[0]
     # Stamps that went through text or integers may miss by rounding.
     after = np.clip(np.searchsorted(own, stamp_s - 1e-6), 0, len(own) - 1)
     exact = np.abs(own[after] - stamp_s) < 1e-6

@@ -1,15 +1,13 @@
 """Recall, precision and errors of a reconstructed structure against a tower: bars, joints and the graph of both.
 
 The axis of a member is the line through the centroids of its sections, which is where the bar models of structural
-engineering put a bar; `reference` also gives the heels (the outer corner of the angle, on which the simulated joints
-lie). A round member has its axis in both. The true place of a joint is the point nearest to the axes of the members
-that it ties.
+engineering put a bar; the simulated joints lie on the heels, the outer corners of the angles. The true place of a joint
+is the point nearest to the axes of the members that it ties.
 """
 
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +19,6 @@ from steelnb.metrics.matching import DISTANCE_MAX_M, SHARE_MIN, match_members
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility
 from steelnb.types import Array, IntArray
-
-Axis = Literal["centroid", "heel"]
 
 
 @dataclass(frozen=True)
@@ -52,20 +48,19 @@ class StructureScore:
     offset_m: Array
 
 
-def reference(tower: Tower, visibility: Visibility, axis: Axis = "centroid") -> Reference:
+def reference(tower: Tower, visibility: Visibility) -> Reference:
     """The members and joints of a tower, and which of them a flight has observed.
 
     A joint is observed if two observed members (`Visibility.observed`) were seen within 10 cm of it.
     """
     shift = np.zeros((len(tower.members), 3))
-    if axis == "centroid":
-        for m, member in enumerate(tower.members):
-            if member.section == "round":
-                continue
-            flange, thickness = member.section_m
-            # Of two rectangles, b by t and (b - t) by t: the same distance from either flange's outer face.
-            apart = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))
-            shift[m] = apart * (np.array(member.flange_a) + np.array(member.flange_b))
+    for m, member in enumerate(tower.members):
+        if member.section == "round":
+            continue
+        flange, thickness = member.section_m
+        # Of two rectangles, b by t and (b - t) by t: the same distance from either flange's outer face.
+        apart = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))
+        shift[m] = apart * (np.array(member.flange_a) + np.array(member.flange_b))
     axes = tower.axes + shift[:, None]
     along = tuple(member.joints for member in tower.members)
     observed = visibility.observed()
@@ -78,9 +73,8 @@ def reference(tower: Tower, visibility: Visibility, axis: Axis = "centroid") -> 
             tied[j].append(m)
             t = float(np.linalg.norm(tower.joints[j] - tower.axes[m, 0]))
             ties[j] += observed[m] and _covered(slices[m], t - DISTANCE_MAX_M, t + DISTANCE_MAX_M) > 0
-    if axis == "centroid":
-        for j, members in enumerate(tied):
-            joints[j] = nearest_point(axes[members], tower.joints[j] + shift[members].mean(axis=0))
+    for j, members in enumerate(tied):
+        joints[j] = nearest_point(axes[members], tower.joints[j] + shift[members].mean(axis=0))
     return Reference(axes, joints, along, slices, observed, ties >= 2)
 
 

@@ -27,7 +27,7 @@ from steelnb.report.style import (
     thinned,
 )
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import Tower, build_tower
+from steelnb.simulation import Tower
 from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
 
@@ -79,16 +79,16 @@ def fly(
 ) -> View:
     """Fly, let the pose drift, correct it. Raises `CollisionError`.
 
-    ``on_flown`` is called with the drifting and the true poses and the tower as soon as they are there: casting the
-    scans and correcting the poses takes longer.
+    ``on_flown`` is called with the drifting and the true poses and the tower before the poses are corrected,
+    which takes longer.
     """
     began = time.perf_counter()
-    if on_flown:
-        quick, truly = experiment.simulate_anew(settings)
-        on_flown(quick.prior, truly.at(quick.prior.stamp_s), build_tower(settings.tower))
     same = {name: getattr(settings, name) for name in ("tower", "flight", "tof", "sensor", "seed")}
     flight, truth = _flown(ExperimentSettings.preset(noise="none").replace(**same))
-    result = experiment.estimate(settings, experiment.redrift(settings, flight, truth), truth, on_progress)
+    flight = experiment.redrift(settings, flight, truth)
+    if on_flown:
+        on_flown(flight.prior, truth.trajectory.at(flight.prior.stamp_s), truth.tower)
+    result = experiment.estimate(settings, flight, truth, on_progress)
     cloud = thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
     segments = result.segments
     if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds

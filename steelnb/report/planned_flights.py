@@ -1,6 +1,5 @@
 """Notebook 16: flights that a planner steers beside those along waypoints: sight, error, and what was seen."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,10 +10,8 @@ from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from steelnb import experiment
-from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import InputError
 from steelnb.experiment import Result
-from steelnb.metrics import score_trajectory
 from steelnb.report.batch import Progress, caption, case_of, share_of
 from steelnb.report.odometry_figures import SMOOTHED_S, running_rms_m
 from steelnb.report.style import (
@@ -30,7 +27,7 @@ from steelnb.report.style import (
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Truth
-from steelnb.types import Array, Flight, Trajectory
+from steelnb.types import Array, Flight
 
 FLIGHTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "zigzag": ("zigzag", {}),
@@ -208,20 +205,3 @@ def figure_strip(name: str, each: Flown) -> Figure:
 def _caption(flown: Mapping[str, Flown]) -> str:
     cases = pd.DataFrame([case_of(each.result.settings) for each in flown.values()])
     return f"{caption(cases.drop(columns='trajectory'))}, {cases['method'].iloc[0]}"
-
-
-def pilot_summary(pilot: OnboardPilot, flight: Flight, truth: Trajectory) -> list[str]:
-    """What a planned flight came to, in lines: how long, the planner's states, and the error that it was steered by."""
-    states = Counter(moment.decision.state for moment in pilot.moments)
-    shares = ", ".join(f"{state} {count / len(pilot.moments):.0%}" for state, count in states.most_common())
-    corrected, matches = pilot.estimate()
-    error_mm, raw_mm = (1e3 * score_trajectory(poses, truth)["ate_rmse_m"] for poses in (corrected, flight.prior))
-    middle_ms, slow_ms = np.percentile([1e3 * moment.seconds for moment in pilot.moments], [50, 99])
-    last = pilot.moments[-1]
-    ended = f"; {last.decision.reason}" if last.decision.state == "end" else ""
-    return [
-        f"flown     {truth.stamp_s[-1]:.1f} of {pilot.settings.flight.duration_s:g} s{ended}",
-        f"planner   {shares}; a decision took {middle_ms:.1f} ms (median), {slow_ms:.1f} ms (99 %)",
-        f"odometry  {pilot.settings.odometry.method}: {error_mm:.0f} mm off (ATE), {raw_mm:.0f} uncorrected; "
-        f"{int((matches[1:] == 0).sum())} of {len(matches)} scans without a pair",
-    ]

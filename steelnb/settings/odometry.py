@@ -13,6 +13,7 @@ from steelnb.settings.base import (
     Settings,
     guess,
     overridden,
+    quoted,
     setting_names,
     table,
 )
@@ -95,7 +96,10 @@ class OdometrySettings(Settings):
         """
         of_sensor = sensor_preset(sensor)
         values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
-        kind = FAMILIES[values["family"]]
+        family = str(values.get("family"))
+        if family not in FAMILIES:
+            raise InputError(f"[methods.{method}] family = {family!r}; expected one of {quoted(FAMILIES)}")
+        kind = FAMILIES[family]
         values |= {name: of_sensor.get(name, {}) for name in ("hough", "fusion") if name in kind.model_fields}
         values["preprocess"] = of_sensor.get("preprocess", {}).get(kind.crop, {}) | values.get("preprocess", {})
         if values.get("bars_weight") or kind is OrbSettings:

@@ -5,12 +5,12 @@ from steelnb.simulation.cameras import FORWARD, TRACKING, Camera, CameraModel, p
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.sections import Member
-from steelnb.simulation.tof import CastScans, scan_flight
+from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Tower, build_tower, build_tubes
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "FORWARD", "TRACKING", "Camera", "CameraModel", "CastScans", "Command", "Member", "Pilot", "Tower", "Truth",
+    "FORWARD", "TRACKING", "Camera", "CameraModel", "Command", "Member", "Pilot", "Tower", "Truth",
     "Visibility", "build_tower", "build_tubes", "filtered_attitude", "fly", "fly_and_scan", "measured_imu",
     "photograph", "scan_flight",
 ]  # fmt: skip

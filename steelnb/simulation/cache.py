@@ -4,10 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb import rng
 from steelnb.cache import kept
 from steelnb.keys import file_digest
-from steelnb.settings import FlightSettings, TofSettings
+from steelnb.settings import ExperimentSettings
 from steelnb.settings.presets import members_file
 from steelnb.simulation.flight import Pilot, fly
 from steelnb.simulation.scene import rays
@@ -16,38 +15,29 @@ from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import Visibility
 from steelnb.types import Imu, RangeScans, Trajectory
 
-Flown = tuple[Trajectory, Imu, RangeScans, Visibility]
-
 
 def fly_and_scan(
-    tower: Tower,
-    flight: FlightSettings,
-    tof: TofSettings,
-    seed: rng.Seed,
-    pilot: Callable[[], Pilot] | None = None,
-    depends_on: tuple[object, str] | None = None,
-) -> Flown:
+    settings: ExperimentSettings, tower: Tower, pilot: Callable[[], Pilot] | None = None
+) -> tuple[Trajectory, Imu, RangeScans, Visibility]:
     """True trajectory and IMU of `fly`, scans and visibility of `scan_flight`, `kept` between notebooks.
 
-    A flight that a new ``pilot`` steers ``depends_on`` more: what JSON can hold, and the pilot's module. Ranges are
+    ``pilot`` makes the one who steers, by which a flight depends on all settings and on the pilot's code. Ranges are
     float32, as flown, so that both ways give the same bits. Raises `CollisionError`.
     """
+    tof, seed = settings.tof, settings.seed
 
     def simulated():  # type: ignore[no-untyped-def]
-        trajectory, imu = fly(tower, flight, seed, pilot() if pilot else None)
+        trajectory, imu = fly(tower, settings.flight, seed, pilot() if pilot else None)
         scans, visibility = scan_flight(tower, trajectory, tof.T_drone_sensor, tof, seed)
         seen = np.isfinite(scans.range_m)  # kept alone: most rays pass the tower by
         readings = np.hstack([imu.specific_force, imu.angular_rate])
         return trajectory, readings, scans.stamp_s, np.packbits(seen), seen.shape, scans.range_m[seen], visibility
 
-    settings = [each.model_dump(mode="json") for each in (tower.settings, flight, tof)]
-    if tower.settings.members is not None:  # what is in the file may change
-        settings.append({"members": file_digest(members_file(tower.settings.members))})
-    more, module = depends_on or (None, __name__)
-    key = [settings, seed] if depends_on is None else [settings, seed, more]
-    trajectory, readings, stamp_s, seen, shape, finite_m, visibility = kept(
-        "flights", lambda: key, [__name__, module], simulated
-    )
+    members = settings.tower.members  # what is in the file may change
+    parts = None if pilot else {"tower", "flight", "tof", "seed"}
+    key = [settings.model_dump(mode="json", include=parts), members and file_digest(members_file(members))]
+    modules = [__name__, "steelnb.closed_loop"] if pilot else [__name__]
+    trajectory, readings, stamp_s, seen, shape, finite_m, visibility = kept("flights", lambda: key, modules, simulated)
     range_m = np.full(shape, np.nan, np.float32)
     range_m[np.unpackbits(seen, count=range_m.size).reshape(shape).astype(bool)] = finite_m
     imu = Imu(trajectory.stamp_s, readings[:, :3], readings[:, 3:])  # views, as those of `fly`

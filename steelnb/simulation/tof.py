@@ -1,9 +1,5 @@
 """A Time-of-Flight camera on a flight: ideal, or with the faults of a real one."""
 
-import itertools
-from collections.abc import Iterator, Sequence
-from functools import partial
-
 import numpy as np
 
 from steelnb import rng
@@ -36,50 +32,19 @@ def scan_flight(
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
-    scans, counter = CastScans(tower, trajectory, T_drone_sensor, settings, seed), SliceCounter(tower.axes)
-    range_m = np.empty((len(scans), settings.rows, settings.columns), dtype=np.float32)
-    for k, (image, exact, member, T) in enumerate(scans.cast()):
-        range_m[k] = image
-        steel = np.flatnonzero(np.isfinite(image) & (member >= 0))
-        distance, along = exact.ravel()[steel], scans.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
-        counter.add(T[:3, 3] + distance[:, None] * along, member.ravel()[steel])
-    return RangeScans(scans.stamp_s, range_m, scans.ray), counter.visibility()
-
-
-class CastScans(Sequence[Scan]):
-    """The scans of `scan_flight`, cast anew whenever they are iterated over, so that only a few are in memory.
-
-    ``stamp_s (K,)``; ``ray (H, W, 3)`` unit vectors in the sensor frame. An index costs as much as all scans before it.
-    """
-
-    def __init__(
-        self, tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: rng.Seed
-    ) -> None:
-        step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
-        index = scan_steps(settings, float(trajectory.stamp_s[-1]), step_s)
-        index = index[index < len(trajectory) - 1] if len(index) > 1 else index
-        self.stamp_s, self.ray = trajectory.stamp_s[index], rays(settings)
-        self._camera = partial(TofCamera, tower, settings, seed)
-        self._T_world_sensor = trajectory.T_world_drone[index] @ T_drone_sensor
-        self._T_exposed = exposed_poses(trajectory, self.stamp_s, T_drone_sensor, settings)
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
-        found = list(itertools.islice(self, range(len(self))[index] + 1)) if isinstance(index, int) else list(self)
-        return found[-1] if isinstance(index, int) else found[index]
-
-    def __iter__(self) -> Iterator[Scan]:
-        for stamp_s, (image, *_) in zip(self.stamp_s.tolist(), self.cast(), strict=True):
-            yield Scan(stamp_s, image[..., None] * self.ray)
-
-    def cast(self) -> Iterator[tuple[np.ndarray, np.ndarray, IntArray, Array]]:
-        """Of each scan measured and exact ranges ``(H, W)`` float32, the members hit, and ``T_world_sensor``."""
-        camera = self._camera()
-        for k, T in enumerate(self._T_world_sensor):
-            image, seen = camera.measure(k, float(self.stamp_s[k]), self._T_exposed[k])
-            yield image, seen.exact_m, seen.member, T
+    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])
+    index = scan_steps(settings, float(trajectory.stamp_s[-1]), step_s)
+    index = index[index < len(trajectory) - 1] if len(index) > 1 else index
+    stamp_s, camera, counter = trajectory.stamp_s[index], TofCamera(tower, settings, seed), SliceCounter(tower.axes)
+    T_world_sensor = trajectory.T_world_drone[index] @ T_drone_sensor
+    T_exposed = exposed_poses(trajectory, stamp_s, T_drone_sensor, settings)
+    range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
+    for k, T in enumerate(T_world_sensor):
+        range_m[k], seen = camera.measure(k, float(stamp_s[k]), T_exposed[k])
+        steel = np.flatnonzero(np.isfinite(range_m[k]) & (seen.member >= 0))
+        distance, along = seen.exact_m.ravel()[steel], camera.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
+        counter.add(T[:3, 3] + distance[:, None] * along, seen.member.ravel()[steel])
+    return RangeScans(stamp_s, range_m, camera.ray), counter.visibility()
 
 
 def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
@@ -129,7 +94,7 @@ class TofCamera:
         return image, seen
 
     def scan(self, k: int, stamp_s: float, around: Trajectory) -> Scan:
-        """Scan number k of `CastScans`, to the bit, on a flight that is not yet at its end: true poses ``around`` its
+        """Scan number k of `scan_flight`, to the bit, on a flight that is not yet at its end: true poses ``around`` its
         stamp cover its exposure."""
         poses = exposed_poses(around, np.array([stamp_s]), self.settings.T_drone_sensor, self.settings)
         return Scan(stamp_s, self.measure(k, stamp_s, poses[0])[0][..., None] * self.ray)

@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import Structure
 from steelnb.settings import TofSettings, TowerSettings
-from steelnb.simulation import CastScans, build_tower
-from steelnb.types import Flight, RangeScans, Segments, Trajectory
+from steelnb.simulation import build_tower, scan_flight
+from steelnb.types import Flight, Segments, Trajectory
 
 
 def bars_of(*axes, count=100, radius=0.01) -> Segments:
@@ -70,7 +70,5 @@ def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad
     path, tof = Trajectory(0.2 * np.arange(poses + 1), np.concatenate([T, T[-1:]])), TofSettings(
         columns=120, rows=120, fov_horizontal_rad=1.5, fov_vertical_rad=1.5, range_max_m=6.0, sigma_floor_m=noise_m
     )  # fmt: skip
-    scans = CastScans(tower, path, np.eye(4), tof, seed)
-    range_m = np.array([image for image, *_ in scans.cast()])
-    stamp_s = path.stamp_s[: len(range_m)]
-    return Flight(RangeScans(stamp_s, range_m, scans.ray), Trajectory(stamp_s, T[: len(range_m)]), np.eye(4))
+    scans, _ = scan_flight(tower, path, np.eye(4), tof, seed)
+    return Flight(scans, Trajectory(scans.stamp_s, T[: len(scans)]), np.eye(4))

@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 
-from steelnb import experiment
-from steelnb.closed_loop import OnboardPilot
 from steelnb.errors import InputError
 from steelnb.report import planned_flights
 from steelnb.simulation import build_tower
@@ -64,15 +62,3 @@ def test_the_figures_show_every_flight(flown):
         assert len(figure.axes) == panels
     errors = planned_flights.figure_time(flown).axes[1]
     assert {line.get_label() for line in errors.get_lines()} == {"loops", "up a face"}
-
-
-def test_a_pilot_tells_how_it_flew():
-    cases = planned_flights.make_flights(["planned"], "random-walk", "combined", "report-4cm", 3, 2.0, SMALL)
-    pilot = OnboardPilot(cases["planned"], build_tower(cases["planned"].tower))
-    flight, truth = experiment.simulate_anew(cases["planned"], steering=pilot)
-    flown, planner, odometry = planned_flights.pilot_summary(pilot, flight, truth)
-    assert flown == "flown     2.0 of 2 s"
-    assert "follow" in planner
-    assert " ms (median), " in planner
-    assert odometry.startswith("odometry  combined: ")
-    assert "of 10 scans without a pair" in odometry

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
-from steelnb.simulation import CastScans, build_tower, fly, scan_flight
+from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.scene import _distance, _measure, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
@@ -207,7 +207,7 @@ def test_the_report_s_sensor_scans_every_26_steps_from_its_start(flight):
     sensor = TofSettings.preset("report").replace(rows=2, columns=2)
 
     def steps(**changes):
-        return CastScans(TOWER, flight, np.eye(4), sensor.replace(**changes), 1).stamp_s / 0.008
+        return scan_flight(TOWER, flight, np.eye(4), sensor.replace(**changes), 1)[0].stamp_s / 0.008
 
     np.testing.assert_allclose(steps(), 26 * np.arange(49), atol=1e-6)
     np.testing.assert_allclose(steps(start_s=1.0), 125 + 26 * np.arange(44), atol=1e-6)

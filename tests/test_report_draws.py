@@ -9,7 +9,7 @@ import pytest
 from steelnb.noise import drift_errors
 from steelnb.settings import Noise, read_report_plots
 
-CURVES = pd.read_csv(Path(__file__).parents[2] / "notebooks" / "report-curves.csv", dtype={"figure": str})
+CURVES = pd.read_csv(Path(__file__).parents[1] / "notebooks" / "report-curves.csv", dtype={"figure": str})
 
 
 def shown_and_drawn(plot):

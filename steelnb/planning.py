@@ -1,4 +1,4 @@
-"""A pilot that follows a reference along a structure at a distance, and keeps the structure in view.
+"""A pilot that never sees the truth: it follows a reference along a structure and keeps the structure in view.
 
 At each command it knows the map so far, an estimate of the pose, and how far and wide its camera sees. The goal
 ``around`` goes round the structure and up, with the camera on its middle; ``face`` to and fro before it with one
@@ -12,7 +12,6 @@ import numpy as np
 
 from steelnb.errors import InputError
 from steelnb.fusion.poses import yaw_of
-from steelnb.planning.bearings import distance_ahead, middle_of, towards_nearest, turn_to
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.settings import FlightSettings
 from steelnb.types import Array, Segments
@@ -35,6 +34,8 @@ BLOCKED_S, BLOCKED_SHARE = 1.0, 0.3
 """A way aside is blocked if for so long less than this share of the wished velocity is left."""
 ROUNDS = 20
 """Rounds over the obstacles in which a velocity is taken back."""
+NEAR_M = 0.35
+"""Steel that is so much further away than the nearest counts e times less for where the nearest is."""
 
 
 @dataclass(frozen=True)
@@ -187,3 +188,36 @@ class Planner:
             if (normal @ u >= least - 1e-6).all():
                 break
         return u
+
+
+def turn_to(angle: float) -> float:
+    """An angle, radians, as the turn from −π to π that leads to it."""
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def middle_of(points: Array, position: Array) -> Array:
+    """From a position ``(3,)`` to the middle of the ``points (N, 3)`` around it, metres; those at its height and near
+    it weigh more."""
+    arm = points - position
+    weight = np.exp(-0.5 * (arm[:, 2] / 1.0) ** 2) / (0.25 + (arm[:, :2] ** 2).sum(axis=1))
+    return np.asarray((weight @ arm) / max(float(weight.sum()), 1e-12))
+
+
+def towards_nearest(points: Array, position: Array) -> Array:
+    """Horizontal unit vector ``(2,)`` towards the nearest structure at about the same height."""
+    arm = points - position
+    arm = arm[np.abs(arm[:, 2]) < 1.0, :2] if (np.abs(arm[:, 2]) < 1.0).any() else arm[:, :2]
+    distance = np.maximum(np.hypot(*arm.T), 1e-6)
+    weight = np.exp(-(distance - np.percentile(distance, 5)) / NEAR_M) / distance
+    towards = weight @ arm
+    return np.asarray(towards / max(float(np.hypot(*towards)), 1e-9))
+
+
+def distance_ahead(points: Array, position: Array, facing: Array) -> float:
+    """Horizontal distance to the nearest structure ahead, at about the same height."""
+    arm = points - position
+    ahead, aside = arm[:, :2] @ facing, arm[:, :2] @ np.array([-facing[1], facing[0]])
+    near = (np.abs(arm[:, 2]) < 0.7) & (ahead > 0) & (np.abs(aside) < np.maximum(ahead, 0.7))
+    if near.sum() < 5:
+        return float(np.hypot(*middle_of(points, position)[:2]))
+    return float(np.percentile(np.hypot(ahead[near], aside[near]), 5))

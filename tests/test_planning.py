@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.planning import Planner
-from steelnb.planning.planner import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S
+from steelnb.planning import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S, Planner
 from steelnb.settings import FlightSettings
 from steelnb.types import Segments
 
