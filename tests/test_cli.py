@@ -60,7 +60,7 @@ BAD = (
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
-    (["run", "a.mcap", "--truth", "nothing.tum"], "no topic 'nothing.tum'"),
+    (["run", "a.mcap", "--truth", "nothing.tum"], "nothing.tum: no such file, here or in a.mcap"),
     (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),
     (["record", "a.mcap"], "a.mcap: exists already; expected a new name, or --force"),
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
