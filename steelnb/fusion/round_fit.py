@@ -34,32 +34,76 @@ PLACE = 5
 def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     """Put the circle in place of the `Sections` that were ``fitted`` to the bars of a histogram ``(B, PARTS, VIEWS,
     CELLS, 4)`` where their points are those of a round tube; ``length (B,)`` metres. Its diameter stands for the
-    flange, and its turn is NaN."""
+    flange, and its turn is NaN.
+
+    The bars of one structure resemble each other, and a thin bar seen from one side tells little. So where some bar is
+    clearly round, the likelihoods of all bars together say what the others are, unless one of them clearly differs.
+    """
     face, side = profiles()
     normal, place = np.empty((PLACE, PLACE + 1)), np.empty(PLACE)
-    corner, equations, other, edges = np.empty((6, 2)), np.empty((4, 5)), np.empty(4), np.empty((0, 6))
+    unclear, pooled = np.zeros(len(length), np.bool_), 0.0
     for b in range(len(length)):
-        cells = cells_of(histogram[b], length[b])
         if np.isnan(fitted.flange[b]):
             continue
-        merged = cells_of(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)
-        cost = fit_circle(cells, merged, place, normal)
+        cells = cells_of(histogram[b], length[b])
+        cost = _fit_circle(histogram[b], cells, place, normal)
         if place[4] > WIDEST_M:
             continue
-        outline(fitted.turn[b], fitted.flange[b], corner)
-        other[:2], other[2:] = fitted.centre[b], fitted.slope[b]
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
-        if not cost <= bound * section_step(cells, edges, corner, other, equations):
-            continue  # most bars, whose sections need not be fitted again
-        _, _, _, _, least = fit_section(cells, merged, edges, face, side, other[:2], other[2:])
-        if not cost <= bound * least:
-            continue
-        total = cells[:, 2].sum()
-        inverse = np.linalg.inv(normal[:, :PLACE] + 1e-6 * total * np.eye(PLACE)) * cost / len(cells)
-        fitted.centre[b], fitted.slope[b] = place[:2], place[2:4]
-        fitted.flange[b], fitted.turn[b] = 2.0 * place[4], np.nan
-        fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
-        fitted.tilt[b] = math.sqrt(inverse[2, 2] + inverse[3, 3])
+        if cost <= bound * _angle_cost(cells, fitted, b):
+            # Most bars do not come here: their sections need not be fitted again.
+            least = _least_angle_cost(histogram[b], cells, face, side)
+            if cost <= bound * least:
+                pooled += 0.5 * len(cells) * math.log(least / cost)
+                _make_round(fitted, b, cells, cost, place, normal)
+                continue
+        unclear[b] = True
+    if pooled == 0.0:
+        return
+    likelihood = np.zeros(len(length))
+    for b in np.flatnonzero(unclear):
+        cells = cells_of(histogram[b], length[b])
+        cost = _fit_circle(histogram[b], cells, place, normal)
+        least = _least_angle_cost(histogram[b], cells, face, side)
+        likelihood[b] = 0.5 * len(cells) * math.log(least / cost)
+        pooled += likelihood[b]
+    if pooled <= 0.0:
+        return
+    for b in np.flatnonzero(unclear & (likelihood > -LIKELIHOOD_MIN)):
+        cells = cells_of(histogram[b], length[b])
+        cost = _fit_circle(histogram[b], cells, place, normal)
+        _make_round(fitted, b, cells, cost, place, normal)
+
+
+@njit(cache=True)
+def _fit_circle(histogram, cells, place, normal):  # type: ignore[no-untyped-def]
+    return fit_circle(cells, cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0), place, normal)
+
+
+@njit(cache=True)
+def _angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
+    """Cost of the depths alone at the section that was fitted to depths and edges."""
+    corner, place = np.empty((6, 2)), np.empty(4)
+    outline(fitted.turn[b], fitted.flange[b], corner)
+    place[:2], place[2:] = fitted.centre[b], fitted.slope[b]
+    return section_step(cells, np.empty((0, 6)), corner, place, np.empty((4, 5)))
+
+
+@njit(cache=True)
+def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-def]
+    """Cost of an angle section that is fitted to the depths alone."""
+    merged = cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0)
+    return fit_section(cells, merged, np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]
+
+
+@njit(cache=True)
+def _make_round(fitted, b, cells, cost, place, normal):  # type: ignore[no-untyped-def]
+    total = cells[:, 2].sum()
+    inverse = np.linalg.inv(normal[:, :PLACE] + 1e-6 * total * np.eye(PLACE)) * cost / len(cells)
+    fitted.centre[b], fitted.slope[b] = place[:2], place[2:4]
+    fitted.flange[b], fitted.turn[b] = 2.0 * place[4], np.nan
+    fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
+    fitted.tilt[b] = math.sqrt(inverse[2, 2] + inverse[3, 3])
 
 
 @njit(cache=True)

@@ -1,6 +1,7 @@
 """Round tubes: the fit of a circle, and the choice between it and an angle section, on scans of simulated bars."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import map_scans
 from steelnb.metrics.matching import match_members
 from steelnb.settings import StructureSettings
-from steelnb.simulation import build_tubes
+from steelnb.simulation import Tower, build_tubes
+from steelnb.simulation.sections import mesh_members
 from tests import naive
 from tests.fusion.made import around, small_tower
 
@@ -31,7 +33,7 @@ def offsets(found, tower) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("radius_m", [0.03, 0.05])
+@pytest.mark.parametrize("radius_m", [0.012, 0.03, 0.05])
 def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
     tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
     flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
@@ -65,6 +67,19 @@ def test_angle_sections_are_not_round(side):
     found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
     assert len(found) > 15
     assert found.tube is None
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_angle_sections_beside_a_tube_are_not_round(side):
+    """The clear tube makes the others no tubes; one in the middle of the tower would be hidden."""
+    tower, tube = small_tower(), build_tubes(np.array([[[-1.7, -0.4, 0.3], [-1.7, -0.4, 3.4]]]), 0.05)
+    joints, members = np.concatenate([tower.joints, tube.joints]), list(tower.members)
+    members.append(replace(tube.members[0], joints=(len(tower.joints), len(tower.joints) + 1)))
+    both = Tower(joints, tuple(members), *mesh_members(joints, members), tower.settings)
+    flight = around(both, 120, noise_m=0.01, seed=11, turn_rad=SIDES[side])
+    found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
+    assert found.tube.sum() == 1
+    assert np.linalg.norm(found.segments.middle[found.tube][0, :2] - [-1.7, -0.4]) < 0.01
 
 
 def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
