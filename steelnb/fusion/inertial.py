@@ -1,4 +1,4 @@
-"""Inertial factors of an adjustment (`fusion.bundle`): velocities and biases of the IMU as states beside the poses.
+"""Inertial factors of an adjustment (`fusion.problem`): velocities and biases of the IMU as states beside the poses.
 
 The readings between two scans are integrated once, whatever the pose and the velocity before them. They tell what bars
 and a drifting prior do not: where down is, and metres, by how long a speed lasts. Source: Forster, Carlone, Dellaert,

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion import bundle
-from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion import problem, solver
 from steelnb.fusion.bar_voxels import Observations, world_points
 from steelnb.fusion.inertial import Inertial
+from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans
 from steelnb.points import VoxelMap, smooth_ranges
@@ -34,7 +34,7 @@ class Keyframes:
     """Some scans of a flight, accumulated in voxels at the poses that they had when they came.
 
     ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is,
-    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`bundle.Bundle`); ``readings`` of an IMU take part.
+    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`problem.Problem`); ``readings`` of an IMU take part.
     """
 
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
@@ -60,8 +60,8 @@ class Keyframes:
             self.scans = [self.scans[k] for k in kept]
             self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
 
-    def adjust(self) -> bundle.Bundle | None:
-        """Find bars, and adjust them and all poses together (`fusion.bundle`); None where there are too few bars."""
+    def adjust(self) -> Problem | None:
+        """Find bars, and adjust them and all poses together (`fusion.solver`); None where there are too few bars."""
         if not len(self.voxels):
             return None
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
@@ -75,8 +75,8 @@ class Keyframes:
             inertial = Inertial.started(
                 imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
             )
-        state = bundle.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
+        state = problem.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
         seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
-        state, _ = bundle.adjusted(state, seen, self._prior, stamp_s, STEPS)
+        state, _ = solver.adjusted(state, seen, self._prior, stamp_s, STEPS)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

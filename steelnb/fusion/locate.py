@@ -1,4 +1,4 @@
-"""Location of a scan by bars that are known: the adjustment of one pose (`fusion.bundle`), the bars nearly held.
+"""Location of a scan by bars that are known: the adjustment of one pose (`fusion.problem`), the bars nearly held.
 
 Gauss-Newton on position and yaw from a predicted pose, which counts by its information; roll and pitch are the
 prediction's, or found as well where the prior's have errors.
@@ -10,9 +10,10 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import sections
-from steelnb.fusion.bar_equations import BAR, Bars, equations, noise_ratio
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
+from steelnb.fusion.factors import equations, noise_ratio
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays
+from steelnb.fusion.problem import BAR, Bars
 from steelnb.types import Array, IntArray, Scan
 
 VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
@@ -93,7 +94,7 @@ class Locator:
     def _equations(self, points: Array, T_world_sensor: Array, size: int) -> tuple[Array, Array, Array]:
         """Normal equations ``(size, size)``, ``(size,)`` of the pose of a scan (x, y, z, yaw, and if size is 6 roll and
         pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
-        (`fusion.bar_equations.equations`).
+        (`fusion.factors.equations`).
 
         Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
         alike: the points of one bar tell no more than its place is known.

@@ -4,8 +4,6 @@ The prior drifts in position and yaw as a random walk does. Its roll and pitch a
 first-order Gauss-Markov process, as those of an attitude filter.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -32,57 +30,6 @@ def tilt_stays(passed_s: Array | float) -> Array:
     """The share of an error of the prior's roll or pitch that is left after ``passed_s``; with twice the time, that of
     its variance."""
     return np.exp(-np.asarray(passed_s) / TILT_S)
-
-
-class PriorErrors(NamedTuple):
-    """Errors of K poses by a drifting prior: ``error (K, D)`` of the first pose and of each increment, with weights
-    ``weight (K, D)``; the derivatives of an increment are one by its later pose, and ``before (K − 1, D, D)`` by its
-    earlier one."""
-
-    error: Array
-    weight: Array
-    before: Array
-
-
-def prior_errors(
-    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
-) -> PriorErrors:
-    """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
-    if they have a standard deviation, from a Gauss-Markov process about those of the prior. The first pose is the
-    prior's, its roll and pitch only if it is ``upright``: without, they are no better known than all others."""
-    size = pose_size(tilt_sigma_rad)
-    error, weight = np.zeros((2, len(T), size))
-    error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED
-    if not upright:
-        weight[0, POSE:] = tilt_sigma_rad**-2.0
-    gap_s = np.maximum(np.diff(stamp_s), 1e-6)
-    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
-    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
-    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error[1:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
-    error[1:, 3] = yaw_of(apart)
-    weight[1:, :POSE] = DRIFT_SIGMA**-2.0 / (gap_s / DRIFT_PERIOD_S)[:, None]
-    before = np.tile(-np.eye(size), (len(gap_s), 1, 1))
-    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
-    if tilt_sigma_rad:
-        turn, stays = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_stays(gap_s)[:, None]
-        error[1:, POSE:] = stays * turn[:-1] - turn[1:]
-        weight[1:, POSE:] = tilt_sigma_rad**-2.0 / (1.0 - stays**2)
-        before[:, POSE:, POSE:] = -stays[:, :, None] * np.eye(2)
-    return PriorErrors(error, weight, before)
-
-
-def increments(
-    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
-) -> tuple[Array, Array, Array]:
-    """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
-    ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
-    error, weight, before = prior_errors(T, prior, stamp_s, tilt_sigma_rad, upright)
-    beside = before.transpose(0, 2, 1) * weight[1:, None, :]
-    matrix, vector = weight[:, :, None] * np.eye(error.shape[1]), -weight * error
-    matrix[:-1] += beside @ before
-    vector[:-1] -= (beside @ error[1:, :, None])[:, :, 0]
-    return matrix, beside, vector
 
 
 def moved_poses(T: Array, step: Array) -> Array:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import InputError
-from steelnb.fusion import bundle, sections
-from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion import problem, sections, solver
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
 from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
 from steelnb.fusion.poses import DRIFT_PERIOD_S
+from steelnb.fusion.problem import Bars
 from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts
 from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.section_fit import fit_sections
@@ -54,7 +54,7 @@ def reconstruct(
 
     The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
     (`fusion.round_fit`); a bar with too few points to tell its section and its direction is left out. With ``adjust``,
-    poses and bars are adjusted together (`fusion.bundle`). Returns a `Structure` in the world frame, metres; an empty
+    poses and bars are adjusted together (`fusion.problem`). Returns a `Structure` in the world frame, metres; an empty
     one has the reason. Raises `InputError` for poses that do not fit the scans or are not finite, and for scans
     without any return above the floor.
     """
@@ -166,12 +166,12 @@ class MappedScans:
             yield k, points[whole], bar[whole]
 
     def adjusted(self, fitted: "FittedBars") -> Array:
-        """The poses after `ADJUST_STEPS` of them and the bars together (`fusion.bundle`), by one in `ADJUST_PIXELS` of
+        """The poses after `ADJUST_STEPS` of them and the bars together (`fusion.problem`), by one in `ADJUST_PIXELS` of
         the points. The poses themselves stand for the prior's increments, and the first one stays."""
         T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
-        state = bundle.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
+        state = problem.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
         seen = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
-        return bundle.adjusted(state, seen, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
+        return solver.adjusted(state, seen, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections, angles or circles, to the points of each bar; the axes of the bars move to their centroids."""

@@ -61,7 +61,9 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     if pooled == 0.0:
         return
     likelihood = np.zeros(len(length))
-    for b in np.flatnonzero(unclear):
+    for b in range(len(length)):
+        if not unclear[b]:
+            continue
         cells = cells_of(histogram[b], length[b])
         cost = _fit_circle(histogram[b], cells, place, normal)
         least = _least_angle_cost(histogram[b], cells, face, side)
@@ -69,7 +71,9 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
         pooled += likelihood[b]
     if pooled <= 0.0:
         return
-    for b in np.flatnonzero(unclear & (likelihood > -LIKELIHOOD_MIN)):
+    for b in range(len(length)):
+        if not unclear[b] or likelihood[b] <= -LIKELIHOOD_MIN:
+            continue
         cells = cells_of(histogram[b], length[b])
         cost = _fit_circle(histogram[b], cells, place, normal)
         _make_round(fitted, b, cells, cost, place, normal)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.fusion import bundle, uncertainty
-from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion import problem, solver, uncertainty
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
+from steelnb.fusion.problem import Bars
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
@@ -30,7 +30,7 @@ def smooth(
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
 ) -> Estimate:
-    """The estimate of a flight with all its poses and bars adjusted together (`fusion.bundle`).
+    """The estimate of a flight with all its poses and bars adjusted together (`fusion.solver`).
 
     ``settings`` say what a bar is, as for `reconstruct`; ``tilt_sigma_rad`` is the standard deviation of the prior's
     roll and pitch, which are kept where it is 0; with ``imu``, the errors of its data sheet, the readings of the
@@ -55,12 +55,12 @@ def smooth(
         if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         bars = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
-        state = bundle.start(T, prior, bars, tilt_sigma_rad, inertial)
+        state = problem.start(T, prior, bars, tilt_sigma_rad, inertial)
         voxels = scans.around(fitted.bars)
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
             seen = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
-            state, equations = bundle.adjusted(state, seen, prior, stamp_s, steps)
+            state, equations = solver.adjusted(state, seen, prior, stamp_s, steps)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""

@@ -1,8 +1,8 @@
-"""Covariances of a smoothed flight: of its poses and its bars, from the equations of `fusion.bundle`.
+"""Covariances of a smoothed flight: of its poses and its bars, from the equations of `fusion.solver`.
 
-The inverse of all normal equations is needed in its diagonal blocks alone. The poses are a chain, so those blocks
-follow from the last to the first by the factors of their band (Takahashi, Fagan, Chen 1973), and what the bars add to
-them has the rank of the bars: A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. Nothing is approximated.
+The inverse of all normal equations is needed in its diagonal blocks alone. Those of the chain of poses come from its
+factors (`fusion.solver`); what the bars add to them has the rank of the bars: A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur
+complement S. Nothing is approximated.
 
 Points of one bar in one scan share an error: its section is fitted, mixed pixels lie at its edges, and a sensor sees
 the near side. Each scan therefore sees a bar displaced across by an unknown vector, which is eliminated: the
@@ -15,11 +15,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import InputError
-from steelnb.fusion.bar_equations import BAR, Equations, summed
-from steelnb.fusion.bundle import Bundle, reduced, state_equations
-from steelnb.fusion.chain import Chain
+from steelnb.fusion.factors import PointEquations, summed
 from steelnb.fusion.poses import AXES, POSE, pose_size
+from steelnb.fusion.problem import BAR, Problem
 from steelnb.fusion.sections import frames
+from steelnb.fusion.solver import Chain, schur, state_equations
 from steelnb.types import Array, Segments
 
 SHARED_SIGMA_M = 0.001
@@ -27,8 +27,8 @@ SHARED_SIGMA_M = 0.001
 `points.ranges`; it grows with the square of that noise, which is what two sensors show. Calibrated on seeds
 11 to 15."""
 END_SIGMA_M = 0.006
-"""Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section that
-is none of ours, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.
+"""Standard deviation, an axis, of the error that a bar's model has at either end whatever the scan: of a section type
+that is not modelled, or fitted to a part of the bar. Added to the covariance of an axis; calibrated with the former.
 It grows with the range noise."""
 ATTITUDE_SIGMA_RAD = 0.01
 """Standard deviation of roll and pitch where they are the prior's: half a degree, as of attitude filters on small
@@ -44,33 +44,33 @@ class Marginals(NamedTuple):
     """Marginal covariances: ``pose (K, D, D)`` of x, y, z, yaw of the sensor, and for D = 6 of roll and pitch, the
     first one zero since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
     bar's frame ``across``, turn and flange.
-    What a bar's points do not tell has the standard deviation of `bundle.BAR_SIGMA`, half a metre a metre."""
+    What a bar's points do not tell has the standard deviation of `problem.BAR_SIGMA`, half a metre a metre."""
 
     pose: Array
     bar: Array
 
 
 def marginals(
-    bundle: Bundle, equations: Equations, prior: Array, stamp_s: Array, shared_sigma_m: float | None = None
+    problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array, shared_sigma_m: float | None = None
 ) -> Marginals:
-    """The marginal covariances of the state of an adjustment; the arguments are those of `bundle.improve`.
+    """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
     ``shared_sigma_m``: by default `SHARED_SIGMA_M` times the square of the state's ``sigma_ratio``. Raises
     `InputError` where the equations are not finite or nothing holds a pose, with the direction that is free.
     """
-    sigma_m = SHARED_SIGMA_M * bundle.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
+    sigma_m = SHARED_SIGMA_M * problem.sigma_ratio**2 if shared_sigma_m is None else shared_sigma_m
     equations = _displaced(equations, sigma_m) if sigma_m else equations
     n = len(equations.block)
-    matrix, beside, _, between = state_equations(bundle, equations, prior, stamp_s)
+    matrix, beside, _, between = state_equations(problem, equations, prior, stamp_s)
     matrix = matrix + HOLD * np.eye(matrix.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise InputError("normal equations that are not finite: expected finite poses, stamps and points")
     chain = Chain.factored(matrix, beside)
-    half = chain.half(between)
-    flat = half.reshape(-1, half.shape[2])
-    inverse = cho_solve(cho_factor(reduced(equations.block, flat.T @ flat)), np.eye(flat.shape[1]))
-    size = pose_size(bundle.tilt_sigma_rad)
-    by_bars = chain.rest(half)[:, :size]
+    forward = chain.forward(between)
+    flat = forward.reshape(-1, forward.shape[2])
+    inverse = cho_solve(cho_factor(schur(equations.block, flat.T @ flat)), np.eye(flat.shape[1]))
+    size = pose_size(problem.tilt_sigma_rad)
+    by_bars = chain.backward(forward)[:, :size]
     pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
     check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
@@ -78,7 +78,7 @@ def marginals(
     return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
 
 
-def _displaced(equations: Equations, sigma_m: float) -> Equations:
+def _displaced(equations: PointEquations, sigma_m: float) -> PointEquations:
     """The equations where all points of a bar in one scan are displaced across by an unknown vector."""
     cross, shares, scan = equations.cross, equations.shares, equations.pair_scan
     unknown = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)

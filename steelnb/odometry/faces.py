@@ -13,11 +13,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.fusion.bundle import Bundle
 from steelnb.fusion.inertial import TILT_SIGMA_RAD
 from steelnb.fusion.keyframes import Keyframes, Readings
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
+from steelnb.fusion.problem import Problem
 from steelnb.odometry.base import scan_of, settings_of
 from steelnb.odometry.combined import by_clouds
 from steelnb.odometry.inertial_prediction import NONE, SCAN_SHARE, information_at
@@ -71,7 +71,7 @@ class FaceOdometry:
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # What is put out lies behind the estimate by so much: x, y, z, yaw, and roll and pitch where they are free.
         self._behind = np.zeros(pose_size(self.tilt_sigma_rad))
-        self._adjustment: Future[Bundle | None] | None = None
+        self._adjustment: Future[Problem | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
         self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
 

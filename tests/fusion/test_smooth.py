@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.fusion import bundle, sections, smooth, uncertainty
-from steelnb.fusion.bar_equations import Bars
+from steelnb.fusion import factors, problem, sections, smooth, solver, uncertainty
 from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion.problem import Bars
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
@@ -152,9 +152,9 @@ def test_a_made_up_flight_comes_back_to_the_truth():
     shifted = bars.segments.start + rng.normal(scale=0.004, size=(6, 3)), bars.segments.end
     wrong = Bars(Segments(*shifted, bars.segments.count, bars.segments.radius), bars.across, bars.turn + 0.02,
                         bars.flange + 0.002)  # fmt: skip
-    state = bundle.start(prior, prior, wrong)
+    state = problem.start(prior, prior, wrong)
     for _ in range(8):
-        state = bundle.improve(state, bundle.linearised(state, seen), prior, stamp_s)
+        state = solver.improve(state, factors.linearised(state, seen), prior, stamp_s)
     before, after = (np.linalg.norm((each - T)[:, :3, 3], axis=1).mean() for each in (prior, state.T_world_sensor))
     assert after < 0.15 * before
     assert np.abs(state.bars.flange - bars.flange).max() < 0.004
@@ -164,8 +164,8 @@ def test_a_made_up_flight_comes_back_to_the_truth():
 @pytest.mark.parametrize("noise_m", [0.005, 0.03])
 def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     T, bars, seen = made_up(3, noise_m)
-    state = bundle.start(T, T, bars)
+    state = problem.start(T, T, bars)
     for _ in range(3):
-        state = bundle.improve(state, bundle.linearised(state, seen), T, 0.2 * np.arange(len(T)))
+        state = solver.improve(state, factors.linearised(state, seen), T, 0.2 * np.arange(len(T)))
     sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(seen.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

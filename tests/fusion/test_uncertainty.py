@@ -8,8 +8,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
-from steelnb.fusion import bundle, poses, sections, uncertainty
-from steelnb.fusion.bar_equations import BAR, Bars
+from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
+from steelnb.fusion.problem import BAR, Bars
 from tests.fusion.made import bars_of
 from tests.fusion.test_smooth import made_up as made_up_anew
 
@@ -20,19 +20,19 @@ made_up = functools.cache(made_up_anew)
 """The same problem for many tests, none of which changes it."""
 
 
-def state_of(T, bars, tilt_sigma_rad=0.0) -> bundle.Bundle:
-    return bundle.start(T, T, bars, tilt_sigma_rad)
+def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
+    return problem.start(T, T, bars, tilt_sigma_rad)
 
 
 def marginals(state, seen, prior, shared_sigma_m=None):
-    return uncertainty.marginals(state, bundle.linearised(state, seen), prior, STAMP_S, shared_sigma_m)
+    return uncertainty.marginals(state, factors.linearised(state, seen), prior, STAMP_S, shared_sigma_m)
 
 
 def dense(state, seen, prior, stamp_s, shared_sigma_m):
     """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
-    eq = bundle.linearised(state, seen)
+    eq = factors.linearised(state, seen)
     K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
-    chained, beside, _ = poses.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+    chained, beside, _ = factors.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
     D = poses.pose_size(state.tilt_sigma_rad)
     size = D * K + BAR * n
     whole = np.zeros((size + 2 * P, size + 2 * P))
@@ -40,7 +40,7 @@ def dense(state, seen, prior, stamp_s, shared_sigma_m):
     for k in range(K - 1):
         pose, behind = slice(D * k, D * k + D), slice(D * k + D, D * k + 2 * D)
         whole[pose, behind], whole[behind, pose] = beside[k], beside[k].T
-    whole[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(bundle.BAR_SIGMA**-2.0)))
+    whole[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(problem.BAR_SIGMA**-2.0)))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
         pose, bar = slice(D * k, D * k + D), slice(D * K + BAR * b, D * K + BAR * b + BAR)
         own = slice(size + 2 * p, size + 2 * p + 2)
@@ -69,7 +69,7 @@ def test_the_information_of_a_bar_in_a_scan_saturates():
     """A hundred times the points say ten times as much of a bar; with a shared error hardly more."""
     T, bars, seen = made_up(1, 0.004)
     state = state_of(T, bars)
-    sharp = bundle.Bundle(T, bars, 0.1 * state.sigma_ratio, state.fitted)
+    sharp = problem.Problem(T, bars, 0.1 * state.sigma_ratio, state.fitted)
     sigma = {
         (name, shared): np.sqrt(np.median(marginals(each, seen, T, shared).pose[1:, 0, 0]))
         for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)
@@ -92,9 +92,9 @@ def test_many_runs_scatter_as_they_say():
         prior[1:, :3, 3] += np.cumsum(drift[:, :3], axis=0)
         turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 3]), [0, 0, 1])).as_matrix()
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
-        state = bundle.start(T, prior, bars)
+        state = problem.start(T, prior, bars)
         for _ in range(4):
-            state = bundle.improve(state, bundle.linearised(state, seen), prior, STAMP_S)
+            state = solver.improve(state, factors.linearised(state, seen), prior, STAMP_S)
         pose = marginals(state, seen, prior, 0.0).pose
         error = np.empty((39, 4))
         error[:, :3] = (T - state.T_world_sensor)[1:, :3, 3]
@@ -120,7 +120,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 
 
 def test_a_free_direction_is_named(monkeypatch):
-    monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
+    monkeypatch.setattr(factors, "DRIFT_SIGMA", np.array([1e9, 1e9, 1e9, 0.002]))
     T, bars, seen = wall_of_posts()
     with pytest.raises(InputError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
         marginals(state_of(T, bars), seen, T)
@@ -129,7 +129,7 @@ def test_a_free_direction_is_named(monkeypatch):
 def test_what_no_point_tells_of_a_bar_is_half_a_metre():
     T, bars, seen = wall_of_posts()
     bar = marginals(state_of(T, bars), seen, T).bar
-    np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), bundle.BAR_SIGMA, rtol=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), problem.BAR_SIGMA, rtol=1e-6)
 
 
 def test_equations_that_are_not_finite_are_refused():

@@ -1,50 +1,39 @@
-"""Normal equations of points on bars: their distances to the front faces (`fusion.sections`), linearised by the poses
-of the scans, and by place, direction, turn and flange of the bars."""
+"""Factors of an adjustment (`fusion.problem`) as normal equations: points on front faces, and what the prior says.
+
+A point's residual is its distance to the front face of its bar (`fusion.sections`), linearised by the pose of its scan
+and by place, direction, turn and flange of the bar. The drifting prior gives the increments from pose to pose.
+"""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.poses import AXES, POSE
-from steelnb.types import Array, IntArray, Segments
+from steelnb.fusion.poses import (
+    AXES,
+    DRIFT_PERIOD_S,
+    DRIFT_SIGMA,
+    FIXED,
+    POSE,
+    pose_size,
+    pose_step,
+    tilt_of,
+    tilt_stays,
+    yaw_of,
+)  # fmt: skip
+from steelnb.fusion.problem import BAR, Bars, Problem
+from steelnb.types import Array, IntArray
 
-BAR = 6
-"""Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond the sum of both counts less (Geman-McClure); chosen with `fusion.proposals.TUBE_M`."""
 MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 
-@dataclass(frozen=True)
-class Bars:
-    """B bars with their sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
-    radians and ``flange (B,)`` in metres as in `fusion.sections`, round tubes among them; a bar with a flange of NaN
-    takes no part."""
-
-    segments: Segments
-    across: Array
-    turn: Array
-    flange: Array
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Which of them take part ``(B,)``."""
-        return np.isfinite(self.flange)
-
-    def sectioned(self) -> "Bars":
-        """Those that take part."""
-        known = self.known
-        return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
-
-
-class Equations(NamedTuple):
+class PointEquations(NamedTuple):
     """Normal equations of all points: of the poses ``matrix (K, D, D)``, ``vector (K, D)``, of the bars ``block
     (B, 6, 6)``, ``right (B, 6)``, and of each pair of a scan, ``pair_scan (P,)``, and a bar, ``pair_bar (P,)``: between
     both ``cross (P, D, 6)``, and its share of the bar's ``shares (P, 6, 6)``. ``residuals`` counts their magnitudes in
@@ -68,31 +57,40 @@ class Equations(NamedTuple):
         return result.reshape(poses, size, -1)
 
 
+def linearised(problem: Problem, observations: Observations) -> PointEquations:
+    """The normal equations of all points, without what is known beforehand."""
+    bars = problem.bars
+    corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
+    return equations(
+        observations, problem.T_world_sensor, bars, corner, problem.sigma_ratio, pose_size(problem.tilt_sigma_rad)
+    )
+
+
 def equations(
-    seen: Observations,
+    observations: Observations,
     T_world_sensor: Array,
     bars: Bars,
     corner: Array,
     sigma_ratio: float,
     size: int = POSE,
-) -> Equations:
+) -> PointEquations:
     """The normal equations of all points on bars with the outlines ``corner (B, 6, 2)``, of poses with ``size`` degrees
     of freedom.
 
     A pose that moves is a bar that moves the other way, so those of poses follow from those of bars, pair by pair.
     """
-    segments, scan, bar = bars.segments, seen.pair_scan, seen.pair_bar
-    shares, told, residuals = gather(
-        *seen, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner, bars.flange,
-        sigma_ratio,
+    segments, scan, bar = bars.segments, observations.pair_scan, observations.pair_bar
+    shares, rhs, residuals = gather(
+        *observations, T_world_sensor, segments.start, segments.direction, segments.length, bars.across, corner,
+        bars.flange, sigma_ratio,
     )  # fmt: skip
-    moved = as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
-    cross, vector = moved @ shares, (moved @ told[:, :, None])[:, :, 0]
+    by_pose = as_bars_move(T_world_sensor[scan, :3, 3] - segments.start[bar], bars, bar, size)
+    cross, vector = by_pose @ shares, (by_pose @ rhs[:, :, None])[:, :, 0]
     poses, n = len(T_world_sensor), len(bars.turn)
-    matrix = summed(cross @ moved.transpose(0, 2, 1), scan, poses)
+    matrix = summed(cross @ by_pose.transpose(0, 2, 1), scan, poses)
     vector = summed(vector, scan, poses)
-    block, right = summed(shares, bar, n), summed(told, bar, n)
-    return Equations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
+    block, right = summed(shares, bar, n), summed(rhs, bar, n)
+    return PointEquations(matrix, vector, cross, block, right, shares, scan, bar, residuals)
 
 
 def as_bars_move(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
@@ -126,6 +124,57 @@ def noise_ratio(residuals: Array, before: float) -> float:
         return before
     median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
     return float(before * median / 0.6745)
+
+
+class PriorErrors(NamedTuple):
+    """Errors of K poses by a drifting prior: ``error (K, D)`` of the first pose and of each increment, with weights
+    ``weight (K, D)``; the derivatives of an increment are one by its later pose, and ``before (K − 1, D, D)`` by its
+    earlier one."""
+
+    error: Array
+    weight: Array
+    before: Array
+
+
+def prior_errors(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> PriorErrors:
+    """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
+    if they have a standard deviation, from a Gauss-Markov process about those of the prior. The first pose is the
+    prior's, its roll and pitch only if it is ``upright``: without, they are no better known than all others."""
+    size = pose_size(tilt_sigma_rad)
+    error, weight = np.zeros((2, len(T), size))
+    error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED
+    if not upright:
+        weight[0, POSE:] = tilt_sigma_rad**-2.0
+    gap_s = np.maximum(np.diff(stamp_s), 1e-6)
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error[1:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
+    error[1:, 3] = yaw_of(apart)
+    weight[1:, :POSE] = DRIFT_SIGMA**-2.0 / (gap_s / DRIFT_PERIOD_S)[:, None]
+    before = np.tile(-np.eye(size), (len(gap_s), 1, 1))
+    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
+    if tilt_sigma_rad:
+        turn, stays = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_stays(gap_s)[:, None]
+        error[1:, POSE:] = stays * turn[:-1] - turn[1:]
+        weight[1:, POSE:] = tilt_sigma_rad**-2.0 / (1.0 - stays**2)
+        before[:, POSE:, POSE:] = -stays[:, :, None] * np.eye(2)
+    return PriorErrors(error, weight, before)
+
+
+def increments(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> tuple[Array, Array, Array]:
+    """The normal equations of the increments of the prior, of its attitude and of the first pose: ``(K, D, D)`` and
+    ``(K, D)`` of the poses, and between each pose and the next ``(K − 1, D, D)``."""
+    error, weight, before = prior_errors(T, prior, stamp_s, tilt_sigma_rad, upright)
+    beside = before.transpose(0, 2, 1) * weight[1:, None, :]
+    matrix, vector = weight[:, :, None] * np.eye(error.shape[1]), -weight * error
+    matrix[:-1] += beside @ before
+    vector[:-1] -= (beside @ error[1:, :, None])[:, :, 0]
+    return matrix, beside, vector
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

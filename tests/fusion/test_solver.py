@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion import bundle, poses, sections
-from steelnb.fusion.bar_equations import BAR, Bars
-from steelnb.fusion.chain import Chain
+from steelnb.fusion import factors, poses, problem, sections
 from steelnb.fusion.poses import POSE
+from steelnb.fusion.problem import BAR, Bars
+from steelnb.fusion.solver import Chain
 from steelnb.types import Segments
 from tests.fusion.test_smooth import made_up
 
@@ -36,10 +36,10 @@ def chain_of(poses: int, seed: int):
 def test_a_chain_is_solved_as_its_dense_matrix():
     matrix, beside, dense, columns = chain_of(50, 1)
     chain, flat = Chain.factored(matrix, beside), columns.reshape(50 * POSE, 30)
-    half = chain.half(columns)
-    squared = half.reshape(flat.shape).T @ half.reshape(flat.shape)
+    forward = chain.forward(columns)
+    squared = forward.reshape(flat.shape).T @ forward.reshape(flat.shape)
     np.testing.assert_allclose(squared, flat.T @ np.linalg.solve(dense, flat), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(chain.rest(half).reshape(flat.shape), np.linalg.solve(dense, flat), atol=1e-9)
+    np.testing.assert_allclose(chain.backward(forward).reshape(flat.shape), np.linalg.solve(dense, flat), atol=1e-9)
     inverse = np.linalg.inv(dense).reshape(50, POSE, 50, POSE)[np.arange(50), :, np.arange(50)]
     np.testing.assert_allclose(chain.inverse_blocks(), inverse, atol=1e-9)
 
@@ -97,8 +97,8 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     whole[:3, :3], whole[:3, 3] = tilted, [0.3, -0.2, 0.5]
     T, segments = whole @ T, bars.segments.transformed(whole)
     bars = Bars(segments, bars.across @ tilted.T, bars.turn, bars.flange)
-    state = bundle.start(T, T, bars, tilt_sigma_rad)
-    eq = bundle.linearised(state, seen)
+    state = problem.start(T, T, bars, tilt_sigma_rad)
+    eq = factors.linearised(state, seen)
     step, size = 1e-6, 6 if tilt_sigma_rad else POSE
     matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR, BAR))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
@@ -131,9 +131,9 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
     stamp_s = 0.2 * np.arange(n)
 
     def vector(step):
-        return poses.increments(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
+        return factors.increments(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
 
-    matrix, beside, _ = poses.increments(T, prior, stamp_s, sigma)
+    matrix, beside, _ = factors.increments(T, prior, stamp_s, sigma)
     dense = block_diag(*matrix)
     for k in range(n - 1):
         dense[6 * k : 6 * k + 6, 6 * k + 6 : 6 * k + 12] = beside[k]
