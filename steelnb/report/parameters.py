@@ -24,8 +24,8 @@ def validate() -> None:
     """Refuse what papermill has set in the running notebook, and give numbers the type of their defaults.
 
     For the first cell after the parameters: papermill itself only warns of a name that the notebook does not have, and
-    would run the defaults. Where nothing was set by papermill, or without IPython, nothing is done. Raises
-    `InputError`.
+    would run the defaults. A flight shorter than the notebook's own is said to be one. Where nothing was set by
+    papermill, or without IPython, nothing is done. Raises `InputError`.
     """
     loaded = sys.modules.get("IPython")  # which a kernel has loaded
     shell = loaded.get_ipython() if loaded else None
@@ -39,6 +39,9 @@ def validate() -> None:
         values = fit_parameters("parameters", {name: names[name] for name in given}, defaults)
         check_settings("parameters", {**defaults, **values})
         names.update(values)
+        short_s, whole_s = values.get("duration_s"), defaults.get("duration_s")
+        if short_s is not None and (whole_s is None or short_s < whole_s):
+            print("Short run: no conclusions. Those at the end are about the committed run.")
 
 
 def assigned(source: str) -> dict[str, ast.expr]:
