@@ -1,4 +1,4 @@
-"""Keyframes of a flight that is under way: their poses and the bars in them, adjusted together now and then."""
+"""Keyframes of a flight in progress: their poses and the bars they show, adjusted together from time to time."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,8 @@ from steelnb.types import Array, Imu, Scan, Trajectory
 STEPS, REFINED = 2, 2
 """Steps of an adjustment, and how often the bars are fitted before it; chosen on the development seed 11."""
 KEYFRAMES_MAX, RECENT = 400, 100
-"""With more keyframes, every second one goes, but for the first and the recent ones: the time that an adjustment takes
-is bounded."""
+"""Above this number every second keyframe is dropped, except the first and the most recent ones, which bounds the time
+of an adjustment."""
 BARS_MIN = 4
 
 
@@ -31,7 +31,7 @@ class Readings(NamedTuple):
 
 
 class Keyframes:
-    """Some scans of a flight, accumulated in voxels at the poses that they had when they came.
+    """Scans of a flight, accumulated in voxels at the poses that they had when they were added.
 
     ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is,
     ``tilt_sigma_rad`` how well the prior knows roll and pitch (`problem.Problem`); ``readings`` of an IMU take part.
@@ -61,7 +61,7 @@ class Keyframes:
             self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
 
     def adjust(self) -> Problem | None:
-        """Find bars, and adjust them and all poses together (`fusion.solver`); None where there are too few bars."""
+        """Find bars, and adjust bars and poses together (`fusion.solver`); None if there are too few bars."""
         if not len(self.voxels):
             return None
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)

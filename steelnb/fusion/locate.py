@@ -1,7 +1,7 @@
-"""Location of a scan by bars that are known: the adjustment of one pose (`fusion.problem`), the bars nearly held.
+"""Registration of one scan to known bars: the problem of `fusion.problem` with one pose, and bars that hardly move.
 
-Gauss-Newton on position and yaw from a predicted pose, which counts by its information; roll and pitch are the
-prediction's, or found as well where the prior's have errors.
+Gauss-Newton on position and yaw. The predicted pose enters with its information. Roll and pitch are kept from the
+prediction, or estimated too where the prior's have errors.
 """
 
 from typing import NamedTuple
@@ -17,25 +17,25 @@ from steelnb.fusion.problem import BAR, Bars
 from steelnb.types import Array, IntArray, Scan
 
 VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
-"""A point belongs to the bar nearest to its voxel, within reach; not where a second bar is hardly further away."""
+"""A point belongs to the bar nearest to its voxel, within reach, unless a second bar is nearly as near."""
 SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
-"""Standard deviations of a bar: of its place, which is biased alike in all scans, of the turn of its section, radians,
-and of its flange. Chosen on the development seeds 11 and 12."""
+"""Standard deviations of a bar: of its position, whose error all scans share, of the turn of its section, radians, and
+of its flange. Chosen on the development seeds 11 and 12."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
 """A step below this, metres and radians, ends the search."""
 SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
-"""A scan is located if this share of its points that belong to bars lie on front faces, of this many bars with so many
-points each; with fewer points it tells nothing. Chosen on the development seeds 11 and 12."""
+"""Minimum share of the points that lie on front faces, number of bars, points a bar, and points a scan; below them a
+registration is refused. Chosen on the development seeds 11 and 12."""
 RATIO = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 
 
 class Fit(NamedTuple):
-    """A location: the pose of the sensor, its information ``(D, D)`` about x, y, z and yaw, and for D = 6 roll and
-    pitch, the number of bars matched, the share of the points on them, the range noise as a multiple, and why it does
-    not hold."""
+    """The registered pose of the sensor; its information ``(D, D)`` about x, y, z and yaw, and for D = 6 roll and
+    pitch; the number of bars matched, the share of the points on them, and the range noise as a multiple of that in
+    `points.ranges`. ``reason`` says why it is refused, else it is empty."""
 
     T_world_sensor: Array
     information: Array
@@ -46,7 +46,7 @@ class Fit(NamedTuple):
 
 
 class Locator:
-    """Locates scan after scan by ``bars`` with sections, in the world frame.
+    """Registers scan after scan to ``bars`` with sections, in the world frame.
 
     ``variance (D,)`` is that of the pose predicted for the next scan, ``ratio`` the range noise as a multiple of that
     in `points.ranges`. D is 4, and 6 with a ``tilt_sigma_rad`` of the prior's roll and pitch.
@@ -59,7 +59,7 @@ class Locator:
         self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
-        """Let the variance grow as drift does from the scan before to that of ``stamp_s``."""
+        """Grow the variance by the drift since the last scan."""
         passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
@@ -68,8 +68,8 @@ class Locator:
         self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
-        """Locate ``points (N, 3)``, sensor frame, from a pose of the sensor, with all points assigned to bars anew in
-        each step. ``known (D, D)`` is the information about that pose, in place of the predicted variance."""
+        """Register ``points (N, 3)``, sensor frame, from a predicted pose of the sensor. Each step assigns the points to
+        bars anew. ``known (D, D)`` is the information of the prediction, by default from ``variance``."""
         held = np.diag(1 / self.variance) if known is None else known
         T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(held)
         for _ in range(STEPS_MAX):
@@ -87,7 +87,7 @@ class Locator:
         return Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
 
     def accept(self, fit: Fit) -> None:
-        """Take over the noise and the covariance of a registration that holds."""
+        """Take over range noise and variance from an accepted registration."""
         self.ratio = float(np.clip(fit.ratio, *RATIO))
         self.variance = np.diag(np.linalg.inv(fit.information))
 
@@ -96,25 +96,25 @@ class Locator:
         pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
         (`fusion.factors.equations`).
 
-        Each bar may lie, run, turn and be as wide otherwise as its standard deviations say, in all points of the scan
-        alike: the points of one bar tell no more than its place is known.
+        The degrees of freedom of each bar are marginalised with their standard deviations, so the points of one bar
+        tell the pose no better than the bar itself is known.
         """
         bar = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
         points, bar = points[bar >= 0], bar[bar >= 0]
-        whole = Observations.gathered([(0, points, bar)])
-        seen, b = whole.pair_bar, self.bars
-        n, segments = len(seen), b.segments.take(seen)
-        among = Bars(segments, b.across[seen], b.turn[seen], b.flange[seen])
-        own = whole._replace(pair_bar=np.arange(n))
-        found = equations(own, T_world_sensor[None], among, self._corner[seen], self.ratio, size)
+        observations = Observations.gathered([(0, points, bar)])
+        observed, b = observations.pair_bar, self.bars
+        n, segments = len(observed), b.segments.take(observed)
+        among = Bars(segments, b.across[observed], b.turn[observed], b.flange[observed])
+        own = observations._replace(pair_bar=np.arange(n))
+        found = equations(own, T_world_sensor[None], among, self._corner[observed], self.ratio, size)
         sigma = np.empty((n, BAR))
         sigma[:, :2] = SIGMA_M
         sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
         sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M
         found.block[:, np.arange(BAR), np.arange(BAR)] += sigma**-2.0
         beside = np.concatenate([found.cross.transpose(0, 2, 1), found.right[:, :, None]], axis=2)
-        freed = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
-        return found.matrix[0] - freed[:, :size], found.vector[0] - freed[:, size], found.residuals
+        marginal = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
+        return found.matrix[0] - marginal[:, :size], found.vector[0] - marginal[:, size], found.residuals
 
     def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
         """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on

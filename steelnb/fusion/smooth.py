@@ -1,6 +1,6 @@
-"""Smoothing of a whole flight: bars found with the corrected poses, poses and bars adjusted together, and again.
+"""Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
 
-Bars are found anew in the second round: at better poses there are more of them, and their sections are more exact."""
+At the better poses of the second round more bars are found, with more exact sections."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ from steelnb.types import Estimate, Flight, Trajectory
 
 Stages = tuple[tuple[int, int], ...]
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
-"""Of each round: how often sections are fitted; then one in how many pixels, and how many steps: first few points, then
-all. Chosen on the zigzag of the development seed 11, where half of the pixels in the last steps, or sections fitted
-once in both rounds, make errors after alignment larger by a fifth and by half."""
+"""For each round: how often sections are fitted, and its stages as (one in so many pixels, steps). Chosen
+on the zigzag of the development seed 11: half of the pixels in the last steps makes aligned errors larger by a fifth,
+sections fitted once in both rounds by half."""
 BARS_MIN = 3
 
 

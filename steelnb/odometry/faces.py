@@ -1,11 +1,13 @@
 """Odometry by the front faces of bars that the flight itself has found.
 
-A map of points is biased: a voxel averages over the faces that it holds, so what a scan is registered to changes with
-the side from which it is seen. A bar whose section is known has no such bias. So every `KEYFRAME_S` a scan becomes a
-keyframe; every ``refit_s`` bars are found in all of these, and their poses and the bars adjusted together
-(`steelnb.fusion.keyframes`), in a thread beside the scans to come; and scans are registered to the bars' front faces
-(`steelnb.fusion.locate`). Where these do not tell the pose, at the beginning and where the view is new,
-the odometry by clouds does.
+A map of points is biased: a voxel averages over the faces that it holds, so a registration depends on the side from
+which the scan sees them. A bar whose section is known has no such bias.
+
+1. Every `KEYFRAME_S` a scan becomes a keyframe.
+2. Every ``refit_s`` a second thread finds bars in all keyframes, and adjusts bars and poses together
+   (`steelnb.fusion.keyframes`).
+3. Each scan is registered to the front faces of these bars (`steelnb.fusion.locate`).
+4. Odometry by clouds takes over where the bars do not determine the pose: at the beginning, and in new views.
 """
 
 import time
@@ -27,25 +29,24 @@ from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
 
 KEYFRAME_S = 1.0
 ADOPT_S = 2.0
-"""Time of flight after which the result of an adjustment is taken over, whenever it is there: estimates do not depend
-on the machine's speed. It takes up to 2 s of one core of a laptop."""
+"""Time of flight from the start of an adjustment until its result is used. It is fixed, so that estimates do not depend
+on the machine's speed; an adjustment takes up to 2 s on one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
-"""Numbers of points of a scan that are registered, and of a keyframe to which bars are fitted."""
+"""Number of points registered from a scan, and kept of a keyframe to fit bars to."""
 REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
 """Standard deviation of the latest pose in the adjusted bars, metres and radians."""
 STEP_OF_TWIST, TWIST_OF_STEP = [3, 4, 5, 2, 0, 1], [4, 5, 3, 0, 1, 2]
 """Where x, y, z, yaw, roll and pitch are in (turn, shift), and the other way round."""
 GATE = {4: 18.5, 6: 22.5}
-"""Degrees of freedom → the largest squared distance of a registration from its prediction, in standard deviations:
-99.9 % of chi-squared. Beyond it, bars that were fitted wrongly lead the registration astray."""
+"""Degrees of freedom → gate on the squared Mahalanobis distance of a registration from its prediction: the 99.9 %
+quantile of chi-squared. A larger distance means that wrongly fitted bars led the registration astray."""
 STAGES = ("preprocess", "prepare", "register", "map", "refit")
 
 
 class FaceOdometry:
-    """Corrects a drifting pose by the front faces of bars, beside an odometry by clouds.
+    """Corrects a drifting pose by the front faces of bars, with odometry by clouds as the fallback.
 
-    What is put out follows an adjustment in steps that are no larger than those of the drift (`DRIFT_SIGMA`), so that
-    it does not jump.
+    After an adjustment the output pose catches up gradually, by at most `DRIFT_SIGMA` a scan, so it never jumps.
 
     Parameters
     ----------
@@ -69,8 +70,8 @@ class FaceOdometry:
             self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
-        # What is put out lies behind the estimate by so much: x, y, z, yaw, and roll and pitch where they are free.
-        self._behind = np.zeros(pose_size(self.tilt_sigma_rad))
+        # From the estimate to the output pose: x, y, z, yaw, and roll and pitch where they are free.
+        self._lag = np.zeros(pose_size(self.tilt_sigma_rad))
         self._adjustment: Future[Problem | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
         self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
@@ -82,7 +83,7 @@ class FaceOdometry:
             scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
         self._stamp_s = scan.stamp_s
         begin = time.perf_counter()
-        fit = self._fitted(scan, prior)
+        fit = self._located(scan, prior)
         if fit is None:
             step = self.clouds.update(scan, prior)
             T_world_drone, seconds, held = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
@@ -91,16 +92,16 @@ class FaceOdometry:
             self.predictor.correct(T_world_drone, prior, NONE, self._at_drone(fit))
             step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
             seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
-        put_out = self._put_out(T_world_drone)
+        output = self._output_pose(T_world_drone)
         if (held or step.reason == "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
             begin = time.perf_counter()
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
             seconds["map"] += time.perf_counter() - begin
         if scan.stamp_s >= self._adopt_s - 1e-6:
             begin = time.perf_counter()
-            self._adopt(T_world_drone, put_out, prior)
+            self._adopt(T_world_drone, output, prior)
             seconds["refit"] = time.perf_counter() - begin
-        return OdometryStep(step.stamp_s, put_out, step.used, step.reason, step.matches, seconds, step.unobserved)
+        return OdometryStep(step.stamp_s, output, step.used, step.reason, step.matches, seconds, step.unobserved)
 
     def map_points(self) -> Array:
         """Means of the voxels of the keyframes, ``(N, 3)`` in the world frame."""
@@ -110,8 +111,8 @@ class FaceOdometry:
         """The bars with sections of the last adjustment; before the first one, those of the odometry by clouds."""
         return self.faces.bars.segments if self.faces else self.clouds.map_segments()
 
-    def _fitted(self, scan: Scan, prior: Array) -> Fit | None:
-        """The registration of a scan to front faces, if it holds."""
+    def _located(self, scan: Scan, prior: Array) -> Fit | None:
+        """Registration of a scan to front faces; None if it is refused."""
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
@@ -119,7 +120,7 @@ class FaceOdometry:
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < POINTS_MIN:
             return None
-        known, size = None, len(self._behind)
+        known, size = None, len(self._lag)
         if self.inertial:
             arm = T_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
             known = information_at(self.inertial.information, -arm)[np.ix_(STEP_OF_TWIST, STEP_OF_TWIST)]
@@ -132,7 +133,7 @@ class FaceOdometry:
         return fit
 
     def _at_drone(self, fit: Fit) -> Array:
-        """The information ``(6, 6)`` of a registration about turn and place of the drone; zero where only four degrees
+        """Information ``(6, 6)`` of a registration about rotation and position of the drone; zero if only four degrees
         of freedom were free."""
         if not self.inertial:
             return np.zeros((6, 6))
@@ -140,7 +141,7 @@ class FaceOdometry:
         return information_at(fit.information[np.ix_(TWIST_OF_STEP, TWIST_OF_STEP)], arm)
 
     def _add_keyframe(self, scan: Scan, T_world_drone: Array, prior: Array, mapped: bool) -> None:
-        """Add a scan to the keyframes, and where it is not ``mapped`` yet to the cloud."""
+        """Add a scan to the keyframes, and to the map of points unless it is ``mapped`` already."""
         s, T_sensor = self.settings.preprocess, T_world_drone @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, KEYFRAME_POINTS)
         self._waiting.append((scan, points, T_sensor, prior @ self.T_drone_sensor))
@@ -154,14 +155,14 @@ class FaceOdometry:
         if len(cloud):
             self.clouds.insert(cloud, T_world_drone)
 
-    def _insert_waiting(self, moved: Array) -> None:
-        """Hand over the keyframes that wait, ``moved (4, 4)`` in the world as an adjustment moved the one before."""
+    def _insert_waiting(self, T_correction: Array) -> None:
+        """Add the keyframes that came during an adjustment, moved by its correction ``T_correction (4, 4)``, world."""
         for scan, points, T_sensor, prior in self._waiting:
-            self.keyframes.add(scan, points, moved @ T_sensor, prior)
+            self.keyframes.add(scan, points, T_correction @ T_sensor, prior)
         self._waiting = []
 
     def _start_adjustment(self) -> None:
-        """Adjust the keyframes in a thread, if it is time to."""
+        """Start an adjustment of the keyframes in a thread, once in ``refit_s``."""
         period_s = self.settings.refit_s
         self._refit_s = min(self._refit_s, self._stamp_s + period_s)
         if self._stamp_s < self._refit_s - 1e-6:
@@ -172,29 +173,29 @@ class FaceOdometry:
         self._adjustment = pool.submit(self.keyframes.adjust)
         pool.shutdown(wait=False)
 
-    def _adopt(self, T_world_drone: Array, put_out: Array, prior: Array) -> None:
-        """Go on from the result of the adjustment, at the scan at hand."""
+    def _adopt(self, T_world_drone: Array, output: Array, prior: Array) -> None:
+        """Continue from the result of the adjustment, at the current scan."""
         assert self._adjustment is not None
         state = self._adjustment.result()
         self._adjustment, self._adopt_s = None, np.inf
         if state is None:
             self._insert_waiting(np.eye(4))
             return
-        moved = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
-        self._insert_waiting(moved)
+        T_correction = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
+        self._insert_waiting(T_correction)
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = Locator(state.bars.sectioned(), self._stamp_s, ratio, self.tilt_sigma_rad)
-        self.faces.variance = REFITTED_SIGMA[: len(self._behind)] ** 2
+        self.faces.variance = REFITTED_SIGMA[: len(self._lag)] ** 2
         if self.inertial:
-            self.inertial.move(moved, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)
+            self.inertial.move(T_correction, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)
         else:
             self.predictor.drift.lose()  # an adjustment is no motion
-            self.predictor.drift.correct(moved @ T_world_drone, prior)
-        self._behind = pose_step(moved @ T_world_drone, put_out, len(self._behind))
+            self.predictor.drift.correct(T_correction @ T_world_drone, prior)
+        self._lag = pose_step(T_correction @ T_world_drone, output, len(self._lag))
 
-    def _put_out(self, T_world_drone: Array) -> Array:
-        """The pose to put out for an estimate: behind it after an adjustment, and catching up."""
+    def _output_pose(self, T_world_drone: Array) -> Array:
+        """The output pose for an estimate: it lags behind after an adjustment, and catches up."""
         for part, most in ((slice(0, 3), DRIFT_SIGMA[0]), (slice(3, 6), DRIFT_SIGMA[3])):
-            size = float(np.linalg.norm(self._behind[part]))
-            self._behind[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
-        return moved_poses(T_world_drone[None], self._behind[None])[0] if self._behind.any() else T_world_drone
+            size = float(np.linalg.norm(self._lag[part]))
+            self._lag[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
+        return moved_poses(T_world_drone[None], self._lag[None])[0] if self._lag.any() else T_world_drone

@@ -66,7 +66,7 @@ def test_most_scans_are_registered_to_front_faces_after_the_first_adjustment(wor
 def test_what_is_put_out_follows_an_adjustment_in_steps_of_the_drift(world):
     flight = world[0]
     estimator = FaceOdometry(world[2].settings, flight.T_drone_sensor)
-    estimator._behind = np.array([0.05, 0.0, 0.0, 0.0])
+    estimator._lag = np.array([0.05, 0.0, 0.0, 0.0])
     plain = FaceOdometry(world[2].settings, flight.T_drone_sensor)
     for k in range(8):
         scan, prior = flight.scans[k], flight.prior.T_world_drone[k]
