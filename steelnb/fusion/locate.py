@@ -68,7 +68,7 @@ class Locator:
         self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
-        """Register ``points (N, 3)``, sensor frame, from a predicted pose of the sensor. Each step assigns the points to
+        """Register ``points (N, 3)``, sensor frame, from a predicted sensor pose. Each step assigns the points to
         bars anew. ``known (D, D)`` is the information of the prediction, by default from ``variance``."""
         held = np.diag(1 / self.variance) if known is None else known
         T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(held)
