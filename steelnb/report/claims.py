@@ -3,25 +3,24 @@
 import itertools
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
+from scipy import stats
 
 from steelnb.errors import InputError
 from steelnb.report.batch import flat
 from steelnb.report.false_convergence import WRONG_SHARE_MAX
-from steelnb.report.intervals import Sample, correlation_over_seeds, holm, mean_over_seeds, share_of_seeds
 from steelnb.settings import Settings, read_tables
 from steelnb.study.plan import CASE
 from steelnb.types import Array
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
-LEVEL = 0.05
-"""Largest adjusted p-value of a verdict."""
+CONFIDENCE = 0.95
 UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
 TOWERS = ("", "tower.waist_width_m=2.4", "tower.waist_width_m=3.0")
 """The report's tower as preset, 1.7 m wide at the waist, and wider: the report does not give that width."""
@@ -85,16 +84,6 @@ class Claim(Settings):
             return high < self.threshold[0] or self.threshold[1] < low
         return low > self.threshold[0] if self.comparison == "below" else high < self.threshold[0]
 
-    def p_values(self, sample: Sample) -> tuple[float, float]:
-        """One-sided p-values: that the number is not as claimed, small where it clearly is, and that it is."""
-        low, high = self.threshold[0], self.threshold[-1]
-        if self.comparison == "below":
-            return sample.p_not_below(low), sample.p_not_above(low)
-        if self.comparison == "above":
-            return sample.p_not_above(low), sample.p_not_below(low)
-        inside = max(sample.p_not_above(low), sample.p_not_below(high))
-        return inside, min(1.0, 2 * min(sample.p_not_below(low), sample.p_not_above(high)))
-
     @property
     def unit(self) -> str:
         """The unit of the claim's number, by the ending of its metric; none for a share, a ratio or a correlation."""
@@ -110,18 +99,15 @@ class Claim(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim's verdict, its p-value, and the numbers that it rests on.
+    """A claim's verdict, and the numbers that it rests on.
 
     ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high``, ``n_seeds`` and
-    ``verdict``, by its own 95 % interval. ``p`` is corrected for the number of claims by `judge_all`. A claim that was
-    not run has no cells; ``missing`` says what is.
+    ``verdict``, by its 95 % interval. A claim that was not run has no cells; ``missing`` says what is.
     """
 
     id: str
     claim: Claim
     verdict: str
-    p: float
-    favours: str
     cells: pd.DataFrame
     missing: str = ""
 
@@ -142,11 +128,7 @@ def read_claims(path: Path) -> dict[str, Claim]:
 
 
 def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
-    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about.
-
-    The p-values are adjusted for the number of claims (Holm); a claim whose adjusted p-value exceeds `LEVEL` is
-    `OPEN`, whatever its cells say one by one.
-    """
+    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about."""
     verdicts = []
     for name, claim in claims.items():
         try:
@@ -154,22 +136,20 @@ def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
         except InputError as fault:
             missing = str(fault).removeprefix(f"[{name}]: ").partition(";")[0]
             cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
-            verdicts.append(Verdict(name, claim, NOT_RUN, float("nan"), NOT_RUN, cells, missing))
-    judged = [each for each in verdicts if each.verdict != NOT_RUN]
-    adjusted = iter(holm([each.p for each in judged]))
-    return [each if each.verdict == NOT_RUN else _decided(each, next(adjusted)) for each in verdicts]
+            verdicts.append(Verdict(name, claim, NOT_RUN, cells, missing))
+    return verdicts
 
 
 def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
-    """Estimate what a claim is about over the seeds of some runs, in each cell, and judge it by itself.
+    """Estimate what a claim is about over the seeds of some runs, in each cell.
 
-    A claim speaks of all its cells: it `HOLDS` if the number is as claimed in every one (the largest p-value of them
-    counts), it `FAILS` if it clearly is not in one (the smallest counts, times their number), and is `OPEN` otherwise.
-    A cell in which fewer than two seeds have a number says nothing. Raises `InputError`.
+    A claim speaks of all its cells: it `HOLDS` if the whole interval is as claimed in every one, it `FAILS` if no part
+    of it is in one, and is `OPEN` otherwise. A cell in which fewer than two seeds have a number says nothing. Raises
+    `InputError`.
     """
     good = runs[runs["status"] == "ok"]
     first = _select(name, good, {**USUAL, **claim.where, **claim.a})
-    rows, p_values = [], []
+    rows = []
     for cell in dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)):
         at = dict(zip(claim.by, cell, strict=True))
         here = first[np.logical_and.reduce([first[column] == value for column, value in at.items()])]
@@ -181,33 +161,38 @@ def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
         values = pd.concat(sides, axis=1, join="inner").to_numpy()
         values = values[np.isfinite(values).all(axis=1)]
         if len(values) >= (4 if claim.form == "correlation" else 2):
-            sample = _sample(claim.form, values)
-            p_values.append(claim.p_values(sample))
-            low, high = sample.low, sample.high
+            estimate, low, high = interval(claim.form, values)
             word = HOLDS if claim.satisfied(low, high) else FAILS if claim.outside(low, high) else OPEN
-            rows.append((*map(str, cell), sample.estimate, low, high, sample.n_seeds, word))
+            rows.append((*map(str, cell), estimate, low, high, len(values), word))
     if not rows:
         raise InputError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
     cells = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
-    against, as_claimed = np.array(p_values).T  # p-values that the number is not as claimed, and that it is
-    holds, fails = float(against.max()), min(1.0, len(cells) * float(as_claimed.min()))
-    verdict = Verdict(name, claim, OPEN, 1.0, HOLDS if holds <= fails else FAILS, cells)
-    return _decided(verdict, min(1.0, 2 * min(holds, fails)))
+    found = set(cells["verdict"])
+    return Verdict(name, claim, HOLDS if found == {HOLDS} else FAILS if FAILS in found else OPEN, cells)
 
 
-def _decided(verdict: Verdict, p: float) -> Verdict:
-    """A verdict by a p-value, which has two sides."""
-    return replace(verdict, p=p, verdict=verdict.favours if p <= LEVEL else OPEN)
+def interval(form: str, values: Array) -> tuple[float, float, float]:
+    """The number of some seeds ``values (seed, side)`` and its 95 % interval.
 
-
-def _sample(form: str, values: Array) -> Sample:
-    """The number of some seeds ``values (seed, side)``."""
+    Student's t for means, exact for shares (Clopper and Pearson 1934), Fisher's z for Spearman's rank correlation,
+    which is 0 ± 0 where a side is constant; without width where all seeds are alike.
+    """
     a, b = values[:, 0], values[:, -1]
     if form == "correlation":
-        return correlation_over_seeds(a, b)
+        if min(np.ptp(a), np.ptp(b)) < 1e-12:
+            return 0.0, 0.0, 0.0
+        ranked = stats.pearsonr(stats.rankdata(a), stats.rankdata(b))
+        rank = ranked.confidence_interval(CONFIDENCE)
+        return float(ranked.statistic), float(rank.low), float(rank.high)
     if form == "level" and np.isin(a, (0.0, 1.0)).all():
-        return share_of_seeds(a)
-    return mean_over_seeds(a - b if form == "difference" else a / b if form == "ratio" else a)
+        share = stats.binomtest(int(a.sum()), len(a)).proportion_ci(CONFIDENCE)
+        return float(a.mean()), float(share.low), float(share.high)
+    number = a - b if form == "difference" else a / b if form == "ratio" else a
+    mean = float(number.mean())
+    if np.ptp(number) < 1e-12:
+        return mean, mean, mean
+    around = stats.ttest_1samp(number, 0.0).confidence_interval(CONFIDENCE)
+    return mean, float(around.low), float(around.high)
 
 
 def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
@@ -224,7 +209,6 @@ def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
             "cells": len(each.cells),
             "as_claimed": int((each.cells["verdict"] == HOLDS).sum()),
             "not_as_claimed": int((each.cells["verdict"] == FAILS).sum()),
-            "p": each.p,
             "verdict": each.verdict,
             "where": each.where or each.missing,
         }
@@ -232,22 +216,10 @@ def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     )
 
 
-def summary_sentence(table: pd.DataFrame) -> str:
-    """How many of the claims in a `verdict_table` hold, do not, are open, or were not run."""
-    counts = table["verdict"].value_counts()
-    judged, missing = len(table) - counts.get(NOT_RUN, 0), counts.get(NOT_RUN, 0)
-    partly = int(((table["verdict"] == FAILS) & (table["as_claimed"] > 0)).sum())
-    text = (
-        f"Of {judged} claims that could be judged, {counts.get(HOLDS, 0)} hold, {counts.get(FAILS, 0)} do not, of "
-        f"which {partly} do in some flights, noises or towers, and {counts.get(OPEN, 0)} are inconclusive."
-    )
-    return text + (f" {missing} could not be judged: the study lacks their runs." if missing else "")
-
-
 def verdict_metrics(verdicts: Sequence[Verdict]) -> dict[str, float]:
     """The finite numbers of all verdicts in one flat map, ``<name>.<lowest, highest, n_seeds, …>``."""
     rows = verdict_table(verdicts).set_index(pd.Index([each.id for each in verdicts]))
-    return flat(rows, columns=("lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed", "p"))
+    return flat(rows, columns=("lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed"))
 
 
 def describe_cells(cells: pd.DataFrame, by: Sequence[str]) -> str:

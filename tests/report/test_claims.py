@@ -19,7 +19,6 @@ from steelnb.report.claims import (
     judge,
     judge_all,
     read_claims,
-    summary_sentence,
     verdict_metrics,
     verdict_table,
 )
@@ -72,7 +71,6 @@ def test_a_difference_that_pairing_alone_shows_holds():
     table = better()
     found = judge("c", claim(), table)
     assert (found.verdict, found.where, found.n_seeds) == (HOLDS, "", 30)
-    assert found.p < 1e-6
     assert len(found.cells) == 4
     assert (found.cells["verdict"] == HOLDS).all()
     assert (found.cells["low"] < found.cells["estimate"]).all()
@@ -87,7 +85,6 @@ def test_the_opposite_does_not_hold_and_no_difference_is_inconclusive():
     assert judge("c", claim(), better(by=-0.5)).verdict == FAILS
     found = judge("c", claim(), better(by=0.0))
     assert (found.verdict, found.where) == (OPEN, "")
-    assert found.p > 0.05
 
 
 def test_one_cell_against_a_claim_refutes_it_and_those_as_claimed_are_named():
@@ -136,6 +133,8 @@ def test_a_correlation_over_seeds():
     assert (found.cells["low"] > 0.6).all()
     assert (found.cells["high"] < 1).all()
     assert judge("c", claim(metric="chance", **base), table).verdict == OPEN
+    constant = judge("c", claim(metric="constant", **base), table.assign(constant=1.0))
+    assert (constant.cells[["low", "high"]] == 0.0).all(axis=None)
 
 
 def test_failed_runs_and_missing_numbers_are_left_out():
@@ -175,16 +174,6 @@ def test_a_flight_that_converged_wrongly_counts_once_for_its_seed():
     assert rare["verdict"].to_dict() == {"zigzag": OPEN, "loops": HOLDS}
     never = judge("c", claim(**base, threshold=[0.2], by=["trajectory"]), table.assign(wrong_share=0.0))
     assert never.verdict == FAILS, "a threshold above zero can be refuted"
-
-
-def test_many_claims_are_harder_to_pass_than_one():
-    table = better(by=0.04)
-    alone = claim(by=["method"])  # a mean over flights and noises
-    p = judge("c", alone, table).p
-    assert 0.0005 < p < 0.05, p
-    many = judge_all({f"c{k}": alone for k in range(int(0.06 / p) + 1)}, table)
-    assert {each.verdict for each in many} == {OPEN}
-    assert judge_all({"c": alone}, table)[0].verdict == HOLDS
 
 
 @pytest.mark.parametrize(
@@ -268,15 +257,11 @@ def test_a_claim_without_runs_is_not_run_and_the_others_are_judged():
     assert unmeasured.verdict == NOT_RUN
     assert "frame_p95_ms" in unmeasured.missing
     shown = verdict_table([there, missing, unmeasured])
-    names = ["claim", "section", "metric", "lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed", "p"]
+    names = ["claim", "section", "metric", "lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed"]
     assert list(shown) == [*names, "verdict", "where"], "the README shows them"
     assert shown["metric"][0] == "error_mean_m, difference (m)"
     assert claim(metric="frame_p95_ms", form="ratio").measure == "frame_p95_ms, ratio"
     assert shown["lowest"].isna().tolist() == [False, True, True]
-    assert summary_sentence(shown) == (
-        "Of 1 claims that could be judged, 1 hold, 0 do not, of which 0 do in some flights, noises or towers, and 0 "
-        "are inconclusive. 2 could not be judged: the study lacks their runs."
-    )
     numbers = verdict_metrics([there, missing])
     assert numbers["missing.n_seeds"] == 0
     assert "missing.lowest" not in numbers

@@ -28,7 +28,7 @@ def verdict(
     )  # fmt: skip
     table = pd.DataFrame(cells, columns=["trajectory", "estimate", "low", "high", "holds"])
     table = table.assign(verdict=np.where(table.pop("holds").astype(bool), HOLDS, FAILS), n_seeds=30)
-    return Verdict("x", claim, word, 0.01, word, table, "no runs with method = 'one'" if word == NOT_RUN else "")
+    return Verdict("x", claim, word, table, "no runs with method = 'one'" if word == NOT_RUN else "")
 
 
 def heading(panel) -> str:
