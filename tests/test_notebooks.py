@@ -1,13 +1,10 @@
 """Every notebook through papermill at its smoke budget, with its numbers checked."""
 
-import ast
 import json
 import math
-import re
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import nbformat
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,7 +12,6 @@ import pytest
 from steelnb.report.claims import read_claims
 from steelnb.report.honest import CASES
 from workflow.__main__ import make_plans
-from workflow.experiments import read_experiments
 from workflow.task_notebooks import run
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +19,6 @@ COLOURED_MIN = 0.001  # axes and text alone have none
 SENSORS = {"report": "", "starling2": "-starling2"}
 """Sensor → what the experiments with it alone have behind their name."""
 AXES = ("middle of points", "section fitted")
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def coloured(path: Path) -> float:
@@ -35,45 +30,6 @@ def coloured(path: Path) -> float:
 def of_sensors(smoke: Path, experiment: str, name: str = "table.csv") -> pd.DataFrame:
     """The tables of an experiment and its twin with the other sensor."""
     return pd.concat([pd.read_csv(smoke / f"{experiment}{twin}" / name) for twin in ("", "-starling2")])
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_parameters_calls_and_no_more(path):
-    notebook = nbformat.read(path, as_version=4)
-    nbformat.validate(notebook)
-    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert notebook.metadata.kernelspec.name == "python3"
-    assert sum("parameters" in cell.metadata.get("tags", []) for cell in code) == 1
-    for cell in code:
-        assert not cell.outputs
-        assert cell.execution_count is None
-        assert not any(line.lstrip().startswith(("def ", "class ")) for line in cell.source.splitlines())
-
-
-LOGIC = (ast.For, ast.While, ast.Try, ast.With, ast.Lambda, ast.FunctionDef, ast.ClassDef)
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_asks_says_what_to_expect_and_ends_in_sentences_from_its_numbers(path):
-    cells = nbformat.read(path, as_version=4).cells
-    assert re.search(r"\*\*The question\.\*\*.*\?.*\*\*What you should see\.\*\*", cells[0].source, re.DOTALL)
-    code = [cell.source for cell in cells if cell.cell_type == "code"]
-    for source in code:
-        assert not [ast.unparse(node) for node in ast.walk(ast.parse(source)) if isinstance(node, LOGIC)]
-    assert code[-1].splitlines()[-1] == ")"
-    assert "results.write_results(" in code[-1]
-    if not path.stem.startswith("00"):  # whose panel has a sentence of its own
-        assert re.search(r"^(display\()?Markdown\(\s*(conclusions|claims)\.\w+\(", code[-2], re.MULTILINE)
-
-
-def test_the_first_notebook_lists_the_others_as_the_file_of_experiments_does():
-    text = nbformat.read(NOTEBOOKS[0], as_version=4).cells[3].source
-    experiments = read_experiments(ROOT)
-    about = {each.notebook: each.about for each in experiments.values() if each.notebook != NOTEBOOKS[0].name}
-    assert dict(re.findall(r"^\| \[\d\d\]\((\S+)\) \| (.*) \|$", text, re.MULTILINE)) == about
-    usual = {each.notebook for each in experiments.values() if not each.apart}
-    apart = sorted(each.notebook[:2] for each in experiments.values() if each.notebook not in usual)
-    assert f"all but {', '.join(apart[:-1])} and {apart[-1]}," in text
 
 
 @pytest.fixture(scope="session")
