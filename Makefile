@@ -47,7 +47,7 @@ study: $(READY)  ## run what is missing of notebooks/study.toml into results/stu
 	@$(BIN)/steelnb study
 
 test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget, on two workers
-	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration -m kernels -W ignore::RuntimeWarning
 
 # 25 minutes on two cores; needs Debian's package qemu-user.

@@ -16,6 +16,15 @@ settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
+LONGEST = ("test_notebooks.py", "test_workflow.py", "test_digests.py", "test_lab.py")
+"""Files of minutes; begun last, one of them would keep one worker busy while the other has nothing left."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first: workers take files in this order (``--no-loadscope-reorder``)."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """The garbage collector leaves alone what has been imported by now and stays: a tenth of the tests' time."""

@@ -120,14 +120,13 @@ def test_every_notebook_validates_its_parameters_before_anything_else(path: Path
     assert ast.unparse(statements[0]) == "parameters.validate()"
 
 
-@pytest.mark.parametrize(("name", "value"), [("sed", 1), ("seed", "one")])
-def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path, name: str, value: object) -> None:
+def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path) -> None:
     path = next(path for path in NOTEBOOKS if path.stem.startswith("00"))
     with pytest.raises(papermill.PapermillExecutionError) as caught:
-        papermill.execute_notebook(path, tmp_path / "out.ipynb", {name: value}, progress_bar=False, cwd=path.parent)
+        papermill.execute_notebook(path, tmp_path / "out.ipynb", {"sed": 1}, progress_bar=False, cwd=path.parent)
     assert caught.value.ename == "InputError"
     assert caught.value.evalue.startswith("parameters: ")
-    assert "did you mean 'seed'" in caught.value.evalue or "seed = 'one'" in caught.value.evalue
+    assert "did you mean 'seed'" in caught.value.evalue
 
 
 @pytest.mark.parametrize(

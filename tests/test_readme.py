@@ -1,7 +1,5 @@
-import csv
 import io
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -57,44 +55,3 @@ def test_every_script_without_a_suffix_is_linted_and_type_checked():
     assert python
     assert python == set(tools["ruff"]["extend-include"])
     assert python == {name for name in tools["mypy"]["files"] if name.startswith("scripts/")}
-
-
-def test_the_first_page_is_short():
-    assert (ROOT / "README.md").stat().st_size <= 5_000
-    assert (ROOT / "docs/_static/tower.webp").stat().st_size <= 2_000_000
-
-
-def test_every_claim_stands_in_its_table_with_its_verdict(committed):
-    shown = (committed / "results/claims/README.md").read_text(encoding="utf-8")
-    with (committed / "results/claims/table.csv").open(encoding="utf-8") as file:
-        claims = list(csv.DictReader(file))
-    lines = {line.split(" | ")[0].removeprefix("| "): line for line in shown.splitlines() if line.startswith("| ")}
-    assert len(claims) >= 25
-    for row in claims:
-        line = lines[row["claim"]]
-        verdict = line.split(" | ")[2]
-        assert verdict.startswith(f"**{row['verdict']}**")
-        assert verdict.endswith(row["where"] or "**")
-        if row["cells"] not in ("", "0"):
-            assert f" | {row['as_claimed']}, {row['not_as_claimed']}, {row['cells']} | " in line
-
-
-def test_a_table_that_is_not_that_of_the_results_is_told(committed, tmp_path):
-    for name in ("scripts", "results"):
-        shutil.copytree(committed / name, tmp_path / name, ignore=shutil.ignore_patterns("parts", "*.png"))
-    shutil.copy(committed / "README.md", tmp_path)
-    script = [sys.executable, tmp_path / "scripts/readme-table"]
-    table = tmp_path / "results/claims/table.csv"
-    table.write_text(table.read_text(encoding="utf-8").replace("does not hold", "holds", 1), encoding="utf-8")
-    told = subprocess.run([*script, "--check"], capture_output=True, text=True, check=False)
-    assert told.returncode == 1
-    assert "scripts/readme-table" in told.stderr
-    before = {name: (tmp_path / name).read_text(encoding="utf-8") for name in TABLES}
-    subprocess.run(script, check=True)
-    changed = {name for name in TABLES if (tmp_path / name).read_text(encoding="utf-8") != before[name]}
-    assert changed == {"README.md", "results/claims/README.md"}
-    text = (tmp_path / "README.md").read_text(encoding="utf-8")
-    (tmp_path / "README.md").write_text(text.replace("<!-- /table -->", ""), encoding="utf-8")
-    told = subprocess.run(script, capture_output=True, text=True, check=False)
-    assert told.returncode == 1
-    assert "README.md: no <!-- table -->" in told.stderr

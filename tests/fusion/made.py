@@ -1,9 +1,13 @@
 """Made-up bars, structures and rigid motions."""
 
+import functools
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion import Structure
+from steelnb.fusion import Structure, sections
+from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion.problem import Bars
 from steelnb.settings import TofSettings, TowerSettings
 from steelnb.simulation import build_tower, scan_flight
 from steelnb.types import Flight, Segments, Trajectory
@@ -72,3 +76,47 @@ def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad
     )  # fmt: skip
     scans, _ = scan_flight(tower, path, np.eye(4), tof, seed)
     return Flight(scans, Trajectory(scans.stamp_s, T[: len(scans)]), np.eye(4))
+
+
+@functools.cache
+def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40):
+    """Four posts and two beams of angle sections, some of them ``tubes``, about a sensor that slides past, points on
+    their near faces. Shared by tests: nobody changes it."""
+    rng = np.random.default_rng(seed)
+    foot = np.array([(2, -1.5), (2, -0.5), (2.5, 0.5), (2, 1.5)])
+    posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]
+    ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
+    segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
+    across = sections.frames(segments.direction)
+    bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
+    bars.turn[list(tubes)] = np.nan
+    corner = sections.outlines(bars.turn, bars.flange)
+    T = np.tile(np.eye(4), (scans, 1, 1))
+    T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, scans), 0.2 * np.sin(np.arange(scans) / 6)
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(scans) / 9), [0, 0, 1])).as_matrix()
+
+    def seen():
+        for k, pose in enumerate(T):
+            found, of = [], []
+            for b in rng.integers(0, 6, 400).tolist():
+                axis = segments.start[b] + rng.uniform(0.05, 0.95) * (segments.end[b] - segments.start[b])
+                view = across[b] @ (pose[:3, 3] - axis)
+                cosine, sine = view / np.linalg.norm(view)
+                beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
+                # from far enough all lines of sight across the bar are parallel; close by, aim again
+                for _ in range(20):
+                    front, _ = sections.front_face(corner[b], cosine, sine, beside)
+                    point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
+                    view = across[b] @ (pose[:3, 3] - point)
+                    before, (cosine, sine) = (cosine, sine), view / np.linalg.norm(view)
+                    if abs(cosine - before[0]) + abs(sine - before[1]) < 1e-14:
+                        break
+                if front < -1e8:
+                    continue
+                ray = point - pose[:3, 3]
+                ray = ray + noise_m * rng.standard_normal() * ray / np.linalg.norm(ray)
+                found.append(ray @ pose[:3, :3])
+                of.append(b)
+            yield k, np.array(found), np.array(of)
+
+    return T, bars, Observations.gathered(seen())

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.fusion import factors, problem, sections, smooth, solver, uncertainty
-from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion import factors, problem, smooth, solver, uncertainty
 from steelnb.fusion.problem import Bars
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Segments, Trajectory
+from tests.fusion.made import made_up
 
 NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
 
@@ -99,47 +99,6 @@ def test_a_flight_without_bars_comes_back_as_it_was(flown, height_m, says):
     found = smooth(Flight(flight.scans, prior, flight.T_drone_sensor), given)
     assert says in found.unsmoothed
     assert found.corrected is given.corrected
-
-
-def made_up(seed: int, noise_m: float, tubes=()):
-    """Four posts and two beams of angle sections, some of them ``tubes``, about a sensor that slides past, points on
-    their near faces."""
-    rng = np.random.default_rng(seed)
-    foot = np.array([(2, -1.5), (2, -0.5), (2.5, 0.5), (2, 1.5)])
-    posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]
-    ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
-    segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
-    across = sections.frames(segments.direction)
-    bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6))
-    bars.turn[list(tubes)] = np.nan
-    corner = sections.outlines(bars.turn, bars.flange)
-    T = np.tile(np.eye(4), (40, 1, 1))
-    T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, 40), 0.2 * np.sin(np.arange(40) / 6)
-    T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(40) / 9), [0, 0, 1])).as_matrix()
-
-    def scans():
-        for k, pose in enumerate(T):
-            found, of = [], []
-            for b in rng.integers(0, 6, 400).tolist():
-                axis = segments.start[b] + rng.uniform(0.05, 0.95) * (segments.end[b] - segments.start[b])
-                view = across[b] @ (pose[:3, 3] - axis)
-                cosine, sine = view / np.linalg.norm(view)
-                beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
-                # from far enough all lines of sight across the bar are parallel; close by, aim again
-                for _ in range(20):
-                    front, _ = sections.front_face(corner[b], cosine, sine, beside)
-                    point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
-                    view = across[b] @ (pose[:3, 3] - point)
-                    cosine, sine = view / np.linalg.norm(view)
-                if front < -1e8:
-                    continue
-                ray = point - pose[:3, 3]
-                ray = ray + noise_m * rng.standard_normal() * ray / np.linalg.norm(ray)
-                found.append(ray @ pose[:3, :3])
-                of.append(b)
-            yield k, np.array(found), np.array(of)
-
-    return T, bars, Observations.gathered(scans())
 
 
 def test_a_made_up_flight_comes_back_to_the_truth():

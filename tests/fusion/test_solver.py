@@ -12,7 +12,7 @@ from steelnb.fusion.poses import POSE
 from steelnb.fusion.problem import BAR, Bars
 from steelnb.fusion.solver import Chain
 from steelnb.types import Segments
-from tests.fusion.test_smooth import made_up
+from tests.fusion.made import made_up
 
 
 def chain_of(poses: int, seed: int):
@@ -89,7 +89,7 @@ def moved(T, bars, k, b, n, step, size):
 
 @pytest.mark.parametrize(("tilt_sigma_rad", "tubes"), [(0.0, ()), (0.02, (1, 4))])
 def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes):
-    T, bars, seen = made_up(4, 0.0, tubes)
+    T, bars, seen = made_up(4, 0.0, tubes, scans=8)
     bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
     T = T.copy()
     tilted = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix()  # roll and pitch, and a face seen aslant

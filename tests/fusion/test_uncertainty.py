@@ -1,7 +1,5 @@
 """Covariances of smoothing: against a dense inverse, against many runs, and where nothing holds a direction."""
 
-import functools
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -10,14 +8,9 @@ from scipy.spatial.transform import Rotation
 from steelnb.errors import InputError
 from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
 from steelnb.fusion.problem import BAR, Bars
-from tests.fusion.made import bars_of
-from tests.fusion.test_smooth import made_up as made_up_anew
+from tests.fusion.made import bars_of, made_up
 
 STAMP_S = 0.2 * np.arange(40)
-
-
-made_up = functools.cache(made_up_anew)
-"""The same problem for many tests, none of which changes it."""
 
 
 def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
@@ -80,11 +73,11 @@ def test_the_information_of_a_bar_in_a_scan_saturates():
 
 
 def test_many_runs_scatter_as_they_say():
-    """60 made-up flights with noise of the stated size in ranges and increments: NEES near its degrees of freedom."""
+    """30 made-up flights with noise of the stated size in ranges and increments: NEES near its degrees of freedom."""
     rng, squared, scaled = np.random.default_rng(5), [], []
     T, bars, exact = made_up(1, 0.0)
     range_m = np.linalg.norm(exact.point, axis=1)[:, None]
-    for _ in range(60):
+    for _ in range(30):
         noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
         seen = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
         drift = rng.normal(size=(39, 4)) * poses.DRIFT_SIGMA

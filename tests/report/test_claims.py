@@ -14,8 +14,6 @@ from steelnb.report.claims import (
     OPEN,
     USUAL,
     Claim,
-    cell_name,
-    describe_cells,
     judge,
     judge_all,
     read_claims,
@@ -95,17 +93,6 @@ def test_one_cell_against_a_claim_refutes_it_and_those_as_claimed_are_named():
     # Where the other cells only cannot tell, the claim is neither shown nor refuted.
     found = judge("c", claim(), better(lambda trajectory, noise: (trajectory, noise) == ("zigzag", "random-walk")))
     assert (found.verdict, found.where) == (OPEN, "zigzag, random-walk")
-
-
-def test_cells_are_described_by_the_fewest_columns():
-    cells = pd.DataFrame(
-        [("a", "x", HOLDS), ("a", "y", FAILS), ("b", "x", HOLDS), ("b", "y", HOLDS)], columns=["t", "n", "verdict"]
-    )
-    assert describe_cells(cells, ["t", "n"]) == "a, x; b, x; b, y"
-    assert describe_cells(cells[cells["n"] == "x"].assign(verdict=[HOLDS, OPEN]), ["t", "n"]) == "a"
-    named = cell_name(("loops", "tower.waist_width_m=2.4, hough.dx_m=0.1"))
-    assert named == "loops, waist_width_m=2.4, dx_m=0.1"
-    assert cell_name(("", "")) == "as preset"
 
 
 def test_levels_ratios_and_ranges():

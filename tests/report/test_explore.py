@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 
 import ipywidgets
 import numpy as np
@@ -133,9 +131,3 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
 def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="'spiral'"):
         Panel("spiral", *FIRST[1:])  # type: ignore[arg-type]
-
-
-def test_plotly_and_widgets_are_imported_only_when_they_are_wanted() -> None:
-    code = "import sys, steelnb.report.panel; print({'plotly', 'ipywidgets', 'IPython'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"

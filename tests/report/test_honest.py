@@ -82,9 +82,3 @@ def test_the_study_runs_the_cases_that_are_compared():
     plan = read_plan(find_root() / "notebooks" / "study.toml")
     flown = {(run.settings.sensor, run.variant) for run in plan}
     assert set(honest.CASES) <= flown
-
-
-def test_the_figures_show_both_sensors(errors):
-    frame = honest.figure_frame(errors)
-    assert [panel.get_title() for panel in frame.axes[:2]] == ["ideal", "honest"]
-    assert len(frame.axes[2].lines) == len(errors)

@@ -7,7 +7,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.report.literature import figure_features, figure_matches, fly, seen_features
+from steelnb.report.literature import figure_matches, seen_features
 from steelnb.settings import ExperimentSettings
 
 
@@ -52,10 +52,3 @@ def test_flights_without_images_are_refused(world):
     late = replace(flight, images=replace(flight.images, stamp_s=flight.images.stamp_s + 9.0))
     with pytest.raises(InputError, match="no image at scan 1"):
         seen_features(late, 1)
-
-
-def test_loam_is_drawn_over_one_scan_and_with_its_map():
-    flight, truth, estimate = fly("loops", "random-walk", "starling2", 11, 1.0)
-    picture, map_panel = figure_features(flight, truth, estimate, 2).axes
-    assert [line.get_label().partition(" ")[2] for line in picture.lines] == ["edges", "planes"]
-    assert map_panel.get_title() == f"map of {len(estimate.points)} points"

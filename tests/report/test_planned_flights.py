@@ -51,14 +51,3 @@ def test_the_table_has_a_row_a_flight(flown):
     assert table["few_share"].tolist() == [
         float((flown[name].returns < planned_flights.FEW).mean()) for name in ("loops", "up a face")
     ]
-
-
-def test_the_figures_show_every_flight(flown):
-    for figure, panels in (
-        (planned_flights.figure_paths(flown), 2),
-        (planned_flights.figure_time(flown), 3),
-        (planned_flights.figure_strip("up a face", flown["up a face"]), 2 * planned_flights.STRIP + 1),
-    ):
-        assert len(figure.axes) == panels
-    errors = planned_flights.figure_time(flown).axes[1]
-    assert {line.get_label() for line in errors.get_lines()} == {"loops", "up a face"}

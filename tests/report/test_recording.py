@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.io import read_flight, read_trajectory, write_flight
-from steelnb.report.recording import FILES, TIMES, opened_lines, run_recording, truth_at_scans
+from steelnb.report.recording import FILES, TIMES, run_recording, truth_at_scans
 from steelnb.report.recording_settings import recording_settings
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Scan, Trajectory
@@ -44,15 +44,13 @@ def test_in_memory_a_run_is_the_experiments_to_the_bit(simulated, report):
     assert report.numbers["prior_ate_rmse_m"] == same.metrics["raw_ate_rmse_m"]
 
 
-@pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
-def test_through_files_a_run_is_that_of_memory(simulated, report, name, tmp_path):
+def test_through_a_file_a_run_is_that_of_memory(simulated, report, tmp_path):
     _, flight, truth = simulated
-    write_flight(tmp_path / name, flight)
-    read = read_flight(tmp_path / name)
+    write_flight(tmp_path / "a.mcap", flight)
+    read = read_flight(tmp_path / "a.mcap")
     found = run_recording(read, tmp_path / "out", *recording_settings(), truth.trajectory)
     apart = found.estimate.corrected.position - report.estimate.corrected.position
     assert np.abs(apart).max() < 1e-4  # points are written in single precision
-    assert opened_lines(read)[0] == f"read      {name}: scans /tof/points (PointCloud2), poses /odom, imu /imu"
 
 
 def test_a_run_writes_what_it_says(report):

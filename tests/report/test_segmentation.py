@@ -1,10 +1,9 @@
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from steelnb.report import segmentation, segmentation_figures
+from steelnb.report import segmentation
 from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, tuning_map
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
@@ -121,22 +120,3 @@ def test_the_map_holds_every_dx_and_both_rules(scenes):
     assert recall[CHOSEN] > recall[REFERENCE], "the points tell a dx better than the size of the cloud"
     reference = table[table["rule"] == REFERENCE].iloc[0]
     assert reference["dx_m"] == pytest.approx(np.linalg.norm(np.ptp(frame.points, axis=0)) / 64)
-
-
-def test_precision_and_errors_of_methods_that_find_next_to_nothing_are_not_drawn():
-    row = {"precision": 1.0, "angle_deg": 1.0, "offset_m": 0.01, **segmentation.USUAL}
-    cases = pd.DataFrame([{**row, "method": "hough", "recall": 0.9}, {**row, "method": "dbscan", "recall": 0.01}])
-    figure = segmentation_figures.figure_conditions(cases, [5, 6])
-    for number, panel in zip(segmentation_figures.NUMBERS, figure.axes[::3], strict=True):
-        drawn = {line.get_label(): np.isfinite(line.get_ydata()).all() for line in panel.lines[:2]}
-        assert drawn == {"Hough": True, "DBSCAN": number == "recall"}
-    assert "2 seeds" in figure.get_suptitle()
-    assert "recall below 5%" in figure.get_suptitle()
-
-
-def test_the_numbers_above_a_scene_are_those_of_its_segments(scenes):
-    trial = segmentation.attempt("hough", scenes.frames(5, 1)[0])
-    figure = segmentation_figures.figure_found([trial])
-    right, count = np.count_nonzero(trial.score.right), len(trial.score.right)
-    assert figure.axes[0].get_title().endswith(f"\n{right} of {count} right")
-    assert figure.get_suptitle().startswith("a frame, seed 5, sensor starling2, range noise 2 cm")

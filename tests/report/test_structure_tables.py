@@ -5,7 +5,6 @@ import pytest
 
 from steelnb.errors import InputError
 from steelnb.report import results
-from steelnb.report import structure_figures as figures
 from steelnb.report import structure_tables as tables
 from steelnb.report.batch import flat
 from steelnb.report.structure_tables import fly_tower, rebuild
@@ -102,44 +101,6 @@ def test_goals_are_judged_on_their_side():
     assert not goals["reached"][goals["side"] == "at least"].any()
     assert goals["reached"][goals["side"] == "at most"].all()
     assert tables.structure_goals(table, "zigzag").set_index("goal")["limit"]["recall"] == 0.88
-
-
-def test_the_figures_show_bars_joints_and_numbers_of_each_run(runs):
-    final = [run for run in runs if run.method == "final"]
-    for panel, run in zip(figures.figure_structures(final).axes, final, strict=True):
-        right = int((run.score.member >= 0).sum())
-        shown = [len(lines.get_segments()) for lines in panel.collections]  # true members, wrong bars, right bars
-        assert shown == [len(run.source.result.truth.tower.members), len(run.structure) - right, right]
-        assert len(panel.lines[-1].get_xdata()) == len(run.structure.joint)
-        assert f"{right} on a member" in panel.get_title()
-    panel = figures.figure_errors(final[-1:]).axes[0]
-    truth, score = final[-1].source.reference, final[-1].score
-    assert len(panel.collections[1].get_segments()) == (truth.observed & ~score.found).sum()
-    assert f"median {100 * score.metrics['offset_median_m']:.1f} cm" in panel.get_title()
-
-
-def test_recall_near_side_and_goals_are_drawn_as_in_their_tables(runs):
-    by_points = tables.recall_by_points(runs)
-    panel = figures.figure_recall(by_points, runs[0].source).axes[0]
-    curves = {line.get_label(): line.get_ydata() for line in panel.lines}
-    true = by_points[(by_points["poses"] == "true") & (by_points["method"] == "final")]
-    np.testing.assert_allclose(curves["true poses, final"], 100 * true["recall"])
-    bias = tables.near_side(next(run for run in runs if run.poses == "true" and run.method == "final"))
-    panel = figures.figure_near_side(bias, runs[0].source).axes[0]
-    assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "o") == len(bias.dropna())
-    medians = 100 * bias.groupby(["kind", "axis"])["toward_sensor_m"].median().dropna()
-    drawn = [line.get_ydata()[0] for line in panel.lines[1:] if line.get_marker() != "o"]
-    assert sorted(drawn) == pytest.approx(sorted(medians))
-    table = tables.structure_table(runs)
-    table = table[table["poses"] == "corrected"]
-    goals = tables.structure_goals(table, "zigzag")
-    drawn = figures.figure_goals(table, goals).axes
-    assert [panel.get_title().split(":")[0] for panel in drawn[:2]] == ["recall", "precision"]
-    assert len(drawn) == len(goals) == 12
-    assert {"offset p90 (m)", "edge recall", "angle median (°)", "ATE (m)"} <= {
-        panel.get_title().split(":")[0] for panel in drawn
-    }
-    assert drawn[0].lines[0].get_ydata() == pytest.approx(table["recall"].iloc[:1])
 
 
 def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
