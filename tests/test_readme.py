@@ -3,7 +3,6 @@ import re
 import subprocess
 import sys
 import tarfile
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -40,18 +39,3 @@ def test_the_files_that_a_page_links_are_there(page):
     links = [one or other for one, other in LINK.findall((ROOT / page).read_text(encoding="utf-8"))]
     assert links
     assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
-
-
-def test_every_benchmark_is_in_the_index():
-    text = (ROOT / "benchmarks/README.md").read_text(encoding="utf-8")
-    names = {path.name for path in (ROOT / "benchmarks").glob("*.*")} - {"README.md"}
-    assert {name for name in names if f"]({name})" not in text} == set()
-
-
-def test_every_script_without_a_suffix_is_linted_and_type_checked():
-    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
-    files = [path for path in (ROOT / "scripts").iterdir() if path.is_file()]
-    python = {f"scripts/{path.name}" for path in files if path.read_bytes().startswith(b"#!/usr/bin/env python3\n")}
-    assert python
-    assert python == set(tools["ruff"]["extend-include"])
-    assert python == {name for name in tools["mypy"]["files"] if name.startswith("scripts/")}

@@ -79,9 +79,10 @@ def test_the_answer_does_not_depend_on_the_frame_of_the_world(world):
     T = np.eye(4)
     T[:2, 3] = 31.0, -17.0
     T[:3, :3] = Rotation.from_rotvec([0, 0, 0.5 * np.pi]).as_matrix()
-    elsewhere = odometry.run(moved(flight, T), FaceOdometry(estimator.settings, flight.T_drone_sensor))
+    part = moved(flight, T).first(80)  # two adjustments
+    elsewhere = odometry.run(part, FaceOdometry(estimator.settings, flight.T_drone_sensor))
     home = np.linalg.inv(T) @ elsewhere.corrected.T_world_drone
-    apart = np.linalg.norm(home[:, :3, 3] - found.corrected.position, axis=1)
+    apart = np.linalg.norm(home[:, :3, 3] - found.corrected.position[:80], axis=1)
     assert np.median(apart) < 0.003
     assert apart.max() < 0.05  # voxels lie otherwise
 
@@ -131,7 +132,7 @@ def _points_and_start(estimator, scan, prior):
 
 
 def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds():
-    flight = around(small_tower(), poses=30)
+    flight = around(small_tower(), poses=20)
     rng = np.random.default_rng(5)
     leaves = [Scan(scan.stamp_s, rng.uniform((1.5, -1, -1), (3.5, 1, 1), (4000, 3))) for scan in flight.scans]
     flight = replace(flight, scans=leaves)

@@ -44,6 +44,14 @@ def test_a_prior_that_is_not_rigid_is_refused(method, prior, says):
         make_odometry(OdometrySettings.preset(method), np.eye(4)).update(CLOUD, prior)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_settings_of_another_family_are_refused(method):
+    settings = OdometrySettings.preset(method)
+    other = "average" if settings.family == "clouds" else "best"
+    with pytest.raises(InputError, match=f"method '{other}' is of the family '.*'; expected one such as"):
+        type(make_odometry(settings, np.eye(4)))(OdometrySettings.preset(other))
+
+
 @pytest.mark.parametrize("method", ["average", "best", "combined"])
 def test_masked_points_do_not_count(method):
     hidden = np.ma.masked_array(CLOUD, np.ones(CLOUD.shape, dtype=bool))

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CloudOdometry, LoamOdometry, make_odometry
+from steelnb.odometry import LoamOdometry, make_odometry
 from steelnb.registration import free_directions
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
@@ -81,10 +80,3 @@ def test_the_same_scans_give_the_same_poses_and_later_ones_change_none(world):
     flight, _ = world
     short, longer = (flown(flight.first(n))[2].T_world_drone for n in (10, 14))
     np.testing.assert_array_equal(short, longer[:10])
-
-
-def test_methods_by_features_and_by_all_points_are_told_apart():
-    with pytest.raises(InputError, match="method 'best' is of the family 'clouds'; expected one such as 'loam'"):
-        LoamOdometry(OdometrySettings.preset("best"))
-    with pytest.raises(InputError, match="method 'loam' is of the family 'loam'; expected one such as 'best'"):
-        CloudOdometry(OdometrySettings.preset("loam"))

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
 from steelnb.images import CameraImages, project
 from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match, near_any
 from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.registration import free_directions
-from steelnb.settings import OdometrySettings, TofSettings
+from steelnb.settings import TofSettings
 from steelnb.simulation import FORWARD, TRACKING
 from steelnb.simulation.scene import rays
 from tests import naive
@@ -255,8 +254,3 @@ def test_features_of_a_coarser_level_are_where_the_finest_has_them():
         apart = np.linalg.norm(mirrored[:, None] - of_level, axis=2).min(axis=1)
         assert np.median(apart) < 0.05, level
     assert len(find_features(np.zeros(SHAPE, np.uint8), 400).pixel) == 0
-
-
-def test_settings_of_other_methods_are_refused():
-    with pytest.raises(InputError, match="'best' is of the family 'clouds'; expected one such as 'orb'"):
-        OrbOdometry(OdometrySettings.preset("best"))

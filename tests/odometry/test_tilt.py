@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import InputError
 from steelnb.fusion.poses import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
@@ -82,8 +81,3 @@ def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
         predictor._stamp_s = 0.0
         predictor.pose(passed_s, prior)
         assert np.diag(predictor._information)[:2] == pytest.approx(sigma_rad**-2.0, rel=0.02)
-
-
-def test_methods_by_segments_cannot():
-    with pytest.raises(InputError, match=r"'tilt_sigma_rad'; method 'average' is of the family 'segments', which has"):
-        OdometrySettings.preset("average", overrides={"tilt_sigma_rad": 0.01})
