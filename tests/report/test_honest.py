@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.keys import find_root
 from steelnb.report import honest
+from steelnb.report.results import find_root
+from steelnb.runs import read_grids
 from steelnb.settings import ImuSettings
-from steelnb.study.plan import read_plan
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_runs_that_differ_in_more_than_the_sensor_are_left_out():
 
 
 def test_the_study_runs_the_cases_that_are_compared():
-    plan = read_plan(find_root() / "notebooks" / "study.toml")
+    plan = read_grids(find_root() / "notebooks" / "study.toml")
     flown = {(run.settings.sensor, run.variant) for run in plan}
     assert set(honest.CASES) <= flown
 
