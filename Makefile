@@ -43,8 +43,8 @@ smoke: $(READY)  ## the same with short flights, into results-smoke/
 check: $(READY)  ## run everything again in a scratch folder and compare with the committed results (ONLY= BUDGET=)
 	@$(BIN)/python -m workflow check $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)")
 
-study: $(READY)  ## run what is missing of notebooks/study.toml into results/study/ (half an hour on two cores)
-	@$(BIN)/steelnb study
+study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (all of it: HOURS on two cores)
+	@$(BIN)/python -m steelnb.runs notebooks/study.toml -o results/study
 
 test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget, on two workers
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder

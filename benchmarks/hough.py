@@ -23,7 +23,7 @@ import numpy as np
 from shared import command
 from steelnb import rng
 from steelnb.hough import detect_lines
-from steelnb.report.results import machine
+from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.types import Array, Lines, Trajectory

@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, lapack, solve_triangular
 
 from steelnb import experiment
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
-from steelnb.report.results import machine
+from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, TofSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.simulation.scene import cast_bundle, make_scene, rays

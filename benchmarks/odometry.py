@@ -22,7 +22,7 @@ from shared import command
 from steelnb import experiment
 from steelnb.metrics import position_error_m
 from steelnb.odometry import make_odometry
-from steelnb.report.results import machine
+from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight, Trajectory

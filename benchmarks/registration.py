@@ -27,10 +27,10 @@ from scipy.spatial.transform import Rotation
 
 from shared import command
 from steelnb import experiment, rng
+from steelnb.pins import machine
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration import align, make_target
-from steelnb.report.results import machine
 from steelnb.settings import ExperimentSettings, PreprocessSettings
 from steelnb.types import Array
 

@@ -16,7 +16,7 @@ from typing import Any
 from steelnb import experiment
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.metrics.reconstruction import reference, score_structure
-from steelnb.report.results import machine
+from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.types import Flight, Trajectory

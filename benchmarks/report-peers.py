@@ -18,8 +18,8 @@ import numpy as np
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m
-from steelnb.odometry import make_odometry, run_kept
-from steelnb.report.results import machine
+from steelnb.odometry import make_odometry, run
+from steelnb.pins import machine
 from steelnb.rng import stream
 from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
 from steelnb.simulation import Truth
@@ -56,7 +56,7 @@ def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int)
 def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
     """Poses by our program."""
     settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
-    return run_kept(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
+    return run(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
 
 
 def peer(program: Path, method: str, flight: Flight) -> Trajectory:

@@ -16,7 +16,7 @@ import seaborn as sns
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m
-from steelnb.report.results import machine
+from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, read_report_plots
 from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.simulation import Truth

@@ -1,64 +1,71 @@
-"""Results kept on disk between the notebooks of a project, so that what several of them need is computed once.
+"""What was computed once is kept on disk by joblib: flights, estimates and rows of runs.
 
-The environment variable ``STEELNB_CACHE`` names the folder; the workflow sets it to ``.cache`` of the project, and
-without it nothing is kept. Several processes may read and write at once; a broken file counts as none.
+Keys are settings as JSON, the data that an estimator was given, and `SOURCES`. Several processes may read and write at
+once; what cannot be read is computed again.
 """
 
 import contextlib
+import functools
+import hashlib
+import importlib.metadata
 import os
-import pickle
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from steelnb.keys import code_digest, digest, environment_digest
+if TYPE_CHECKING:
+    from joblib import Memory
 
 CACHE_VARIABLE = "STEELNB_CACHE"
+"""Names the folder; the workflow sets it to ``.cache`` of the project, and without it nothing is kept."""
 BYTES_MAX = 2_000_000_000
-"""Size of each kind: beyond it, the files that were used longest ago go."""
+"""Beyond it, what was used longest ago goes when a process first uses the folder."""
+PACKAGE = Path(__file__).resolve().parent
+APART = ("report", "cli.py", "__main__.py")
+"""Parts of the package that change no number."""
+LIBRARIES = (
+    "imufusion", "kiss-icp", "numba", "numpy", "open3d", "open3d-cpu", "opencv-python-headless", "pybullet", "scipy",
+    "small-gicp",
+)  # fmt: skip
+"""Libraries that compute."""
 
 T = TypeVar("T")
 
 
-def kept(kind: str, key: Callable[[], object], modules: Iterable[str], make: Callable[[], T]) -> T:
-    """What ``make`` gives: read from the folder ``kind`` of the cache if it is there, else made and kept by pickle.
+def digest_sources(apart: tuple[str, ...] = APART) -> str:
+    """SHA-256 of the files of the package except those ``apart``, and of the installed versions of `LIBRARIES`."""
+    found = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*")):
+        name = path.relative_to(PACKAGE)
+        if path.is_file() and path.suffix != ".pyc" and name.parts[0] not in apart:
+            found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    for library in LIBRARIES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found.update(f"{library} {importlib.metadata.version(library)}\n".encode())
+    return found.hexdigest()
 
-    A file belongs to ``key()``, which JSON can hold, to the code of the ``modules`` and all that they import, and to
-    the versions of the libraries.
-    """
-    folder = os.environ.get(CACHE_VARIABLE)
+
+SOURCES = digest_sources()
+"""As they were when this process loaded them: an edit while it runs changes nothing here."""
+
+
+def kept(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
+    """What ``make`` gives: read from ``folder``, by default the one that `CACHE_VARIABLE` names, if it is there, else
+    made and kept. What raises is not kept. joblib hashes the ``key``, arrays by their content."""
+    folder = folder or os.environ.get(CACHE_VARIABLE)
     if not folder:
         return make()
-    name = digest(key(), code_digest([__name__, *modules]), environment_digest(Path(folder).parent))
-    path = Path(folder, kind, f"{name}.pickle")
-    with contextlib.suppress(Exception):  # not there, or broken, which pickle tells in many ways
-        with path.open("rb") as file:
-            found: T = pickle.load(file)
-        os.utime(path)
-        return found
-    made = make()
-    fresh = path.with_suffix(f".{os.getpid()}.new")
-    with contextlib.suppress(OSError):  # a full disk costs time, nothing else
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            fresh.write_bytes(pickle.dumps(made, protocol=5))
-            os.replace(fresh, path)
-        finally:
-            fresh.unlink(missing_ok=True)
-        _trim(path.parent)
-    return made
+    return _memory(folder).cache(_made, ignore=["make"])(make, key, SOURCES)
 
 
-def _trim(folder: Path) -> None:
-    """Remove files used longest ago, until the folder is small enough; files of a killed process go the same way."""
-    files = []
-    for path in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # another process was faster
-            status = path.stat()
-            files.append((status.st_mtime_ns, status.st_size, path))
-    total = sum(size for _, size, _ in files)
-    for _, size, path in sorted(files):
-        if total <= BYTES_MAX:
-            return
-        path.unlink(missing_ok=True)
-        total -= size
+def _made(make: Callable[[], T], key: tuple[object, ...], sources: str) -> T:
+    return make()
+
+
+@functools.cache
+def _memory(folder: str) -> "Memory":
+    from joblib import Memory
+
+    memory = Memory(folder, verbose=0)
+    memory.reduce_size(bytes_limit=BYTES_MAX)
+    return memory

@@ -17,7 +17,6 @@ from steelnb.files import check_folder
 EXIT_CODES = """\b
 Exit codes:
   0    done
-  1    runs of a study failed
   2    bad input, told in one line; nothing was written
   130  interrupted (Ctrl-C)
 """
@@ -61,7 +60,7 @@ def _options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Drone mapping of steel structures: recorded flights, point clouds, and studies over many seeds."""
+    """Drone mapping of steel structures: recorded flights and point clouds."""
 
 
 @app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run scans/ --mount 0.06,0,0,0,0,0 -o out")
@@ -168,55 +167,6 @@ def segment(
         shown.stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
-
-
-@app.command()
-def study(
-    path: Annotated[Path, typer.Argument(metavar="[STUDY.toml]")] = Path("notebooks", "study.toml"),
-    workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster of yours, such as tls://HOST:8786.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it would take, and run nothing.")] = False,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="For the table.")] = Path(
-        "results", "study"
-    ),
-) -> None:
-    """Run many seeds, sensors and methods.
-
-    Only runs that the output folder does not hold yet are run, and those that failed.
-
-    Whoever reaches a scheduler at tcp://HOST:PORT can run code as its owner, on it and on its workers; Dask's
-    documentation says how to set up tls://HOST:PORT.
-    """
-    with _progress() as shown:
-        from steelnb.report.results import machine
-        from steelnb.study.cluster import forecast, run_study
-        from steelnb.study.plan import by_flight, read_plan
-
-        runs = read_plan(path)
-        done, core_s = forecast(runs, output)
-        left = len(runs) - done
-        if dry_run:
-            print(f"{len(runs)} runs on {len(by_flight(runs))} flights, {done} of them done")
-            print(f"{left} to run: {round(core_s / 60)} core minutes")
-            return
-        ended = 0
-
-        def show(row: dict[str, Any]) -> None:
-            nonlocal ended
-            ended += 1
-            shown.share(ended / left)
-            if row["status"] == "failed":
-                print(f"{row['method']}, seed {row['seed']}: {row['error'].splitlines()[-1]}", file=sys.stderr)
-
-        shown.stage(f"running {left} runs")
-        described = machine() if scheduler is None else "a cluster of the user's"
-        failed = run_study(runs, output, workers, scheduler, described, show)
-    print(f"{output / 'runs.parquet'} written: {len(runs)} runs, {left} of them run now")
-    if failed:
-        print(f"{len(failed)} runs failed; the next call tries again, and tracebacks are in the table")
-        raise typer.Exit(1)
 
 
 class _Progress:

@@ -2,17 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
+from steelnb.cache import kept
 from steelnb.closed_loop import OnboardPilot
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
-from steelnb.odometry import make_odometry, run_kept
+from steelnb.odometry import make_odometry
+from steelnb.odometry import run as run_odometry
 from steelnb.settings import ExperimentSettings, OrbSettings
-from steelnb.simulation import FORWARD, Truth, build_tower, filtered_attitude, fly_and_scan, measured_imu, photograph
-from steelnb.types import Estimate, Flight
+from steelnb.settings.presets import members_file
+from steelnb.simulation import (
+    FORWARD,
+    Truth,
+    Visibility,
+    build_tower,
+    filtered_attitude,
+    fly,
+    measured_imu,
+    photograph,
+    scan_flight,
+)
+from steelnb.types import Estimate, Flight, Imu, RangeScans, Trajectory
 
 Progress = Callable[[float], None]
 
@@ -38,13 +50,25 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     Who steers a planned flight sees no more: drifting poses and scans, and what the settings' odometry makes of them;
     it takes as long as the odometry, and tells how far it has come.
     """
-    tower, planned = build_tower(settings.tower), settings.flight.trajectory == "planned"
-    pilot = partial(OnboardPilot, settings, tower, on_progress) if planned else None
-    trajectory, exact, scans, visibility = fly_and_scan(settings, tower, pilot)
+    tower, tof = build_tower(settings.tower), settings.tof
+
+    def flown() -> tuple[Trajectory, Imu, RangeScans, Visibility]:
+        pilot = OnboardPilot(settings, tower, on_progress) if settings.flight.trajectory == "planned" else None
+        trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
+        return trajectory, imu, *scan_flight(tower, trajectory, tof.T_drone_sensor, tof, settings.seed)
+
+    trajectory, exact, scans, visibility = kept(flown, "flight", *world(settings))
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
     truth = Truth(trajectory, tower, visibility)
-    unmoved = Flight(scans, trajectory.at(scans.stamp_s), settings.tof.T_drone_sensor, imu)
+    unmoved = Flight(scans, trajectory.at(scans.stamp_s), tof.T_drone_sensor, imu)
     return redrift(settings, unmoved, truth), truth
+
+
+def world(settings: ExperimentSettings) -> tuple[str, str | None]:
+    """All that a simulated flight depends on, equal where settings share one: as JSON, and the list of members."""
+    parts = {"tower", "flight", "tof", "seed"} if settings.flight.trajectory != "planned" else None
+    members = settings.tower.members
+    return settings.model_dump_json(include=parts), members and members_file(members).read_text(encoding="utf-8")
 
 
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
@@ -66,7 +90,12 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
     odometry = make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
-    found = run_kept(flight, odometry, on_step)
+    if isinstance(flight.scans, RangeScans) and flight.images is None:
+        given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu
+        key = "estimate", settings.odometry.model_dump_json(), *given
+        found = kept(lambda: run_odometry(flight, odometry, on_step), *key)
+    else:  # neither images nor scans of a recording can be told apart quickly
+        found = run_odometry(flight, odometry, on_step)
     if on_progress:
         on_progress(1.0)  # an estimate that was kept makes no steps
     return Result(**vars(found), settings=settings, truth=truth, metrics=measure(settings, found, truth))

@@ -5,6 +5,7 @@ is AVX-512, and sums over several threads depend on their number. The variables 
 which `make` reads, too. They must be set before NumPy is imported.
 """
 
+import contextlib
 import os
 import sys
 from collections.abc import MutableMapping
@@ -53,3 +54,16 @@ def uses_avx512(numpy: object) -> bool:
     core = getattr(numpy, "_core", None) or getattr(numpy, "core", None)
     features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
     return bool(features.get("X86_V4") or features.get("AVX512F"))
+
+
+def machine() -> str:
+    """The processor, cores and system that measured times belong to; no host name."""
+    import platform
+
+    found: dict[str, str] = {}
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        lines = file.read().partition("\n\n")[0].splitlines()
+        found = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    version = "-".join(found.get(name, "?") for name in ("cpu family", "model", "stepping"))
+    processor = f"{found.get('model name') or platform.machine()} ({version})"
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"

@@ -6,6 +6,7 @@ for invalid returns, times float64 seconds. World z is up; the drone frame is x 
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,16 @@ class RangeScans(Sequence[Scan]):
 
     def __init__(self, stamp_s: Array, range_m: NDArray[np.float32], ray: Array) -> None:
         self.stamp_s, self.range_m, self.ray = stamp_s, range_m, ray
+
+    def __getstate__(self) -> tuple[NDArray[Any], ...]:
+        # Stored are returns alone: most rays pass the structure by.
+        returned = ~np.isnan(self.range_m)
+        return self.stamp_s, self.ray, np.packbits(returned), np.array(returned.shape), self.range_m[returned]
+
+    def __setstate__(self, state: tuple[NDArray[Any], ...]) -> None:
+        self.stamp_s, self.ray, bits, shape, found_m = state
+        self.range_m = np.full(shape, np.nan, np.float32)
+        self.range_m[np.unpackbits(bits, count=self.range_m.size).reshape(shape).astype(bool)] = found_m
 
     def __len__(self) -> int:
         return len(self.stamp_s)

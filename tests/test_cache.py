@@ -1,144 +1,155 @@
 """What comes from the disk is what was computed, to the bit."""
 
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from steelnb import cache, experiment
-from steelnb.odometry import cache as estimates
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import cache as flights
+from steelnb.types import RangeScans
 
-SETTINGS = ExperimentSettings.preset("loops", sensor="report-4cm", duration_s=4.0)
-
-
-def arrays(settings: ExperimentSettings) -> list[np.ndarray]:
-    flight, truth = experiment.simulate(settings)
-    assert flight.imu is not None
-    scans = flight.scans
-    return [
-        scans.range_m, scans.stamp_s, scans.ray, flight.prior.T_world_drone, flight.imu.specific_force,
-        flight.imu.angular_rate, flight.imu.stamp_s, truth.trajectory.T_world_drone,
-        *truth.visibility.slices,
-    ]  # fmt: skip
+GIVEN = {"trajectory": "loops", "noise": "random-walk", "sensor": "report-4cm", "duration_s": 4.0}
+SETTINGS = ExperimentSettings.preset(**GIVEN)
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("STEELNB_CACHE", str(tmp_path / ".cache"))
-    return tmp_path / ".cache" / "flights"
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setenv("STEELNB_CACHE", str(tmp_path))
+    yield tmp_path
+    cache._memory.cache_clear()
 
 
-def test_a_kept_flight_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = arrays(SETTINGS)
-    monkeypatch.setattr(flights, "fly", None)
-    again = arrays(SETTINGS)
-    monkeypatch.undo()
-    monkeypatch.delenv("STEELNB_CACHE", raising=False)
-    for one, two, flown in zip(first, again, arrays(SETTINGS), strict=True):
-        assert one.dtype == two.dtype
-        assert one.strides == two.strides, "sums go in the same order"
-        assert np.array_equal(one, two, equal_nan=True)
-        assert np.array_equal(one, flown, equal_nan=True)
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of `experiment`'s functions that computed something, in order."""
+    found: list[str] = []
+    for name in ("fly", "run_odometry"):
+        call = getattr(experiment, name)
+        monkeypatch.setattr(experiment, name, lambda *a, name=name, call=call: (found.append(name), call(*a))[1])
+    return found
+
+
+def leaves(value: object) -> list:
+    """Arrays and plain values in a dataclass and what it holds, in order; not the times that were measured."""
+    if is_dataclass(value):
+        names = [each.name for each in fields(value) if each.name not in ("seconds", "update_s")]
+        return [leaf for name in names for leaf in leaves(getattr(value, name))]
+    if isinstance(value, RangeScans):
+        return [value.stamp_s, value.range_m, value.ray]
+    if isinstance(value, tuple | list):
+        return [leaf for each in value for leaf in leaves(each)]
+    return [value] if isinstance(value, np.ndarray | str | int | float) else []
+
+
+def assert_same(one: object, two: object) -> None:
+    assert len(leaves(one)) == len(leaves(two)) > 5
+    for a, b in zip(leaves(one), leaves(two), strict=True):
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype
+            assert a.strides == b.strides or not a.size, "sums go in the same order"
+            assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+        else:
+            assert a == b
+
+
+@pytest.mark.parametrize("method", ["least_squares_yaw", "icp", "faces", "report-icp"])
+def test_kept_flights_and_estimates_are_those_computed_to_the_bit(folder, made, monkeypatch, method):
+    settings = ExperimentSettings.preset(**GIVEN, method=method)
+    runs = []
+    for _ in range(2):
+        flight, truth = experiment.simulate(settings)
+        runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
+    assert made == ["fly", "run_odometry"]
+    monkeypatch.delenv("STEELNB_CACHE")
+    flight, truth = experiment.simulate(settings)
+    runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
+    assert made == ["fly", "run_odometry"] * 2
+    for k, some in enumerate(runs[1:]):
+        for one, two in zip(runs[0], some, strict=True):
+            assert_same(one, two)
+        assert some[2].metrics == runs[0][2].metrics
+        assert np.array_equal(some[2].update_s, runs[0][2].update_s) == (k == 0)  # the time when it was computed
 
 
 @pytest.mark.parametrize(
-    ("changed", "count"),
+    ("changed", "made_anew"),
     [
-        ({"noise_name": "random-walk:0.5"}, 1),
-        ({"tof.sigma_floor_m": 0.5}, 2),
-        ({"tof.blind_s": [[1.0, 2.0]]}, 2),
-        ({"tof.faults": ["footprint"]}, 2),
-        ({"imu": {"gyro_noise": 1e-3}}, 1),
-        ({"flight.gust_sigma_m_s": 0.01}, 2),
-        ({"tower.base_width_m": 4.1}, 2),
+        ({"noise_name": "random-walk:0.5"}, ["run_odometry"]),
+        ({"imu": {"gyro_noise": 1e-3}}, ["run_odometry"]),
+        ({"hough.dx_m": 0.05}, ["run_odometry"]),
+        ({"tof.blind_s": [[1.0, 2.0]]}, ["fly", "run_odometry"]),
+        ({"tof.faults": ["footprint"]}, ["fly", "run_odometry"]),
+        ({"flight.gust_sigma_m_s": 0.01}, ["fly", "run_odometry"]),
+        ({"tower.base_width_m": 4.1}, ["fly", "run_odometry"]),
     ],
 )
-def test_drift_shares_a_flight_and_what_is_flown_and_seen_does_not(folder: Path, changed: dict, count: int) -> None:
-    arrays(SETTINGS)
-    arrays(SETTINGS.override(changed))
-    assert len(list(folder.iterdir())) == count
+def test_a_change_makes_anew_what_depends_on_it_alone(folder, made, changed, made_anew):
+    experiment.run(SETTINGS)
+    del made[:]
+    experiment.run(SETTINGS.override(changed))
+    experiment.run(SETTINGS.override(changed))
+    assert made == made_anew
 
 
-def test_code_counts_and_broken_files_are_flown_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = arrays(SETTINGS)
-    (kept,) = folder.iterdir()
-    whole = kept.read_bytes()
-    for broken in (whole[: len(whole) // 2], b"", b"PK\x03\x04"):
-        kept.write_bytes(broken)
-        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, arrays(SETTINGS), strict=True))
-        assert kept.read_bytes() == whole
-    monkeypatch.setattr(cache, "code_digest", lambda names: "other")
-    arrays(SETTINGS)
-    assert len(list(folder.iterdir())) == 2
+def test_an_estimate_belongs_to_the_scans_that_it_was_given(folder, made):
+    flight, truth = experiment.simulate(SETTINGS)
+    scans = flight.scans
+    whole = experiment.estimate(SETTINGS, flight, truth)
+    blind = replace(flight, scans=RangeScans(scans.stamp_s, np.full_like(scans.range_m, np.nan), scans.ray))
+    assert len(whole.segments)
+    assert not len(experiment.estimate(SETTINGS, blind, truth).segments)
 
 
-def test_the_flights_used_longest_ago_go(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for seed in (1, 2):
-        arrays(SETTINGS.replace(seed=seed))
-    first, second = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns)
-    arrays(SETTINGS.replace(seed=1))  # used again: younger than the second
-    monkeypatch.setattr(cache, "BYTES_MAX", first.stat().st_size * 5 // 2)
-    arrays(SETTINGS.replace(seed=3))
-    assert first in folder.iterdir()
-    assert second not in folder.iterdir()
+def test_a_list_of_members_counts_by_its_content(folder, made, tmp_path):
+    text = (cache.PACKAGE / "presets" / "report-tower.csv").read_text()
+    (tmp_path / "mine.csv").write_text(text)
+    mine = ExperimentSettings.report("3.5", "vertical", "icp").override(
+        {"tower.members": str(tmp_path / "mine.csv"), "flight.duration_s": 60.0}
+    )
+    experiment.simulate(mine)
+    experiment.simulate(mine)
+    assert made == ["fly"]
+    (tmp_path / "mine.csv").write_text("".join(text.splitlines(keepends=True)[:-1]))
+    experiment.simulate(mine)
+    assert made == ["fly", "fly"]
 
 
-def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("STEELNB_CACHE", str(tmp_path / "file"))
-    assert len(arrays(SETTINGS)) > 8
+def test_sources_count_and_what_cannot_be_read_is_computed_again(folder, made, monkeypatch):
+    first, _ = experiment.simulate(SETTINGS)
+    (file,) = folder.rglob("output.pkl")
+    whole = file.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", b"hello"):
+        file.write_bytes(damaged)
+        assert_same(first, experiment.simulate(SETTINGS)[0])
+    assert made == ["fly"] * 4
+    monkeypatch.setattr(cache, "SOURCES", "other code")
+    experiment.simulate(SETTINGS)
+    assert made == ["fly"] * 5
 
 
-@pytest.mark.parametrize("method", ["least_squares_yaw", "icp", "combined"])
-def test_a_kept_estimate_is_the_same_to_the_bit(folder: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
-    settings = ExperimentSettings.preset("loops", "random-walk", sensor="report-4cm", duration_s=4.0, method=method)
-    seen: list[float] = []
-    first = experiment.run(settings, seen.append)
-    monkeypatch.setattr(estimates, "run_online", None)
-    again = experiment.run(settings, seen.append)
-    assert len(seen) > 2
-    assert seen[-1] == 1.0
-    assert again.metrics == first.metrics
-    assert again.reason == first.reason
-    assert list(again.seconds) == list(first.seconds)
-    for one, two in (
-        (first.corrected.T_world_drone, again.corrected.T_world_drone), (first.points, again.points),
-        (first.segments.start, again.segments.start), (first.segments.count, again.segments.count),
-        (first.matches, again.matches), (first.update_s, again.update_s),
-        *zip(first.seconds.values(), again.seconds.values(), strict=True),
-    ):  # fmt: skip
-        assert one.dtype == two.dtype
-        np.testing.assert_array_equal(one, two)
+def test_code_and_presets_are_sources_and_reports_are_not(tmp_path, monkeypatch):
+    for name in ("hough/votes.py", "presets/methods.toml", "report/style.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("a = 1\n")
+    monkeypatch.setattr(cache, "PACKAGE", tmp_path)
+    before = cache.digest_sources(), cache.digest_sources(apart=())
+    for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("report/style.py", False)):
+        (tmp_path / name).write_text("a = 2\n")
+        assert (cache.digest_sources() != before[0]) is counts
+        assert cache.digest_sources(apart=()) != before[1]
+        (tmp_path / name).write_text("a = 1\n")
+    monkeypatch.setattr(cache, "LIBRARIES", ())
+    assert cache.digest_sources() != before[0]
 
 
-def test_an_estimate_belongs_to_the_prior_the_scans_and_the_settings(folder: Path) -> None:
-    base = ExperimentSettings.preset("loops", "random-walk", sensor="report-4cm", duration_s=3.0, method="icp")
-    for changed in (
-        {},
-        {"noise_name": "random-walk:0.5"},
-        {"tof.blind_s": [[1.0, 2.0]]},
-        {"clouds.max_correspondence_m": 0.3},
-    ):
-        experiment.run(base.override(changed))
-        experiment.run(base.override(changed))
-    assert len(list((folder.parent / "estimates").iterdir())) == 4
-
-
-def test_a_smoothed_flight_starts_from_the_kept_estimate(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = ExperimentSettings.preset("loops", "random-walk", duration_s=6.0, method="combined")
-    combined = experiment.run(settings)
-    monkeypatch.setattr(estimates, "run_online", None)
-    found = experiment.run(ExperimentSettings.preset("loops", "random-walk", duration_s=6.0, method="smoothed"))
-    assert found.unsmoothed == ""
-    assert not np.array_equal(found.corrected.T_world_drone, combined.corrected.T_world_drone)
-    assert found.pose_covariance is not None
-    assert combined.pose_covariance is None
-    assert np.array_equal(found.update_s, combined.update_s)
-
-
-def test_rules_of_segments_with_the_same_settings_are_kept_apart(folder: Path) -> None:
-    for method in ("average", "least_squares"):
-        experiment.run(ExperimentSettings.preset("loops", sensor="report-4cm", duration_s=2.0, method=method))
-    assert len(list((folder.parent / "estimates").iterdir())) == 2
+def test_what_was_used_longest_ago_goes(folder, monkeypatch):
+    for seed in (1, 2, 3):
+        experiment.simulate(SETTINGS.replace(seed=seed))
+    sizes = [path.stat().st_size for path in folder.rglob("output.pkl")]
+    monkeypatch.setattr(cache, "BYTES_MAX", 2.5 * max(sizes))
+    cache._memory.cache_clear()
+    experiment.simulate(SETTINGS.replace(seed=3))
+    assert len(list(folder.rglob("output.pkl"))) == 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb.errors import InputError
-from steelnb.keys import find_root
+from steelnb.report.results import find_root
 from workflow import digests
 from workflow.digests import SETTINGS, changed, digest, read
 

@@ -61,8 +61,7 @@ def test_settings_by_name_and_a_first_run():
 
 
 def test_the_study_of_the_page_has_the_runs_that_it_says(tmp_path):
-    from steelnb.study.plan import by_flight, read_plan
+    from steelnb.runs import read_grids
 
     (tmp_path / "my-study.toml").write_text(blocks("howto/study.md", "toml"), encoding="utf-8")
-    plan = read_plan(tmp_path / "my-study.toml")
-    assert f"{len(plan)} runs on {len(by_flight(plan))} flights" in blocks("howto/study.md", "console")
+    assert f"{len(read_grids(tmp_path / 'my-study.toml'))} runs" in blocks("howto/study.md", "console")

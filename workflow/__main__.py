@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from steelnb.errors import InputError, OutputError, SteelnbError
-from steelnb.keys import find_root
+from steelnb.report.results import find_root
 from steelnb.settings import parse_parameter
 from workflow.check import differences, read_check_settings, read_committed, read_results, say
 from workflow.experiments import FOLDERS, make_parts, output_folder, read_experiments, select
@@ -82,7 +82,6 @@ def check(
     now = read_results(cache / "results" if rerun else root / FOLDERS[budget], named)
     found = [*differences(committed, now, settings)]
     if rerun and not ids and (root / STUDY / "runs.parquet").is_file():
-        # `workflow.check_study.check_sample` compares it again once it is flown with the report's own sensor.
         print(f"{STUDY}: not compared, since it was flown with the sensor report-4cm and is to be flown again")
     return 0 if say(found, committed, settings) else 1
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import Field
 
 from steelnb.errors import InputError
-from steelnb.keys import EXPERIMENTS_FILE
+from steelnb.report.results import EXPERIMENTS_FILE
 from steelnb.settings import Positive, Settings, read_toml
 
 ABSOLUTE_FLOOR = 1e-12

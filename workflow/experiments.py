@@ -1,7 +1,9 @@
 """`notebooks/experiments.toml`: experiments, their parts and the key of each part, checked before anything runs."""
 
-import ast
+import hashlib
 import itertools
+import json
+import platform
 import re
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -11,14 +13,20 @@ from typing import Any
 
 from pydantic import Field
 
+from steelnb.cache import digest_sources
 from steelnb.errors import InputError, OutputError
-from steelnb.keys import EXPERIMENTS_FILE, code_digest, digest, environment_digest, file_digest, imported_names
 from steelnb.report.parameters import check_settings, fit_parameters
+from steelnb.report.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, read_toml
 from steelnb.settings.base import guess
 from workflow.parameters import read_cells, read_parameters, source
 
 FOLDERS = {"full": "results", "smoke": "results-smoke"}
+
+
+def digest(*values: Any) -> str:
+    """SHA-256 of values that JSON can hold; the order of a table's keys does not count."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 class Experiment(Settings):
@@ -60,19 +68,13 @@ class Part:
 
     def key(self) -> str:
         """Hash of everything that the results depend on: the source of the cells (no outputs), parameters, files
-        that are read, the code that is imported, the lock and Python. Raises `SteelnbError`."""
+        that are read, the package, the lock and Python. Raises `SteelnbError`."""
         cells = [
             (cell["cell_type"], source(cell), cell.get("metadata", {}).get("tags", []))
             for cell in read_cells(self.notebook)
         ]
-        # Lines of IPython's own (%, !) are no Python.
-        code = re.sub(r"(?m)^\s*[%!].*$", "", "\n".join(text for kind, text, _ in cells if kind == "code"))
-        inputs = {name: file_digest(self.root / name) for name in self.experiment.inputs}
-        try:
-            names = imported_names(ast.parse(code))
-        except SyntaxError as fault:
-            raise InputError(f"{self.notebook}: no Python: {fault}") from None
-        return digest(cells, self.parameters, inputs, code_digest(names), environment_digest(self.root))
+        files = {name: file_digest(self.root / name) for name in (*self.experiment.inputs, "environment.lock")}
+        return digest(cells, self.parameters, files, digest_sources(apart=()), platform.python_version_tuple()[:2])
 
 
 def read_experiments(root: Path) -> dict[str, Experiment]:

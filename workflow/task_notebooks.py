@@ -19,9 +19,8 @@ from typing import Any
 
 import pytask
 
-from steelnb.keys import digest
 from workflow.execute import EXECUTED, REQUIRED, RUN_VARIABLE, kill_marked, locked, run_part, scratch_folder, stopped
-from workflow.experiments import Experiment, Part
+from workflow.experiments import Experiment, Part, digest
 from workflow.merge import digests, merge
 
 LINE_PERIOD_S = 30.0

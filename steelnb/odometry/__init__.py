@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 from steelnb.images import CameraImages
 from steelnb.odometry.base import Odometry
-from steelnb.odometry.cache import run_kept
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.combined import CombinedOdometry, by_clouds
 from steelnb.odometry.deepvo import DeepVoOdometry
@@ -58,5 +57,5 @@ def make_odometry(
 __all__ = [
     "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",
     "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "make_odometry", "run",
-    "run_kept", "shared_segments",
+    "shared_segments",
 ]  # fmt: skip

@@ -11,9 +11,9 @@ import pandas as pd
 
 from steelnb import experiment, rng
 from steelnb.errors import InputError
-from steelnb.keys import find_root
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
+from steelnb.report.results import find_root
 from steelnb.settings import (
     REPORT_NOISE,
     ExperimentSettings,

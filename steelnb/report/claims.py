@@ -15,8 +15,8 @@ from scipy import stats
 from steelnb.errors import InputError
 from steelnb.report.batch import flat
 from steelnb.report.false_convergence import WRONG_SHARE_MAX
+from steelnb.row import CASE
 from steelnb.settings import Settings, read_tables
-from steelnb.study.plan import CASE
 from steelnb.types import Array
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"

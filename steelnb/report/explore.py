@@ -26,9 +26,9 @@ from steelnb.report.style import (
     style,
     thinned,
 )
+from steelnb.row import paired_clouds
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Tower
-from steelnb.study.row import paired_clouds
 from steelnb.types import Array, Segments, Trajectory
 
 if TYPE_CHECKING:

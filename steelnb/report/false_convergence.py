@@ -18,9 +18,9 @@ from steelnb.odometry.report_clouds import PROGRAMS
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import caption, case_of, make_cases
 from steelnb.report.style import BLACK, COLOURS, GREY, LABELS, Figure, draw_legend, style
+from steelnb.row import WRONG_M, paired_clouds
 from steelnb.settings import ExperimentSettings, ReportCloudSettings, TrajectoryName
 from steelnb.simulation import Truth
-from steelnb.study.row import WRONG_M, paired_clouds
 from steelnb.types import Array, Flight
 
 WRONG_SHARE_MAX = 0.05

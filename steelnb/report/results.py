@@ -1,6 +1,7 @@
 """The files that a notebook leaves, and the progress that it shows."""
 
 import contextlib
+import hashlib
 import importlib.metadata
 import json
 import math
@@ -12,14 +13,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from steelnb.errors import InputError
 from steelnb.files import new_folder
-from steelnb.keys import find_root, lock_digest
+from steelnb.pins import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+EXPERIMENTS_FILE = Path("notebooks", "experiments.toml")
 PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
@@ -85,33 +86,28 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"provenance: {value!r}: expected numbers, texts, lists, tables or settings")
 
 
+def find_root(start: Path | None = None) -> Path:
+    """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/experiments.toml``,
+    else the parent of the package."""
+    start, package = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
+    folders = (start, *start.parents)
+    return next((folder for folder in folders if (folder / EXPERIMENTS_FILE).is_file()), package.parent)
+
+
+def file_digest(path: Path) -> str | None:
+    """SHA-256 of a file's content, or None where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+
+
 def environment() -> dict[str, Any]:
     """Versions of Python, the main packages and the C library, and the SHA-256 of the project's environment.lock."""
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
-    try:
-        digest = lock_digest(find_root())
-    except InputError:
-        digest = None
+    digest = file_digest(find_root() / "environment.lock")
     versions["c-library"] = "-".join(platform.libc_ver())  # its sine and exponential round, too
     return {"versions": versions, "environment_lock_sha256": digest}
-
-
-def machine() -> str:
-    """The processor, cores and system that measured times belong to; no host name."""
-    return f"{processor()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
-
-
-def processor() -> str:
-    """Name, family, model and stepping of the processor."""
-    found: dict[str, str] = {}
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\n\n")[0].splitlines()
-        found = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    version = "-".join(found.get(name, "?") for name in ("cpu family", "model", "stepping"))
-    return f"{found.get('model name') or platform.machine()} ({version})"
 
 
 def result_files(folder: Path) -> list[Path]:

@@ -1,6 +1,5 @@
 """Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
 
-from steelnb.simulation.cache import fly_and_scan
 from steelnb.simulation.cameras import FORWARD, TRACKING, Camera, CameraModel, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
@@ -11,6 +10,6 @@ from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
     "FORWARD", "TRACKING", "Camera", "CameraModel", "Command", "Member", "Pilot", "Tower", "Truth",
-    "Visibility", "build_tower", "build_tubes", "filtered_attitude", "fly", "fly_and_scan", "measured_imu",
+    "Visibility", "build_tower", "build_tubes", "filtered_attitude", "fly", "measured_imu",
     "photograph", "scan_flight",
 ]  # fmt: skip

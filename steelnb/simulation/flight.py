@@ -82,7 +82,7 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
     T_world_drone = np.tile(np.eye(4), (len(state), 1, 1))
     T_world_drone[:, :3, :3] = Rotation.from_quat(state[:, 3:]).as_matrix()
     T_world_drone[:, :3, 3] = state[:, :3]
-    return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3], imu[:, 3:])
+    return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3].copy(), imu[:, 3:].copy())
 
 
 Vector = Sequence[float]

@@ -7,8 +7,8 @@ import pytest
 from steelnb import experiment
 from steelnb.errors import InputError
 from steelnb.report import batch, false_convergence
+from steelnb.row import paired_clouds
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.study.row import paired_clouds
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
 

@@ -21,7 +21,8 @@ from steelnb.report.claims import (
     verdict_table,
 )
 from steelnb.report.segmentation import frame_runs
-from steelnb.study.plan import read_plan
+from steelnb.row import case_of
+from steelnb.runs import read_grids
 
 ROOT = Path(__file__).parents[2]
 NOISES = ("random-walk", "constant-drift")
@@ -189,7 +190,7 @@ def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
 
 def test_every_claim_of_the_project_has_runs_of_enough_seeds_in_its_study():
     claims = read_claims(ROOT / "notebooks" / "claims.toml")
-    cases = pd.DataFrame([run.case for run in read_plan(ROOT / "notebooks" / "study.toml")])
+    cases = pd.DataFrame([case_of(*run) for run in read_grids(ROOT / "notebooks" / "study.toml")])
     flown = {name: each for name, each in claims.items() if each.where.get("duration_s") != 0.0}
     assert len(flown) >= 20
     for name, each in flown.items():

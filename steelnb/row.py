@@ -1,67 +1,62 @@
-"""One run of a study on a worker: the flight, and the row of numbers and thin curves that is kept of it."""
+"""The row of a run: what names it, its numbers and what explains them, thin curves, and measured times."""
 
 import time
-import traceback
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from steelnb import experiment
 from steelnb.metrics import bend, largest_slip, position_error_m
+from steelnb.pins import machine
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, RangeScans
+from steelnb.types import Array, Flight
 
+CASE = ("sensor", "duration_s", "blind", "trajectory", "seed", "noise", "variant", "method")
+"""Columns that name a run, by which tables are sorted."""
+CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
+TIMES = ("frame_median_ms", "frame_p95_ms", "seconds", "flight_seconds", "machine")
+"""Columns that differ from call to call, which no comparison looks at."""
 CURVE_SAMPLES = 100
 WRONG_M = 0.25
 """Error beyond which a scan that had pairs counts as registered to the wrong place."""
-OK, FAILED = "ok", "failed"
+
+Flown = tuple[Flight, Truth, float]
+"""A simulated flight, its truth, and the seconds that it took."""
 
 
-@dataclass(frozen=True)
-class Flown:
-    """A flight with its scans and its truth, which all runs on it share, and the seconds that its simulation took."""
+def case_of(settings: ExperimentSettings, variant: str = "") -> dict[str, Any]:
+    """Values of the columns `CASE`; ``variant`` describes overrides."""
+    return {
+        "sensor": settings.sensor,
+        "duration_s": settings.flight.duration_s,
+        "blind": ", ".join(f"{first:g}-{last:g} s" for first, last in settings.tof.blind_s),
+        "trajectory": settings.flight.trajectory,
+        "seed": settings.seed,
+        "noise": settings.noise_name,
+        "variant": variant,
+        "method": settings.odometry.method,
+    }
 
-    flight: Flight
-    truth: Truth
-    seconds: float
 
-    def __sizeof__(self) -> int:
-        """Bytes, nearly all of them scans, by which Dask weighs moving a flight against waiting."""
-        return self.flight.scans.range_m.nbytes if isinstance(self.flight.scans, RangeScans) else 0
-
-
-def fly(settings: ExperimentSettings) -> Flown | str:
-    """The simulated flight of some settings, or the traceback of its failure."""
+def fly(settings: ExperimentSettings) -> Flown:
+    """The simulated flight of some settings. Raises `CollisionError`."""
     begin = time.perf_counter()
-    try:
-        flight, truth = experiment.simulate(settings)
-    except Exception:
-        return _traceback()
-    return Flown(flight, truth, time.perf_counter() - begin)
+    flight, truth = experiment.simulate(settings)
+    return flight, truth, time.perf_counter() - begin
 
 
-def run_on(flown: Flown | str, settings: ExperimentSettings) -> dict[str, Any]:
-    """Row of one run on a flight: ``status``, ``error`` (a traceback), numbers, curves and seconds."""
-    if isinstance(flown, str):
-        return {"status": FAILED, "error": flown}
+def make_row(settings: ExperimentSettings, flown: Callable[[], Flown]) -> dict[str, Any]:
+    """`numbers`, `curves` and `TIMES` of one run on a flight, whose drift and method are those of the settings."""
+    flight, truth, flight_seconds = flown()
     begin = time.perf_counter()
-    row: dict[str, Any]
-    try:
-        own = experiment.redrift(settings, flown.flight, flown.truth)
-        result = experiment.estimate(settings, own, flown.truth)
-        row = {"status": OK, "error": "", **numbers(own, result), **curves(result), **frame_times(result)}
-    except Exception:
-        row = {"status": FAILED, "error": _traceback()}
-    return {**row, "seconds": time.perf_counter() - begin, "flight_seconds": flown.seconds}
-
-
-def _traceback() -> str:
-    """Traceback of the exception being handled, without the folder of this machine that holds the package."""
-    return traceback.format_exc().replace(f"{Path(experiment.__file__).parents[1]}/", "").rstrip()
+    own = experiment.redrift(settings, flight, truth)
+    result = experiment.estimate(settings, own, truth)
+    row = {**numbers(own, result), **curves(result), **frame_times(result)}
+    seconds = time.perf_counter() - begin
+    return {**row, "seconds": seconds, "flight_seconds": flight_seconds, "machine": machine()}
 
 
 def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:

@@ -1,0 +1,285 @@
+"""Tables of short runs: what they hold, resuming, failures, and a Dask cluster."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+
+from steelnb import experiment, row, runs
+from steelnb.errors import InputError, OutputError
+from steelnb.metrics import position_error_m
+from steelnb.row import CASE, CURVES, TIMES
+from steelnb.settings import ExperimentSettings
+
+ROOT = Path(__file__).parents[1]
+AXES = {
+    "seeds": [1, 2], "trajectories": ["zigzag"], "noises": ["random-walk"], "sensors": ["report-4cm"],
+    "methods": ["icp", "average"], "duration_s": 3.0,
+}  # fmt: skip
+
+
+def toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f'"{name}" = {toml(each)}' for name, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def study(folder: Path, *grids: dict) -> Path:
+    lines = [f"[g{k}]\n" + "".join(f"{name} = {toml(each)}\n" for name, each in g.items()) for k, g in enumerate(grids)]
+    (folder / "study.toml").write_text("".join(lines))
+    return folder / "study.toml"
+
+
+def numbers(table: pd.DataFrame) -> pd.DataFrame:
+    return table.drop(columns=list(TIMES))
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """The runs that were computed, not read."""
+    found = []
+    monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(row.case_of(s)), row.make_row(s, flown))[1])
+    return found
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> pd.DataFrame:
+    return runs.run_all(runs.grid(**AXES), folder=tmp_path_factory.mktemp("kept"))
+
+
+def test_rows_are_those_of_plain_runs_and_kept_to_the_bit(plain, tmp_path, made, monkeypatch):
+    first = runs.run_all(runs.grid(**AXES), folder=tmp_path)
+    assert len(made) == 4
+    with monkeypatch.context() as patched:
+        patched.setattr(experiment, "simulate", None)  # no flight is simulated for rows that are kept
+        pd.testing.assert_frame_equal(runs.run_all(runs.grid(**AXES), folder=tmp_path), first, check_exact=True)
+    assert len(made) == 4
+    pd.testing.assert_frame_equal(numbers(first), numbers(plain), check_exact=True)
+    assert first["method"].tolist() == ["average", "icp"] * 2
+    assert first.groupby("seed")["flight_seconds"].nunique().tolist() == [1, 1]  # a flight is simulated once
+    given = {"sensor": "report-4cm", "seed": 2, "duration_s": 3.0, "method": "icp"}
+    result = experiment.run(ExperimentSettings.preset("zigzag", "random-walk", **given))
+    assert {name: first.iloc[3][name] for name in result.metrics} == result.metrics
+    wider = runs.run_all(runs.grid(**{**AXES, "seeds": "1-3"}), folder=tmp_path)
+    assert [case["seed"] for case in made[4:]] == [3, 3]
+    pd.testing.assert_frame_equal(wider.iloc[:4], first, check_exact=True)
+
+
+def test_other_sources_make_rows_anew_and_a_worker_with_others_is_refused(tmp_path, made, monkeypatch):
+    some = runs.grid(**{**AXES, "seeds": [1], "methods": ["icp"]})
+    runs.run_all(some, folder=tmp_path)
+    for module in ("cache", "runs"):
+        monkeypatch.setattr(f"steelnb.{module}.SOURCES", "other code")
+    runs.run_all(some, folder=tmp_path)
+    assert len(made) == 2
+    with pytest.raises(InputError, match="a worker has another version of steelnb"):
+        runs._rows_of_flight(some, str(tmp_path), "code of the process that started it")
+
+
+def test_a_run_that_raises_is_reported_and_tried_again(tmp_path, made, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = study(tmp_path, {**AXES, "seeds": [1], "overrides": [{}, {"flight.standoff_m": -0.05}]})
+    for count in (4, 2):
+        del made[:]
+        assert runs.main([str(path), "-o", "out", "-j", "1"]) == 1
+        shown = capsys.readouterr()
+        assert "4 runs, 2 of them failed" in shown.out
+        assert shown.err.count("CollisionError") == 2
+        assert len(made) == count
+    table = runs.read_runs(tmp_path / "out").set_index("variant")
+    assert table["status"].to_dict() == {"": "ok", "flight.standoff_m=-0.05": "failed"}
+    assert table.loc["flight.standoff_m=-0.05", "error"].str.contains("Traceback").all()
+    assert table.loc["flight.standoff_m=-0.05", "ate_rmse_m"].isna().all()
+    assert len(runs.curves(table.reset_index())) == 2 * len(table["curve_time_s"].iloc[0])
+
+
+def test_a_dask_cluster_gives_the_same_table(plain, tmp_path):
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster,
+        Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        table = runs.run_all(runs.grid(**AXES), folder=tmp_path)
+    pd.testing.assert_frame_equal(numbers(table), numbers(plain), check_exact=True)
+
+
+@pytest.mark.slow
+def test_a_killed_study_loses_only_the_runs_at_hand(tmp_path, made, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    axes = {**AXES, "seeds": "1-6", "noises": ["random-walk", "constant-drift"]}
+    path, stored = study(tmp_path, axes), []
+    command = [sys.executable, "-m", "steelnb.runs", str(path), "-o", "out", "-j", "2"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    while len(stored) < 3:
+        assert process.poll() is None
+        time.sleep(0.01)
+        stored = [*tmp_path.glob(f"{runs.KEPT}/**/output.pkl")]
+    processes = [*psutil.Process(process.pid).children(recursive=True), process]
+    for each in processes:
+        each.kill()
+    process.wait()
+    stored = [*tmp_path.glob(f"{runs.KEPT}/**/output.pkl")]
+    table = runs.run_all(runs.read_grids(path))
+    assert len(made) == len(table) - len(stored) == 24 - len(stored)
+    pd.testing.assert_frame_equal(
+        numbers(table), numbers(runs.run_all(runs.grid(**axes), folder=tmp_path / "whole")), check_exact=True
+    )
+
+
+def test_tables_are_written_with_the_times_apart_and_read_again(plain, tmp_path):
+    runs.write_runs(tmp_path / "out", plain)
+    pd.testing.assert_frame_equal(runs.read_runs(tmp_path / "out")[plain.columns], plain, check_exact=True)
+    assert not {*TIMES} & {*pd.read_parquet(tmp_path / "out" / runs.RUNS)}
+    content = (tmp_path / "out" / runs.RUNS).read_bytes()
+    runs.write_runs(tmp_path / "out", plain.assign(seconds=0.0))
+    assert (tmp_path / "out" / runs.RUNS).read_bytes() == content
+    with pytest.raises(OutputError, match="cannot be written"):
+        runs.write_runs(tmp_path / "out" / runs.RUNS, plain)
+    (tmp_path / "out" / runs.RUNS).write_bytes(content[: len(content) // 2])
+    for folder, words in ((tmp_path / "out", "not the table of a study"), (tmp_path, "does not exist")):
+        with pytest.raises(InputError, match=words):
+            runs.read_runs(folder)
+
+
+def test_the_committed_table_has_the_columns_and_runs_of_the_study(plain):
+    committed = runs.read_runs(ROOT / "results" / "study")
+    gaps = {"ate_outside_gaps_rmse_m", "error_after_gaps_max_m"}  # of runs with blind intervals
+    assert {*committed} == {*plain} | gaps
+    assert committed[list(CASE)].dtypes.astype(str).tolist() == plain[list(CASE)].dtypes.astype(str).tolist()
+    study = {tuple(row.case_of(*run).values()) for run in runs.read_grids(ROOT / "notebooks" / "study.toml")}
+    assert {*committed[list(CASE)].itertuples(index=False, name=None)} <= study
+
+
+def test_curves_are_long_and_agree_with_the_row(plain):
+    long = runs.curves(plain)
+    assert [*long] == [*CASE, "time_s", "raw_m", "error_m", "matches"]
+    last = long.groupby(list(CASE), as_index=False)["error_m"].last()
+    np.testing.assert_allclose(last["error_m"], plain["error_final_m"], rtol=1e-6)
+    assert len(long) == sum(map(len, plain["curve_error_m"]))
+
+
+def test_numbers_and_curves_are_those_of_the_run():
+    settings = ExperimentSettings.preset(
+        "zigzag", "random-walk", sensor="report-4cm", seed=4, duration_s=30.0, method="icp",
+        overrides={"tof.blind_s": [[10.0, 15.0]]},
+    )  # fmt: skip
+    flight, truth = experiment.simulate(settings)
+    result = experiment.estimate(settings, flight, truth)
+    found = row.numbers(flight, result)
+    assert found["lost_share"] == pytest.approx(25 / 149, abs=0.01)
+    error = position_error_m(result.corrected, truth.trajectory)
+    lost = result.matches[1:] == 0
+    total = 0.2 * (found["growth_lost_m_s"] * lost.sum() + found["growth_paired_m_s"] * (~lost).sum())
+    assert total == pytest.approx(np.diff(error).sum())
+    assert found["slip_m"] == pytest.approx(max(error[5:] - error[:-5]))
+    assert found["wrong_share"] == pytest.approx(np.mean(error[result.matches > 0] > 0.25))
+    assert found["bend_deg"] > 0
+    assert 0 < found["turned_mean_deg"] < 5
+    thin = row.curves(result)
+    assert {name: len(values) for name, values in thin.items()} == dict.fromkeys(CURVES, row.CURVE_SAMPLES)
+    assert thin["curve_time_s"][[0, -1]] == pytest.approx(result.corrected.stamp_s[[0, -1]])
+    assert thin["curve_error_m"][-1] == pytest.approx(found["error_final_m"])
+    assert thin["curve_raw_m"][-1] == pytest.approx(found["raw_error_final_m"])
+    index = np.searchsorted(result.corrected.stamp_s, thin["curve_time_s"] - 1e-3)
+    np.testing.assert_array_equal(thin["curve_matches"], result.matches[index])
+
+
+def test_a_grid_has_every_combination_and_both_ends_of_a_range():
+    axes = {**AXES, "seeds": "3-5", "noises": ["random-walk", "constant-drift"], "blind_s": [[1.0, 1.5]]}
+    some = runs.grid(**axes, overrides=[{}, {"preprocess.crop_m": 1.4}])
+    cases = pd.DataFrame([row.case_of(*run) for run in some])
+    assert len(cases.drop_duplicates()) == len(some) == 3 * 2 * 2 * 2
+    assert set(cases["seed"]) == {3, 4, 5}
+    assert set(cases["blind"]) == {"1-1.5 s"}
+    assert set(cases["variant"]) == {"", "preprocess.crop_m=1.4"}
+    assert len({experiment.world(run.settings) for run in some}) == 3
+    planned = [run.settings for run in runs.grid(**{**axes, "trajectories": ["planned"]})]
+    assert len({experiment.world(settings) for settings in planned}) == len(planned)  # steered by what is estimated
+
+
+def test_the_seed_of_the_report_stands_beside_numbers(tmp_path):
+    axes = {**AXES, "methods": ["none"], "sensors": ["report"], "trajectories": ["vertical"], "duration_s": 60.0}
+    table = runs.run_all([run.settings for run in runs.grid(**{**axes, "seeds": [7, "report"]})], folder=tmp_path)
+    assert table["seed"].tolist() == ["7", "report"]
+    runs.write_runs(tmp_path / "out", table)
+    assert runs.read_runs(tmp_path / "out")["seed"].tolist() == ["7", "report"]
+
+
+def test_a_run_that_two_tables_name_is_one(tmp_path):
+    one, two = AXES, {**AXES, "seeds": "2-3"}
+    assert len(runs.read_grids(study(tmp_path, one, two))) == 6
+
+
+def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings():
+    by_case: dict[tuple, set[int]] = {}
+    for run in runs.read_grids(ROOT / "notebooks" / "study.toml"):
+        case = row.case_of(*run)
+        name = case["sensor"], case["duration_s"], case["blind"], case["trajectory"], case["noise"], case["variant"]
+        by_case.setdefault((*name, case["method"]), set()).add(case["seed"])
+    seeds = {case: len(found) for case, found in by_case.items()}
+    ours = {"best", "combined", "faces"}
+    few = ours | {"loam"}
+    report = {case: count for case, count in seeds.items() if case[0] == "report-4cm" and case[-1] not in few}
+    other_worlds = {case: count for case, count in report.items() if case[5].startswith(("tower.", "flight."))}
+    the_sweep = {case for case in other_worlds if case[4] == "constant-drift-per-axis" and "," in case[5]}
+    assert the_sweep
+    assert all(count >= 30 for case, count in report.items() if case not in other_worlds and "per-axis" not in case[4])
+    assert all(count >= 10 for case, count in other_worlds.items() if case not in the_sweep)
+    assert all(count >= 5 for case, count in seeds.items() if case[-1] in ours and not case[5])
+    assert min(seeds.values()) >= 2
+    assert not set(range(11, 21)) & set().union(*by_case.values())
+
+
+BAD = (
+    ("sees = [1]", ["[g0]", "sees"]),
+    ("seeds = ", ["not the settings of a study"]),
+    ('seeds = "5-3"', ["seeds = '5-3'", "101-130"]),
+    ('seeds = "many"', ["seeds = 'many'"]),
+    ('seeds = "1-1000000000"', ["seeds = '1-1000000000'", "at most 100,000"]),
+    ("seeds = [-1]", ["seeds.0 = -1"]),
+    ("seeds = []", ["seeds = []"]),
+    ("methods = []", ["methods = []"]),
+    ("duration_s = 1e300", ["duration_s = 1e+300", "14400"]),
+    ('methods = ["icp", "icq"]', ["[g0]", "'icq'", "'icp-3dof'"]),
+    ('trajectories = ["up"]', ["trajectories.0 = 'up'"]),
+    ('sensors = ["lidar"]', ["sensor = 'lidar'"]),
+    ('noises = ["pink"]', ["noise = 'pink'", "random-walk"]),
+    ("blind_s = [[1.0]]", ["blind_s.0 = [1.0]"]),
+    ('overrides = [{ "hough.dxm" = 1.0 }]', ["hough.dxm"]),
+)
+
+
+@pytest.mark.parametrize(("line", "words"), BAD, ids=[line for line, _ in BAD])
+def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys, line, words):
+    monkeypatch.chdir(tmp_path)
+    path = study(tmp_path, {name: each for name, each in AXES.items() if name != line.split(" =")[0]})
+    path.write_text(path.read_text() + line)
+    assert runs.main([str(path), "-o", "out"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert all(word in told for word in words), told
+    assert [*tmp_path.iterdir()] == [path]
+
+
+@pytest.mark.parametrize(("text", "words"), [("", "no table"), ("a = 3", "expected a table"), (None, "does not exist")])
+def test_a_file_that_is_no_study_is_one_line(tmp_path, text, words):
+    if text is not None:
+        (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        runs.read_grids(tmp_path / "study.toml")
+
+
+def test_no_runs_and_no_jobs_are_refused(tmp_path):
+    for some, jobs in (([], 1), (runs.grid(**AXES), 0)):
+        with pytest.raises(InputError, match="expected at least one of each"):
+            runs.run_all(some, jobs, tmp_path)
