@@ -168,7 +168,7 @@ def iterate(
         if voted_in[top] != round_number:
             votes, cell = vote(px[:n], py[:n], pz[:n], bx, by, bz, box, half, inverse_dx, columns, image, index[:n])
             voted_in[top] = round_number
-            heapreplace(heap, (-np.int64(votes), cell, top))
+            heapreplace(heap, (-np.int64(votes), cell, top))  # type: ignore[misc]
             continue
         if -bound < floor:
             break
