@@ -31,7 +31,7 @@ REACH_M, LEAF_M = 3.0, 0.05
 TABLE = """The same lines to the last bit in every case. *Even*: points spread evenly over a cube of 4 m. *Scans*:
 returns of a frame of `hough.py`, so many by chance, in their order. *Filtered*: such frames within {} m, in voxels of
 {} m. `min_votes` {}, weak lines left out, all lines. Times and ratios are medians over clouds of the shortest of {}
-runs.
+runs; seconds belong to the machine, which was not idle, ratios less so.
 
 | clouds | points | dx (m) | lines | plain form (ms) | steelnb (ms) | ratio |
 |---|---|---|---|---|---|---|"""

@@ -156,7 +156,7 @@ def iterate(
     for j in range(len(sphere)):
         bx, by, bz = sphere[j, 0], sphere[j, 1], sphere[j, 2]
         votes, cell = vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index)
-        heap[j] = (-np.int64(votes), cell, j)
+        heap[j] = (-np.int64(votes), cell, j)  # type: ignore[assignment]
     heapify(heap)
 
     found = 0
