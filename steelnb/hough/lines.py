@@ -70,7 +70,7 @@ def detect_lines(
     most = min(len(points) // 2, max_lines or len(points))
     anchor, direction, count = np.zeros((most, 3)), np.zeros((most, 3)), np.zeros(most, np.int64)
     label = np.full(len(points), -1, np.int64)
-    found, _ = iterate(
+    found = iterate(
         px, py, pz, directions(granularity), high - centre, half, dx, columns, min_votes, most, skip_weak,
         anchor, direction, count, label,
     )  # fmt: skip

@@ -1,46 +1,79 @@
-"""Compiled parts of the iterative Hough transform: the lazy maximum, the line fit, the loop.
+"""Compiled parts of the iterative Hough transform: the vote of one direction, the line fit, the loop.
 
 Source: Dalitz, Schramke, Jeltsch, "Iterative Hough Transform for Line Detection in 3D Point Clouds", Image Processing
 On Line 7 (2017), 184–196: equations (2), (3) and (7), and Algorithm 1.
 
 The published program keeps a vote volume of all directions and searches all of it in every round. Here, no volume is
-kept. Removing points can only lower votes, so the maximum that a direction had is an upper bound of what it has: one
-(bound, cell) pair for each direction is kept in a heap, and only the direction on top is voted again, until the one on
-top is up to date. Where points lie close together, the first bounds come from cubes of points instead of points: most
-directions are then not voted before the strongest lines have taken their points away. The lines are the same.
+kept. Removing points can only lower votes, so the maximum that a direction had is an upper bound of what it has. The
+directions wait in a heap by that bound, and only the one on top is voted again, until the one on top is up to date. The
+lines are the same.
 """
+
+from heapq import heapify, heapreplace
 
 import numpy as np
 from numba import njit
 
-from steelnb.hough.votes import BLOCK, CUBE, bound_votes, far_apart, group, vote
 from steelnb.points.moments import moments_about_mean, principal_axis
 
-GAIN = 3
-"""The first bounds come from cubes where these are so many times fewer than the points."""
+BLOCK = 256
+"""Cells of the vote image whose maximum is taken at once."""
 
 
 @njit(cache=True)
-def sift_down(heap, key, start):
-    """Restore the heap below ``start``: larger key first, then smaller direction."""
-    n = len(heap)
-    item = heap[start]
-    hole = start
-    while True:
-        child = 2 * hole + 1
-        if child >= n:
-            break
-        right = child + 1
-        if right < n and (
-            key[heap[right]] > key[heap[child]] or (key[heap[right]] == key[heap[child]] and heap[right] < heap[child])
-        ):
-            child = right
-        if key[heap[child]] > key[item] or (key[heap[child]] == key[item] and heap[child] < item):
-            heap[hole] = heap[child]
-            hole = child
-        else:
-            break
-    heap[hole] = item
+def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
+    """Votes of one direction (equation 2): (largest count, first cell that has it).
+
+    ``box (3,)`` holds half the extents of the cloud, which is centred on its bounding box.
+    ``image ((columns + 4)² + BLOCK)`` holds zeros on entry and on return; ``index`` is scratch as long as the points.
+    """
+    n = len(px)
+    beta = 1.0 / (1.0 + bz)
+    ax, ay, az = (1.0 - beta * bx * bx) * inverse_dx, -beta * bx * by * inverse_dx, -bx * inverse_dx
+    cx, cy, cz = -beta * bx * by * inverse_dx, (1.0 - beta * by * by) * inverse_dx, -by * inverse_dx
+    shift = half * inverse_dx + 0.5
+    for i in range(n):
+        column = np.int32(ax * px[i] + ay * py[i] + az * pz[i] + shift)
+        row = np.int32(cx * px[i] + cy * py[i] + cz * pz[i] + shift)
+        index[i] = column * columns + row
+    # Neighbours mostly vote for one cell, and each vote waits for the one before to be stored: so four take turns that
+    # lie far apart. The index is unsigned, since a signed one costs a test whether it counts from the end.
+    part = n // 4
+    for i in range(part):
+        image[np.uint32(index[i])] += 1
+        image[np.uint32(index[i + part])] += 1
+        image[np.uint32(index[i + 2 * part])] += 1
+        image[np.uint32(index[i + 3 * part])] += 1
+    for i in range(4 * part, n):
+        image[np.uint32(index[i])] += 1
+    # The reference drops votes past the last cell, which only a corner of the cloud can cast.
+    cells = columns * columns
+    image[cells : (columns + 2) * (columns + 2)] = 0
+    # The columns that the bounding box can reach, and one more on either side for rounding.
+    reach = abs(ax) * box[0] + abs(ay) * box[1] + abs(az) * box[2]
+    begin, end = max(int(shift - reach) - 1, 0) * columns, min((int(shift + reach) + 3) * columns, cells)
+    best = np.int32(0)
+    if end - begin <= 8 * n:  # then a scan of the image, which vectorises, is quicker than a visit to each point's cell
+        cell = np.int64(begin)
+        for first in range(begin, end, BLOCK):
+            block = image[first : first + BLOCK]
+            most = np.int32(0)
+            for k in range(BLOCK):
+                most = max(most, block[k])
+            if most > best:
+                best, cell = most, np.int64(first)
+        while best > 0 and image[cell] != best:
+            cell += 1
+        image[begin:end] = 0
+    else:
+        cell = np.int64(cells)
+        for i in range(n):
+            count = image[np.uint32(index[i])]
+            if count > best or (count == best and index[i] < cell):
+                best, cell = count, np.int64(index[i])
+        for i in range(n):
+            image[np.uint32(index[i])] = 0
+    return best, cell
 
 
 @njit(cache=True)
@@ -105,63 +138,42 @@ def drop(gone, px, py, pz, original):
 def iterate(
     px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
 ):
-    """Algorithm 1: find the strongest line, fit it, remove its points, again. Returns (lines, votes counted).
+    """Algorithm 1: find the strongest line, fit it, remove its points, again. Returns the number of lines.
 
     ``px, py, pz`` are overwritten. Lines go to the rows of ``anchor``, ``direction`` and ``counts``, the number of its
     line to ``label`` of each point, which is −1 on entry.
     """
     n = len(px)
-    n_directions = len(sphere)
     image = np.zeros((columns + 4) * (columns + 4) + BLOCK, np.int32)
     index = np.empty(n, np.int32)
-    fresh = np.full(n_directions, -1)
     inverse_dx = 1.0 / dx
-    # Fits sum over the points in the order given; votes, which no order changes, over copies of them far apart.
     original, chosen = np.arange(n), np.empty(n, np.int64)
-    voter = far_apart(n)
-    vx, vy, vz = px[voter], py[voter], pz[voter]
     gone = np.zeros(n, np.uint8)
-    votes_cast = 0
-    cx, cy, cz, weight = group(vx, vy, vz, half, CUBE * dx)
-    grouped = GAIN * len(cx) <= n
-    key = np.empty(n_directions, np.int64)  # larger votes first, then the smaller cell; then the smaller direction
-    heap = np.arange(n_directions)
-    for j in range(n_directions):
+    # (−votes, cell, direction) of the strongest cell of each direction: more votes come first, then the smaller cell,
+    # then the smaller direction. A direction is up to date as of the round in which it was last voted.
+    heap = [(0, 0, j) for j in range(len(sphere))]
+    voted_in = np.zeros(len(sphere), np.int64)
+    for j in range(len(sphere)):
         bx, by, bz = sphere[j, 0], sphere[j, 1], sphere[j, 2]
-        cell = np.int64(0)
-        if grouped:
-            best = bound_votes(cx, cy, cz, weight, bx, by, bz, box, half, inverse_dx, columns, image, index)
-            votes_cast += len(cx)
-        else:
-            best, cell = vote(vx, vy, vz, bx, by, bz, box, half, inverse_dx, columns, image, index)
-            fresh[j] = 0
-            votes_cast += n
-        key[j] = (np.int64(best) << 32) - cell
-    for start in range(n_directions // 2 - 1, -1, -1):
-        sift_down(heap, key, start)
+        votes, cell = vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index)
+        heap[j] = (-np.int64(votes), cell, j)  # type: ignore[assignment]
+    heapify(heap)
 
     found = 0
     round_number = 0
     floor = min_votes // 2 if skip_weak else 1
     while n > 1 and found < max_lines:
-        top = heap[0]
-        while fresh[top] != round_number:
-            best, cell = vote(
-                vx[:n], vy[:n], vz[:n], sphere[top, 0], sphere[top, 1], sphere[top, 2], box, half, inverse_dx, columns,
-                image, index[:n],
-            )  # fmt: skip
-            votes_cast += n
-            fresh[top] = round_number
-            key[top] = (np.int64(best) << 32) - cell
-            sift_down(heap, key, 0)
-            top = heap[0]
-        votes = (key[top] + (np.int64(1) << 31)) >> 32
-        if votes < floor:
+        bound, cell, top = heap[0]
+        bx, by, bz = sphere[top, 0], sphere[top, 1], sphere[top, 2]
+        if voted_in[top] != round_number:
+            votes, cell = vote(px[:n], py[:n], pz[:n], bx, by, bz, box, half, inverse_dx, columns, image, index[:n])
+            voted_in[top] = round_number
+            heapreplace(heap, (-np.int64(votes), cell, top))  # type: ignore[misc]
+            continue
+        if -bound < floor:
             break
-        cell = (votes << 32) - key[top]
         x = (cell // columns) * dx - half
         y = (cell % columns) * dx - half
-        bx, by, bz = sphere[top, 0], sphere[top, 1], sphere[top, 2]
         beta = 1.0 / (1.0 + bz)
         ax = x * (1.0 - beta * bx * bx) - y * beta * bx * by
         ay = -x * beta * bx * by + y * (1.0 - beta * by * by)
@@ -181,8 +193,7 @@ def iterate(
         for k in range(count):
             gone[original[chosen[k]]] = 1
             label[original[chosen[k]]] = -1 if weak else found
-        drop(gone, vx[:n], vy[:n], vz[:n], voter)
         n = drop(gone, px[:n], py[:n], pz[:n], original)
         found += 0 if weak else 1
         round_number += 1
-    return found, votes_cast
+    return found

@@ -3,8 +3,7 @@
 from steelnb.registration.api import register
 from steelnb.registration.as_pcl import Aligned, gicp_as_pcl, icp_as_pcl
 from steelnb.registration.feature_target import FeatureTarget
-from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solve import AnyTarget, Term, align, free_directions, prior_term
+from steelnb.registration.solve import AnyTarget, RegistrationResult, Term, align, free_directions, prior_term
 from steelnb.registration.target import Target, make_target
 
 __all__ = [

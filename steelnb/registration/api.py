@@ -8,8 +8,7 @@ from steelnb.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
-from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solve import align, free_directions, pairs_needed
+from steelnb.registration.solve import RegistrationResult, align, free_directions, pairs_needed
 from steelnb.registration.target import Target, finite, make_target
 from steelnb.types import Array
 
@@ -59,7 +58,9 @@ def register(
     >>> found.converged, found.T_target_source[:3, 3].round(4).tolist()
     (True, [0.02, 0.01, 0.03])
     """
-    error, default = _choice("method", method, METHODS)
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: expected one of {', '.join(map(repr, METHODS))}")
+    error, default = METHODS[method]
     free = free_directions(default if dof is None else dof, gravity)
     limit = _positive("max_correspondence_m", max_correspondence_m)
     scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
@@ -87,12 +88,6 @@ def _cloud(target: Array | Target | VoxelMap, error: str, neighbours: int, least
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
     return make_target(_enough(finite(points, "target"), least, "target"), error, neighbours)
-
-
-def _choice(name: str, value: str, known: dict) -> tuple:
-    if not isinstance(value, str) or value not in known:
-        raise InputError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
-    return known[value]
 
 
 def _positive(name: str, value: float) -> float:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,6 @@ from steelnb.errors import InputError
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
-from steelnb.registration.result import RegistrationResult
 from steelnb.registration.target import Target
 from steelnb.types import Array, IntArray
 
@@ -21,10 +20,33 @@ DOFS = ("xyz", "xyz_yaw", "se3")
 BLIND = 1e-10
 """Below this share of the largest eigenvalue a direction is unconstrained, and the solver does not move along it."""
 
-
 AnyTarget = Target | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
 """A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
+
+
+@dataclass(frozen=True)
+class RegistrationResult:
+    """Pose and convergence of a registration.
+
+    ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, pairs within the largest distance;
+    ``reason`` why it stopped.
+
+    ``H (6, 6)`` and ``b (6,)`` are the normal equations at the end, of twists ξ = (ω, v) in the axes of the target: a
+    turn about ``centre (3,)``, the middle of the source under the pose, and the shift of that centre. ``unobserved (u,
+    3)``, unit vectors: shifts that were left out of the solve, since the surfaces paired have no normals along them
+    (`observability.unobserved_shifts`).
+    """
+
+    T_target_source: Array
+    converged: bool
+    iterations: int
+    inliers: int
+    H: Array
+    b: Array
+    reason: str
+    centre: Array
+    unobserved: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 class Normal(NamedTuple):

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
 from steelnb.hough import detect_lines, detect_segments, directions, transform
-from steelnb.hough import votes as image_votes
 from steelnb.hough.dx import default_dx
 from steelnb.hough.lines import MAX_CELLS
 from tests import naive
@@ -44,47 +43,18 @@ def test_directions_cover_the_half_sphere_once(granularity):
         assert np.arccos(np.clip(np.abs(probe @ d.T).max(axis=1), 0, 1)).max() < 2 * np.sqrt(2 * np.pi / len(d)) / 2
 
 
-def check_by_vote_volume(points, dx, min_votes):
-    expected = naive.hough_lines(points, dx, min_votes, granularity=2)
-    found = detect_lines(points, dx, min_votes, granularity=2)
+@pytest.mark.kernels
+@pytest.mark.parametrize("seed", range(4 if JIT else 1))
+@pytest.mark.parametrize("dx", [0.05, 0.15])
+def test_lines_are_those_of_the_full_vote_volume(seed, dx):
+    points = lattice(seed, lines=4, points=20, noise_m=0.01, clutter=15)
+    expected = naive.hough_lines(points, dx, min_votes=3, granularity=2)
+    found = detect_lines(points, dx, min_votes=3, granularity=2)
     assert len(found) == len(expected) >= 3
     for k, (anchor, direction, members) in enumerate(expected):
         np.testing.assert_array_equal(np.flatnonzero(found.label == k), members)
         np.testing.assert_allclose(found.anchor[k], anchor, atol=1e-9)
         assert abs(found.direction[k] @ direction) > 1 - 1e-12
-
-
-@pytest.mark.kernels
-@pytest.mark.parametrize("seed", range(4 if JIT else 1))
-@pytest.mark.parametrize("dx", [0.05, 0.15])
-def test_lines_are_those_of_the_full_vote_volume(seed, dx):
-    check_by_vote_volume(lattice(seed, lines=4, points=20, noise_m=0.01, clutter=15), dx, min_votes=3)
-
-
-def test_lines_are_those_of_the_full_vote_volume_where_the_first_bounds_come_from_cubes():
-    points = lattice(5, lines=3, points=250, noise_m=0.01, clutter=30)
-    x, y, z = np.ascontiguousarray((points - (points.min(axis=0) + points.max(axis=0)) / 2).T)
-    assert transform.GAIN * len(image_votes.group(x, y, z, 3.0, image_votes.CUBE * 0.3)[0]) < len(points)
-    check_by_vote_volume(points, 0.3, min_votes=10)
-
-
-@pytest.mark.kernels
-@settings(max_examples=40 if JIT else 3, deadline=None)
-@given(seed=st.integers(0, 10_000), dx=st.floats(0.05, 1.0), points=st.integers(2, 300), flat=st.booleans())
-def test_no_cell_has_more_votes_than_its_bound_from_cubes(seed, dx, points, flat):
-    cloud = np.random.default_rng(seed).normal(size=(points, 3)) * [1, 0 if flat else 1, 1]
-    high = (cloud.max(axis=0) - cloud.min(axis=0)) / 2
-    x, y, z = np.ascontiguousarray((cloud - cloud.min(axis=0) - high).T)
-    half = np.linalg.norm(high)
-    columns = int(2 * half / dx + 0.5)
-    image, index = np.zeros((columns + 4) ** 2 + image_votes.BLOCK, np.int32), np.empty(points, np.int32)
-    cubes = image_votes.group(x, y, z, half, image_votes.CUBE * dx)
-    assert cubes[3].sum() == points
-    for b in directions(2):
-        most = image_votes.bound_votes(*cubes, *b, high, half, 1 / dx, columns, image, index)
-        votes, _ = image_votes.vote(x, y, z, *b, high, half, 1 / dx, columns, image, index)
-        assert votes <= most
-        assert not image.any()
 
 
 @pytest.mark.kernels
@@ -96,9 +66,9 @@ def test_a_vote_goes_to_the_first_of_the_strongest_cells(dx):
     cloud = cloud - cloud.min(axis=0) - high
     half = np.linalg.norm(high)
     columns = int(2 * half / dx + 0.5)
-    image, index = np.zeros((columns + 4) ** 2 + image_votes.BLOCK, np.int32), np.empty(len(cloud), np.int32)
+    image, index = np.zeros((columns + 4) ** 2 + transform.BLOCK, np.int32), np.empty(len(cloud), np.int32)
     for b in directions(1):
-        found = image_votes.vote(*np.ascontiguousarray(cloud.T), *b, high, half, 1 / dx, columns, image, index)
+        found = transform.vote(*np.ascontiguousarray(cloud.T), *b, high, half, 1 / dx, columns, image, index)
         counts = np.bincount(index, minlength=columns**2)[: columns**2]
         assert found == (counts.max(), counts.argmax())
 

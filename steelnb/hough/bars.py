@@ -1,4 +1,4 @@
-"""From lines or groups of points to bars, the same for every method: cut, merge, sort, and re-fit to the points."""
+"""From lines or groups of points to bars, the same for every method of `peers`: cut, merge, sort, and re-fit."""
 
 from collections.abc import Callable
 
@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 
 from steelnb.errors import InputError
-from steelnb.hough import cut_and_sort
 from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.pieces import merge, sort
+from steelnb.hough.segments import cut_and_sort
 from steelnb.hough.transform import fit_line
 from steelnb.types import Array, IntArray, Lines, Segments
 
@@ -86,7 +86,7 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
         begin = np.searchsorted(label[order], np.arange(len(bars) + 1))
         piece = np.column_stack([begin[:-1], begin[1:]])
         piece = piece[np.diff(piece, axis=1).ravel() >= 2]
-        if left and MERGE_DISTANCE_M > 0:
+        if left:
             # Half a bar is seen through others: two pieces on one axis, now that it is known well, are the same bar.
             order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
         bounds = (0.0, np.inf, 0.0) if left else (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0)

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.hough.peers import bars as module
-from steelnb.hough.peers.bars import bars_of_groups, in_passes, nearest_bar, refine
+from steelnb.hough import bars as module
+from steelnb.hough.bars import bars_of_groups, in_passes, nearest_bar, refine
 from steelnb.types import Segments
 
 
