@@ -22,8 +22,8 @@ from shared import command
 from steelnb import rng
 from steelnb.hough import detect_lines, lines
 from steelnb.hough.transform import BLOCK, drop, fit_near_line, iterate
+from steelnb.pins import machine
 from steelnb.points import voxel_grid
-from steelnb.report.results import machine
 from steelnb.types import Array, Lines
 
 SIZES, WIDTHS, RUNS, MIN_VOTES = (2_500, 5_000, 10_000, 20_000), (0.05, 0.1), 9, 12
