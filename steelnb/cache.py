@@ -37,7 +37,7 @@ def digest_sources(apart: tuple[str, ...] = APART) -> str:
     found = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*")):
         name = path.relative_to(PACKAGE)
-        if path.is_file() and path.suffix != ".pyc" and name.parts[0] not in apart:
+        if path.is_file() and name.parts[0] not in apart and "__pycache__" not in name.parts:
             found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     for library in LIBRARIES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

@@ -136,6 +136,9 @@ def test_code_and_presets_are_sources_and_reports_are_not(tmp_path, monkeypatch)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
     before = cache.digest_sources(), cache.digest_sources(apart=())
+    (tmp_path / "hough" / "__pycache__").mkdir()
+    (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
+    assert (cache.digest_sources(), cache.digest_sources(apart=())) == before
     for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("report/style.py", False)):
         (tmp_path / name).write_text("a = 2\n")
         assert (cache.digest_sources() != before[0]) is counts

@@ -60,8 +60,10 @@ def test_settings_by_name_and_a_first_run():
     assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
 
 
-def test_the_study_of_the_page_has_the_runs_that_it_says(tmp_path):
+def test_the_study_of_the_page_has_the_runs_that_it_says(tmp_path, monkeypatch):
     from steelnb.runs import read_grids
 
     (tmp_path / "my-study.toml").write_text(blocks("howto/study.md", "toml"), encoding="utf-8")
     assert f"{len(read_grids(tmp_path / 'my-study.toml'))} runs" in blocks("howto/study.md", "console")
+    monkeypatch.chdir(tmp_path)  # where rows are kept
+    assert len(run("howto/study.md")[0]["table"]) == 4
