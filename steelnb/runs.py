@@ -21,7 +21,7 @@ from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from steelnb import experiment
-from steelnb.cache import SOURCES, kept
+from steelnb.cache import PACKAGE, SOURCES, kept
 from steelnb.errors import InputError, SteelnbError
 from steelnb.files import new_folder, reading
 from steelnb.row import CASE, CURVES, TIMES, case_of, fly, make_row
@@ -145,7 +145,8 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
         try:
             row = kept(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
         except Exception:
-            row = {"status": "failed", "error": traceback.format_exc(limit=-3)}
+            error = traceback.format_exc(limit=-3).replace(f"{PACKAGE.parent}/", "")  # tables are published
+            row = {"status": "failed", "error": error}
         rows.append({**named, **row})
     return rows
 

@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from steelnb import experiment, row, runs
+from steelnb.cache import PACKAGE
 from steelnb.errors import InputError, OutputError
 from steelnb.metrics import position_error_m
 from steelnb.row import CASE, CURVES, TIMES
@@ -97,6 +98,7 @@ def test_a_run_that_raises_is_reported_and_tried_again(tmp_path, made, monkeypat
     table = runs.read_runs(tmp_path / "out").set_index("variant")
     assert table["status"].to_dict() == {"": "ok", "flight.standoff_m=-0.05": "failed"}
     assert table.loc["flight.standoff_m=-0.05", "error"].str.contains("Traceback").all()
+    assert not table["error"].str.contains(str(PACKAGE.parent)).any(), "a table is published"
     assert table.loc["flight.standoff_m=-0.05", "ate_rmse_m"].isna().all()
     assert len(runs.curves(table.reset_index())) == 2 * len(table["curve_time_s"].iloc[0])
 

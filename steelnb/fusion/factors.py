@@ -58,7 +58,7 @@ class PointEquations(NamedTuple):
 
 
 def linearised(problem: Problem, observations: Observations) -> PointEquations:
-    """The normal equations of all points, without what is known beforehand."""
+    """The normal equations of all points, without those of the prior."""
     bars = problem.bars
     corner = sections.outlines(bars.turn, np.where(bars.known, bars.flange, 0.05))
     return equations(
@@ -141,7 +141,8 @@ def prior_errors(
 ) -> PriorErrors:
     """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
     if they have a standard deviation, from a Gauss-Markov process about those of the prior. The first pose is the
-    prior's, its roll and pitch only if it is ``upright``: without, they are no better known than all others."""
+    prior's. Its roll and pitch are held only if it is ``upright``; otherwise they have the
+    standard deviation of all others."""
     size = pose_size(tilt_sigma_rad)
     error, weight = np.zeros((2, len(T), size))
     error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED

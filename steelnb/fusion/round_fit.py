@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion.section_fit import fit_section, profiles, robust, section_step
-from steelnb.fusion.sections import cells_of, outline
+from steelnb.fusion.sections import cells_of, merged_cells, outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Where the search starts."""
@@ -40,48 +40,39 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     clearly round, the likelihoods of all bars together say what the others are, unless one of them clearly differs.
     """
     face, side = profiles()
-    normal, place = np.empty((PLACE, PLACE + 1)), np.empty(PLACE)
-    unclear, pooled = np.zeros(len(length), np.bool_), 0.0
-    for b in range(len(length)):
+    n = len(length)
+    place, normal, cost = np.empty((n, PLACE)), np.empty((n, PLACE, PLACE + 1)), np.empty(n)  # of the circles
+    unclear, pooled = np.zeros(n, np.bool_), 0.0
+    for b in range(n):
         if np.isnan(fitted.flange[b]):
             continue
         cells = cells_of(histogram[b], length[b])
-        cost = _fit_circle(histogram[b], cells, place, normal)
-        if place[4] > WIDEST_M:
+        cost[b] = fit_circle(cells, merged_cells(histogram[b]), place[b], normal[b])
+        if place[b, 4] > WIDEST_M:
             continue
-        bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
-        if cost <= bound * _angle_cost(cells, fitted, b):
-            # Most bars do not come here: their sections need not be fitted again.
-            least = _least_angle_cost(histogram[b], cells, face, side)
-            if cost <= bound * least:
-                pooled += 0.5 * len(cells) * math.log(least / cost)
-                _make_round(fitted, b, cells, cost, place, normal)
-                continue
         unclear[b] = True
+        bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
+        if not cost[b] <= bound * _angle_cost(cells, fitted, b):
+            continue  # most bars, whose sections need not be fitted again
+        least = _least_angle_cost(histogram[b], cells, face, side)
+        if cost[b] <= bound * least:
+            unclear[b] = False
+            pooled += 0.5 * len(cells) * math.log(least / cost[b])
+            _make_round(fitted, b, cells, cost[b], place[b], normal[b])
     if pooled == 0.0:
         return
-    likelihood = np.zeros(len(length))
-    for b in range(len(length)):
-        if not unclear[b]:
-            continue
-        cells = cells_of(histogram[b], length[b])
-        cost = _fit_circle(histogram[b], cells, place, normal)
-        least = _least_angle_cost(histogram[b], cells, face, side)
-        likelihood[b] = 0.5 * len(cells) * math.log(least / cost)
-        pooled += likelihood[b]
+    likelihood = np.zeros(n)
+    for b in range(n):
+        if unclear[b]:
+            cells = cells_of(histogram[b], length[b])
+            least = _least_angle_cost(histogram[b], cells, face, side)
+            likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
+            pooled += likelihood[b]
     if pooled <= 0.0:
         return
-    for b in range(len(length)):
-        if not unclear[b] or likelihood[b] <= -LIKELIHOOD_MIN:
-            continue
-        cells = cells_of(histogram[b], length[b])
-        cost = _fit_circle(histogram[b], cells, place, normal)
-        _make_round(fitted, b, cells, cost, place, normal)
-
-
-@njit(cache=True)
-def _fit_circle(histogram, cells, place, normal):  # type: ignore[no-untyped-def]
-    return fit_circle(cells, cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0), place, normal)
+    for b in range(n):
+        if unclear[b] and likelihood[b] > -LIKELIHOOD_MIN:
+            _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], place[b], normal[b])
 
 
 @njit(cache=True)
@@ -96,12 +87,12 @@ def _angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-def]
     """Cost of an angle section that is fitted to the depths alone."""
-    merged = cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0)
-    return fit_section(cells, merged, np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]
+    return fit_section(cells, merged_cells(histogram), np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]
 
 
 @njit(cache=True)
 def _make_round(fitted, b, cells, cost, place, normal):  # type: ignore[no-untyped-def]
+    """Put a circle at ``place (5,)`` in place of the section of bar b."""
     total = cells[:, 2].sum()
     inverse = np.linalg.inv(normal[:, :PLACE] + 1e-6 * total * np.eye(PLACE)) * cost / len(cells)
     fitted.centre[b], fitted.slope[b] = place[:2], place[2:4]

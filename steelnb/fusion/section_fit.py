@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.sections import VIEWS, cells_of, edges_of, front_face, nearest_edge, outline
+from steelnb.fusion.sections import VIEWS, cells_of, edges_of, front_face, merged_cells, nearest_edge, outline
 from steelnb.types import Array
 
 TURNS = VIEWS  # so that a turned section looks like another one from the next direction
@@ -52,9 +52,8 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     for b in range(n):
         cells, rows = cells_of(histogram[b], length[b]), edges_of(histogram[b])
         if len(cells) >= 8 and len(rows) >= 1:
-            merged = cells_of(np.expand_dims(histogram[b].sum(axis=0), 0), 0.0)  # fewer cells, enough to search with
             flange[b], turn[b], spread[b], tilt[b], _ = fit_section(
-                cells, merged, rows, face, side, centre[b], slope[b]
+                cells, merged_cells(histogram[b]), rows, face, side, centre[b], slope[b]
             )
     return Sections(centre, slope, flange, turn, spread, tilt)
 

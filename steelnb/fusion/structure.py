@@ -20,7 +20,7 @@ class Structure:
     it is not.
     ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
     where that is not known; None where it is known of no bar.
-    ``tube (B,)``: which bars are round tubes; None where none is known to be.
+    ``tube (B,)``: which bars are round tubes; None if no bar is known to be one.
     """
 
     segments: Segments

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numba import njit
 
+from steelnb.errors import InputError
 from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, prepared, refine
 from steelnb.hough.blocks import segment_structure
 from steelnb.hough.lines import detect_lines
@@ -57,6 +58,12 @@ def segment_by_hough_blocks(
     return refine(points, segment_structure(points, dx), dx, points_min)
 
 
+def check_trials(trials: int) -> None:
+    """Raise `InputError` for a number of trials below 1."""
+    if trials < 1:
+        raise InputError(f"trials = {trials}: expected at least 1")
+
+
 def segment_by_ransac_lines(
     points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, trials: int = 300
 ) -> Segments:
@@ -67,6 +74,7 @@ def segment_by_ransac_lines(
     after the other in Python, and a frame needs some 30,000.
     """
     points, dx = prepared(points, dx, points_min)
+    check_trials(trials)
     random = stream(seed, "ransac-lines")
 
     def find(some: Array) -> Segments:
@@ -82,6 +90,7 @@ def segment_by_ransac_planes(
 ) -> Segments:
     """The plane with most points within ``dx`` out of ``trials`` planes, its points taken out, again."""
     points, dx = prepared(points, dx, points_min)
+    check_trials(trials)
     open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
     label = np.full(len(points), -1, dtype=np.int64)
@@ -124,6 +133,8 @@ def segment_by_gmm(
     It is fitted to ``sample`` of the points and then assigns all.
     """
     points, dx = prepared(points, dx, points_min)
+    if not components or min(components) < 1 or sample < 2:
+        raise InputError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 

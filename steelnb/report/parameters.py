@@ -24,8 +24,8 @@ def validate() -> None:
     """Refuse what papermill has set in the running notebook, and give numbers the type of their defaults.
 
     For the first cell after the parameters: papermill itself only warns of a name that the notebook does not have, and
-    would run the defaults. A flight shorter than the notebook's own is said to be one. Where nothing was set by
-    papermill, or without IPython, nothing is done. Raises `InputError`.
+    would run the defaults. A flight shorter than the notebook's default is announced as short. Where papermill set
+    nothing, or without IPython, nothing is done. Raises `InputError`.
     """
     loaded = sys.modules.get("IPython")  # which a kernel has loaded
     shell = loaded.get_ipython() if loaded else None

@@ -127,7 +127,7 @@ class MapSettings(OdometrySettings):
 
     ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``prior_sigma`` are the standard
     deviations of a correction from its prediction, metres and radians, which then follows the rate of the drift; None
-    for a drift that is taken to stand still. ``hough``, ``fusion`` and ``robust_scale_m``, the robust scale
+    if the drift is assumed to be constant. ``hough``, ``fusion`` and ``robust_scale_m``, the robust scale
     (Geman-McClure) of all rules but ``average``, are those of bars.
     """
 

@@ -83,6 +83,21 @@ def test_bad_input_is_refused_with_its_value(method, points, options, error, say
         METHODS[method](points, **options)
 
 
+@pytest.mark.parametrize(
+    ("method", "options", "says"),
+    [
+        ("ransac-lines", {"trials": 0}, "trials = 0"),
+        ("ransac-planes", {"trials": 0}, "trials = 0"),
+        ("gmm", {"components": []}, "components"),
+        ("gmm", {"components": [0, 3]}, "components"),
+        ("gmm", {"sample": 1}, "sample = 1"),
+    ],
+)
+def test_bad_options_are_refused_with_their_value(method, options, says):
+    with pytest.raises(InputError, match=says):
+        METHODS[method](cloud(), **options)
+
+
 def test_the_criterion_picks_the_number_of_components():
     points = cloud(noise_m=0.02)
     picked = segment_by_gmm(points, components=[3, 40], sample=900)
