@@ -1,4 +1,4 @@
-"""Covariances and normals of a cloud, from the nearest neighbours of each point."""
+"""Point covariances and normals, estimated from the nearest neighbours of each point."""
 
 import math
 from dataclasses import dataclass
@@ -12,15 +12,16 @@ from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 from steelnb.types import Array, IntArray
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
-"""Rows and columns of upper triangles in the order in which covariances are stored: xx xy xz yy yz zz."""
+"""Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
 PLANE_THICKNESS = 1e-3
+"""Variance along the normal of a plane-shaped covariance; its variance in the plane is 1."""
 
 
 def neighbour_covariances(points: Array, neighbours: int = 20, tree: KdTree | None = None) -> Array:
-    """Covariance of each point's nearest ``neighbours`` points, itself included: upper triangles ``(N, 6)``, m².
+    """Covariance of the nearest ``neighbours`` points of each point, itself included: upper triangles ``(N, 6)``, m².
 
-    ``points (N, 3)`` are finite; ``tree`` is theirs, where it is at hand: give ``tree.point`` itself as points to have
-    the covariances in the order of the tree. Of points that are equally far any may be the last neighbour.
+    ``points (N, 3)`` must be finite. Pass their ``tree`` if it is already built; with ``points`` being ``tree.point``,
+    the result is in the order of the tree. Ties for the last neighbour are broken arbitrarily.
     """
     tree = tree or build_kdtree(points)
     sorted_ = np.empty((len(tree.point), 6))
@@ -33,22 +34,24 @@ def neighbour_covariances(points: Array, neighbours: int = 20, tree: KdTree | No
     return result
 
 
-def regularised(covariances: Array, thickness: float = PLANE_THICKNESS) -> Array:
-    """Plane-shaped covariances ``(N, 6)`` with the normals n of ``covariances (N, 6)``: I − (1 − thickness) n nᵀ.
+def regularised(covariances: Array) -> Array:
+    """Plane-shaped covariances ``(N, 6)`` with the normals n of ``covariances (N, 6)``: I − (1 − ε) n nᵀ.
+
+    ε is `PLANE_THICKNESS`: GICP's plane-to-plane model.
 
     Source: Segal, Haehnel, Thrun, "Generalized-ICP" (RSS 2009), section III.
     """
     normal = normals(covariances)
-    result = (thickness - 1.0) * normal[:, UPPER[0]] * normal[:, UPPER[1]]
+    result = (PLANE_THICKNESS - 1.0) * normal[:, UPPER[0]] * normal[:, UPPER[1]]
     result[:, [0, 3, 5]] += 1.0
     return result
 
 
 @dataclass(frozen=True)
 class PlaneCovariances:
-    """`regularised` covariances of the points of a tree, each computed when a registration first asks for it.
+    """`regularised` covariances of the points of a tree, computed on demand: a scan matches few points of a map.
 
-    ``value (M, 6)``, in the order of the tree, is NaN until then: a scan meets few of the points of a map.
+    ``value (M, 6)``, in the order of the tree, is NaN until computed.
     """
 
     tree: KdTree
@@ -59,50 +62,51 @@ class PlaneCovariances:
 
     @classmethod
     def of(cls, tree: KdTree, neighbours: int) -> "PlaneCovariances":
-        """Covariances of the nearest ``neighbours`` points around each, itself included."""
+        """None computed yet; each will be that of the nearest ``neighbours`` points, itself included."""
         n = len(tree.point)
         return cls(tree, min(neighbours, n), np.full((n, 6), np.nan), _leaves(tree), np.zeros(len(tree.axis), bool))
 
-    def fill(self, asked: IntArray) -> None:
-        """Compute those of the points ``asked (N,)`` that are missing; −1 asks for none."""
-        _regularise_where_asked(self.tree, self.neighbours, self.leaf_of, asked, self.done, PLANE_THICKNESS, self.value)
+    def fill(self, index: IntArray) -> None:
+        """Compute the missing covariances of the points ``index (N,)``; −1 entries are ignored."""
+        _fill_regularised(self.tree, self.neighbours, self.leaf_of, index, self.done, self.value)
 
 
 def normals(covariances: Array) -> Array:
-    """Unit vectors ``(N, 3)`` of the least spread of ``covariances (N, 6)``; their sign is arbitrary."""
+    """Unit normals ``(N, 3)``, the smallest eigenvectors of ``covariances (N, 6)``; their sign is arbitrary."""
     result = np.empty((len(covariances), 3))
     _normals(np.ascontiguousarray(covariances), result)
     return result
 
 
 @njit(cache=True, error_model="numpy")
-def _covariances(tree, k_most, result):
-    space = _scratch(len(tree.point), k_most)
+def _covariances(tree, k, result):
+    scratch = _scratch(len(tree.point), k)
     for node in range(len(tree.axis)):
         if tree.axis[node] < 0:
-            _covariances_of_leaf(tree, node, k_most, result, space)
+            _covariances_of_leaf(tree, node, k, result, scratch)
 
 
 @njit(cache=True, error_model="numpy")
-def _regularise_where_asked(tree, k_most, leaf_of, asked, done, thickness, result):
-    """`regularised` covariances of the points ``asked (N,)``, −1 for none, and of those that share their leaves."""
-    space = _scratch(len(tree.point), k_most)
-    for i in asked:
+def _fill_regularised(tree, k, leaf_of, index, done, result):
+    """Write the `regularised` covariances of the points ``index (N,)`` and of all others in their leaves."""
+    scratch = _scratch(len(tree.point), k)
+    for i in index:
         if i < 0 or done[leaf_of[i]]:
             continue
         leaf = leaf_of[i]
         done[leaf] = True
-        _covariances_of_leaf(tree, leaf, k_most, result, space)
+        _covariances_of_leaf(tree, leaf, k, result, scratch)
         for j in range(tree.left[leaf], tree.right[leaf]):
             _, x, y, z = eigen(result[j, 0], result[j, 1], result[j, 2], result[j, 3], result[j, 4], result[j, 5])[0]
-            tx, ty, tz = (thickness - 1.0) * x, (thickness - 1.0) * y, (thickness - 1.0) * z
+            scale = PLANE_THICKNESS - 1.0
+            tx, ty, tz = scale * x, scale * y, scale * z
             result[j, 0], result[j, 1], result[j, 2] = tx * x + 1.0, tx * y, tx * z
             result[j, 3], result[j, 4], result[j, 5] = ty * y + 1.0, ty * z, tz * z + 1.0
 
 
 @njit(cache=True)
 def _leaves(tree):
-    """The leaf of each point ``(N,)``."""
+    """Index of the leaf of each point ``(N,)``."""
     leaf_of = np.empty(len(tree.point), np.int64)
     for node in range(len(tree.axis)):
         if tree.axis[node] < 0:
@@ -111,20 +115,21 @@ def _leaves(tree):
 
 
 @njit(cache=True)
-def _scratch(n, k_most):
+def _scratch(n, k):
+    """Buffers of `_covariances_of_leaf`."""
     xyz_distance = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
     stack = np.empty(64, np.int64), np.empty((64, 4))
-    return np.empty(k_most, np.int64), np.empty(k_most), np.empty(n + 1, np.int64), xyz_distance, stack
+    return np.empty(k, np.int64), np.empty(k), np.empty(n + 1, np.int64), xyz_distance, stack
 
 
 @njit(cache=True, error_model="numpy")
-def _covariances_of_leaf(tree, node, k_most, result, space):
-    """One search of the tree serves all points of a leaf.
+def _covariances_of_leaf(tree, node, k_most, result, scratch):
+    """Covariances of all points of a leaf by one search of the tree.
 
-    If the k nearest of a leaf's centre c lie within r, and its points within a of c, then the k nearest of each of
-    its points lie within r + 2a of c. Among those candidates each point's k smallest distances are selected.
+    Let the k nearest neighbours of the leaf's centre c lie within r of c, and the points of the leaf within a of c.
+    Then the k nearest neighbours of each of them lie within r + 2a of c, and are selected among those candidates.
     """
-    found, nearest, chosen, (xs, ys, zs, distance), (node_of, reach) = space
+    found, nearest, chosen, (xs, ys, zs, distance), (node_of, node_distance) = scratch
     point, first, last = tree.point, tree.left[node], tree.right[node]
     if first == last:
         return
@@ -134,20 +139,20 @@ def _covariances_of_leaf(tree, node, k_most, result, space):
         cy += point[i, 1]
         cz += point[i, 2]
     cx, cy, cz = cx / (last - first), cy / (last - first), cz / (last - first)
-    apart = 0.0
+    leaf_radius2 = 0.0
     for i in range(first, last):
         dx, dy, dz = point[i, 0] - cx, point[i, 1] - cy, point[i, 2] - cz
-        apart = max(apart, dx * dx + dy * dy + dz * dz)
-    nearest_k(tree, cx, cy, cz, k_most, np.inf, found, nearest, node_of, reach)
-    limit = (math.sqrt(nearest[k_most - 1]) + 2.0 * math.sqrt(apart)) ** 2 * (1.0 + 1e-12)
-    count = within(tree, cx, cy, cz, limit, xs, ys, zs, node_of, reach)
-    guess = nearest[k_most - 1]
+        leaf_radius2 = max(leaf_radius2, dx * dx + dy * dy + dz * dz)
+    nearest_k(tree, cx, cy, cz, k_most, np.inf, found, nearest, node_of, node_distance)
+    limit = (math.sqrt(nearest[k_most - 1]) + 2.0 * math.sqrt(leaf_radius2)) ** 2 * (1.0 + 1e-12)
+    count = within(tree, cx, cy, cz, limit, xs, ys, zs, node_of, node_distance)
+    bound = nearest[k_most - 1]
     for i in range(first, last):
         x, y, z = point[i, 0], point[i, 1], point[i, 2]
         for c in range(count):
             dx, dy, dz = xs[c] - x, ys[c] - y, zs[c] - z
             distance[c] = dx * dx + dy * dy + dz * dz
-        guess = _choose(distance, count, k_most, guess, limit, chosen)
+        bound = _smallest_k(distance, count, k_most, bound, limit, chosen)
         m = NO_MOMENTS
         for k in range(k_most):
             c = chosen[k]
@@ -156,44 +161,46 @@ def _covariances_of_leaf(tree, node, k_most, result, space):
 
 
 @njit(cache=True, error_model="numpy")
-def _choose(distance, n, k, guess, limit, chosen):
-    """Write the positions of the k smallest of n distances to ``chosen (n + 1,)``; returns a bound that holds them.
+def _smallest_k(distance, n, k, initial_bound, limit, chosen):
+    """Write the indices of the k smallest of n distances to ``chosen (n + 1,)``; returns an upper bound of them.
 
-    Counting those below a threshold runs at several a cycle; the threshold is found by the rule of false position,
-    as counts grow about evenly with squared distance on a surface. Equals at the k-th place are taken as they come.
+    The bound is found by regula falsi on the number of distances below it, which grows about linearly with squared
+    distance on a surface. Counting vectorises; sorting does not. Ties at the k-th place are broken by index.
     """
-    low, high, fewer, more = 0.0, 4.0 * limit, 0, n  # fewer than k lie within low, at least k within high
+    low, high, count_low, count_high = 0.0, 4.0 * limit, 0, n  # fewer than k lie within low, at least k within high
     bound = high
     if n > k:
-        bound = guess
-        for turn in range(60):
+        bound = initial_bound
+        for iteration in range(60):
             count = 0
             for c in range(n):
                 count += distance[c] <= bound
             if count == k:
                 break
             if count < k:
-                low, fewer = bound, count
+                low, count_low = bound, count
             else:
-                high, more = bound, count
-            even = turn % 3 == 2
-            bound = 0.5 * (low + high) if even else low + (high - low) * (k - fewer) / (more - fewer)
+                high, count_high = bound, count
+            if iteration % 3 == 2:
+                bound = 0.5 * (low + high)
+            else:
+                bound = low + (high - low) * (k - count_low) / (count_high - count_low)
             if not low < bound < high:
                 break
         if count != k:
             bound = high
-    taken = np.uint64(0)
+    size = np.uint64(0)
     for c in range(n):
-        chosen[taken] = c
-        taken += np.uint64(distance[c] <= bound)
-    if taken > k:  # equals: first those that are surely nearer
-        taken = np.uint64(0)
+        chosen[size] = c
+        size += np.uint64(distance[c] <= bound)
+    if size > k:  # ties: first those that are surely nearer
+        size = np.uint64(0)
         for c in range(n):
-            chosen[taken] = c
-            taken += np.uint64(distance[c] <= low)
+            chosen[size] = c
+            size += np.uint64(distance[c] <= low)
         for c in range(n):
-            chosen[taken] = c
-            taken += np.uint64(low < distance[c] <= bound and taken < k)
+            chosen[size] = c
+            size += np.uint64(low < distance[c] <= bound and size < k)
     return bound
 
 

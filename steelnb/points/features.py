@@ -1,8 +1,8 @@
-"""Features of an organised scan: LOAM's edges and planes by smoothness.
+"""LOAM's edge and planar features of an organised scan.
 
-Source: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), section V.A. Rows of the image are
-its scan lines. A lattice has few corners and hardly any wall: what its smoothness finds are silhouettes, which move
-around a bar as the view turns.
+Source: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), section V.A. The rows of the image
+are the scan lines. A lattice has few corners and hardly any wall: most edges found on it are silhouettes, which move
+around a bar with the viewpoint.
 """
 
 from typing import NamedTuple
@@ -13,25 +13,25 @@ from numba import njit
 from steelnb.types import Array, IntArray
 
 SIDE = 5
-"""Points on either side of one, in its scan line, of which its smoothness is computed; as many are not chosen beside
-one that was."""
+"""Neighbours on either side of a point, in its scan line, that enter its smoothness. As many neighbours of a chosen
+feature are excluded."""
 REGIONS = 4
-"""Parts of a scan line of which each gives its share of the features."""
+"""Number of subregions of a scan line; each contributes an equal share of the features."""
 SMOOTH = 5e-3
-"""Smoothness above which a point may be an edge, and below which it may lie on a plane: as published."""
+"""Smoothness threshold, as published: an edge lies above it, a planar point below."""
 GRAZING = 4.0
-"""A surface is roughly parallel to the ray where the range changes by this many times the way across the ray."""
+"""A surface is roughly parallel to the ray if the range changes by more than this many times the step across it."""
 STEP_M = 0.15
-"""Neighbouring ranges further apart than this are of two surfaces."""
+"""Range difference of neighbours above which they are on two surfaces."""
 RING_GAP_RAD = 1e-3
-"""Elevations of a spinning LiDAR further apart than this are of different lasers."""
+"""Gap in elevation between two lasers of a spinning LiDAR."""
 RING_MAX_RAD = 1e-2
-"""A group of elevations wider than this is no laser's: it is cut into lines as high as the gap is 5 times over."""
+"""Largest spread in elevation of one laser. Wider groups are split into lines of 5 × `RING_GAP_RAD`."""
 
 
 class Features(NamedTuple):
-    """``point (N, 3)`` in the sensor frame, metres; ``plane (N,)``, 1 for a point on a plane and 0 for one on an edge;
-    ``rank (N,)``, how many features of its kind in its part of the scan line are sharper, or flatter."""
+    """``point (N, 3)`` in the sensor frame, metres; ``plane (N,)``, 1 for a planar point and 0 for an edge point;
+    ``rank (N,)``, its place among the features of its kind in its subregion, 0 for the sharpest or flattest."""
 
     point: Array
     plane: IntArray
@@ -39,24 +39,25 @@ class Features(NamedTuple):
 
 
 def loam_features(image: Array, edges: int = 20, planes: int = 40) -> Features:
-    """LOAM's features of an organised scan ``(H, W, 3)``, sensor frame, NaN for no return.
+    """LOAM's features of an organised scan ``(H, W, 3)``, sensor frame, metres, NaN for no return.
 
-    Smoothness is c = ‖Σ (X_i − X_j)‖ / (|S| ‖X_i‖) over the neighbours j of point i in its scan line (equation 1);
-    pixels without a return are passed over. Up to ``edges`` of the largest and ``planes`` of the smallest are chosen in
-    each of four parts of a line, none beside another one of its surface, none on a surface roughly parallel to the ray
-    or at the border of what something nearer hides. LOAM matches scans by the first 2 and 4 of them and builds its map
-    of ten times as many.
+    The smoothness of point i is c = ‖Σ (X_i − X_j)‖ / (|S| ‖X_i‖) over its neighbours j in the scan line (equation 1);
+    pixels without a return are skipped. Each of the four subregions of a line gives up to ``edges`` points of largest
+    and ``planes`` points of smallest smoothness. Excluded are neighbours of a chosen point on the same surface, points
+    on surfaces roughly parallel to the ray, and occluded boundaries. LOAM matches scans by the first 2 edges and 4
+    planar points of each subregion and maps ten times as many.
     """
-    found = np.empty((image.shape[0] * REGIONS * (edges + planes), 3))
-    plane, rank = np.empty(len(found), np.int64), np.empty(len(found), np.int64)
-    count = _loam_features(np.ascontiguousarray(image, dtype=np.float64), edges, planes, found, plane, rank)
-    return Features(found[:count], plane[:count], rank[:count])
+    point = np.empty((image.shape[0] * REGIONS * (edges + planes), 3))
+    plane, rank = np.empty(len(point), np.int64), np.empty(len(point), np.int64)
+    count = _loam_features(np.ascontiguousarray(image, dtype=np.float64), edges, planes, point, plane, rank)
+    return Features(point[:count], plane[:count], rank[:count])
 
 
 def scan_lines(points: Array) -> Array:
-    """The scan lines ``(H, W, 3)`` of a spinning LiDAR's cloud ``(N, 3)``, sensor frame with z along its axis.
+    """Scan lines ``(H, W, 3)`` of a spinning LiDAR's cloud ``(N, 3)``, metres, sensor frame with z along its axis.
 
-    A line for each laser, which elevations tell apart, from the lowest up; in it the returns by azimuth, then NaN.
+    Row h holds the returns of one laser, sorted by azimuth and padded with NaN. Lasers are told apart by elevation and
+    sorted from the lowest to the highest. Returns that are zero or not finite are dropped.
     """
     points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
     if not len(points):
@@ -67,8 +68,8 @@ def scan_lines(points: Array) -> Array:
     group = np.cumsum(np.diff(elevation, prepend=elevation[0]) > RING_GAP_RAD)
     low = elevation[np.searchsorted(group, np.arange(group[-1] + 1))]
     wide = np.diff(np.append(low, elevation[-1])) > RING_MAX_RAD
-    within = np.where(wide[group], (elevation - low[group]) // (5 * RING_GAP_RAD), 0)
-    line = np.cumsum((np.diff(group, prepend=0) > 0) | (np.diff(within, prepend=0) > 0))
+    part = np.where(wide[group], (elevation - low[group]) // (5 * RING_GAP_RAD), 0)
+    line = np.cumsum((np.diff(group, prepend=0) > 0) | (np.diff(part, prepend=0) > 0))
     order = np.lexsort((np.arctan2(points[:, 1], points[:, 0]), line))
     points, line = points[order], line[order]
     column = np.arange(len(line)) - np.searchsorted(line, line)
@@ -78,11 +79,11 @@ def scan_lines(points: Array) -> Array:
 
 
 @njit(cache=True)
-def _loam_features(image, edges, planes, found, plane, rank):
+def _loam_features(image, edges, planes, point, plane, rank):
     rows, columns = image.shape[0], image.shape[1]
     column = np.empty(columns, np.int64)
     p, distance = np.empty((columns, 3)), np.empty(columns)
-    smoothness, closed = np.empty(columns), np.empty(columns, np.bool_)
+    smoothness, excluded = np.empty(columns), np.empty(columns, np.bool_)
     count = 0
     for r in range(rows):
         n = 0
@@ -101,59 +102,59 @@ def _loam_features(image, edges, planes, found, plane, rank):
                 y += p[k, 1] - p[j, 1]
                 z += p[k, 2] - p[j, 2]
             smoothness[k] = np.sqrt(x * x + y * y + z * z) / (2 * SIDE * distance[k])
-        _close(p, distance, column, n, closed)
+        _exclude_unreliable(p, distance, column, n, excluded)
         for region in range(REGIONS):
             first = SIDE + (n - 2 * SIDE) * region // REGIONS
             last = SIDE + (n - 2 * SIDE) * (region + 1) // REGIONS
             order = first + np.argsort(smoothness[first:last])
             for kind in range(2):
-                most, chosen = (edges, planes)[kind], 0
+                limit, chosen = (edges, planes)[kind], 0
                 for i in range(len(order)):
                     k = order[i] if kind else order[len(order) - 1 - i]
-                    if chosen == most or (smoothness[k] >= SMOOTH) == (kind == 1):
+                    if chosen == limit or (smoothness[k] >= SMOOTH) == (kind == 1):
                         break
-                    if closed[k]:
+                    if excluded[k]:
                         continue
-                    found[count, 0], found[count, 1], found[count, 2] = p[k, 0], p[k, 1], p[k, 2]
+                    point[count, 0], point[count, 1], point[count, 2] = p[k, 0], p[k, 1], p[k, 2]
                     plane[count], rank[count] = kind, chosen
                     count, chosen = count + 1, chosen + 1
-                    _close_around(p, k, n, closed)
+                    _exclude_neighbours(p, k, n, excluded)
     return count
 
 
 @njit(cache=True)
-def _close(p, distance, column, n, closed):
-    """Mark the points of a scan line that are no features: at occlusions, and on surfaces parallel to the ray."""
-    closed[:n] = False
-    closed[:SIDE], closed[n - SIDE : n] = True, True
+def _exclude_unreliable(p, distance, column, n, excluded):
+    """Mark the points at the ends of a scan line, at occlusions, and on surfaces roughly parallel to the ray."""
+    excluded[:n] = False
+    excluded[:SIDE], excluded[n - SIDE : n] = True, True
     for k in range(1, n - 1):
-        beside = column[k + 1] - column[k] <= SIDE
-        if beside and distance[k] - distance[k + 1] > STEP_M:
-            closed[max(k - SIDE, 0) : k + 1] = True
-        elif beside and distance[k + 1] - distance[k] > STEP_M:
-            closed[k + 1 : min(k + 2 + SIDE, n)] = True
+        adjacent = column[k + 1] - column[k] <= SIDE
+        if adjacent and distance[k] - distance[k + 1] > STEP_M:
+            excluded[max(k - SIDE, 0) : k + 1] = True
+        elif adjacent and distance[k + 1] - distance[k] > STEP_M:
+            excluded[k + 1 : min(k + 2 + SIDE, n)] = True
         if _grazing(p, distance, k, k - 1) and _grazing(p, distance, k, k + 1):
-            closed[k] = True
+            excluded[k] = True
 
 
 @njit(cache=True)
 def _grazing(p, distance, k, j):
     along = (distance[k] - distance[j]) ** 2
-    return along > GRAZING**2 * (_squared(p, k, j) - along)
+    return along > GRAZING**2 * (_squared_distance(p, k, j) - along)
 
 
 @njit(cache=True)
-def _close_around(p, k, n, closed):
-    """Mark a chosen point and those beside it on its surface."""
-    closed[k] = True
+def _exclude_neighbours(p, k, n, excluded):
+    """Mark a chosen point and its neighbours on the same surface."""
+    excluded[k] = True
     for step in (-1, 1):
         for i in range(1, SIDE + 1):
             j = k + step * i
-            if j < 0 or j >= n or _squared(p, j, j - step) > STEP_M**2:
+            if j < 0 or j >= n or _squared_distance(p, j, j - step) > STEP_M**2:
                 break
-            closed[j] = True
+            excluded[j] = True
 
 
 @njit(cache=True)
-def _squared(p, i, j):
+def _squared_distance(p, i, j):
     return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2

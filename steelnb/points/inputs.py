@@ -1,4 +1,4 @@
-"""Checks of clouds and poses that users hand in; `register` and every odometry refuse the same."""
+"""Checks of input clouds and poses, shared by `register` and every odometry."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from steelnb.errors import InputError
 from steelnb.types import Array
 
 RIGID_TOLERANCE = 1e-3
-"""Largest deviation of RᵀR from the identity: poses that went through text or single precision stay below it."""
+"""Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""
 
 
 def checked_cloud(points: object, name: str = "points") -> Array:
     """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN.
 
-    Raises `InputError` for any other shape, named in the message, and for values that are no real numbers.
+    Raises `InputError` for any other shape and for values that are not real numbers.
     """
     if isinstance(points, np.ma.MaskedArray):
         points = np.ma.filled(points.astype(np.float64), np.nan)
@@ -30,7 +30,7 @@ def checked_cloud(points: object, name: str = "points") -> Array:
 
 
 def checked_pose(T: object, name: str) -> Array:
-    """A rigid transform ``(4, 4)`` as float64. Raises `InputError` for any other array, and says what is wrong."""
+    """A rigid transform ``(4, 4)`` as float64. Raises `InputError` if it is not one."""
     try:
         array = np.asarray(T, dtype=np.float64)
     except (TypeError, ValueError):
@@ -43,8 +43,7 @@ def checked_pose(T: object, name: str) -> Array:
     if np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise InputError(f"{name}: last row {array[3].tolist()}; expected 0, 0, 0, 1")
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID_TOLERANCE:
-        raise InputError(f"{name}: columns of length {np.linalg.norm(R, axis=0).round(4).tolist()}, or not at right "
-                            "angles; expected a rotation without scale or shear")  # fmt: skip
+        raise InputError(f"{name}: the rotation is not orthonormal; expected a rotation without scale or shear")
     if np.linalg.det(R) < 0:
         raise InputError(f"{name}: a reflection (determinant {np.linalg.det(R):.3f}); expected a right-handed frame")
     return array

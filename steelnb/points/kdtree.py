@@ -1,4 +1,4 @@
-"""A k-d tree in arrays, compiled: nearest neighbours of points that move a little between queries."""
+"""A compiled k-d tree for nearest-neighbour and radius search."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,14 @@ from numba import njit
 from steelnb.types import Array, IntArray
 
 LEAF = 10
+"""Largest number of points in a leaf."""
 
 
 class KdTree(NamedTuple):
-    """``point (N, 3)`` sorted by leaf, ``order (N,)`` of each in the cloud it was built of; nodes: ``axis`` (−1 for a
-    leaf), ``low`` and ``high`` (largest coordinate left, smallest right), ``left`` and ``right`` (children or points).
+    """``point (N, 3)``: the points sorted by leaf; ``order (N,)``: the index of each in the original cloud.
+
+    Per node: ``axis`` of its split, −1 for a leaf; ``low`` and ``high``, the largest coordinate left of the split and
+    the smallest right of it; ``left`` and ``right``, its children, or the range of points in a leaf.
     """
 
     point: Array
@@ -25,19 +28,18 @@ class KdTree(NamedTuple):
 
 
 def build_kdtree(points: Array) -> KdTree:
-    """Tree over finite points ``(N, 3)``: split at the median of the longest side, leaves of up to ten points."""
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    return KdTree(*_build(points))
+    """Tree over finite points ``(N, 3)``, split at the median of the longest side down to `LEAF` points."""
+    return KdTree(*_build(np.ascontiguousarray(points, dtype=np.float64)))
 
 
 @njit(cache=True)
 def _build(points):
     n = len(points)
     index = np.arange(n)
-    most = max(1, 4 * n // LEAF + 4)
-    axis = np.full(most, -1, np.int64)
-    low, high = np.zeros(most), np.zeros(most)
-    left, right = np.zeros(most, np.int64), np.zeros(most, np.int64)
+    capacity = max(1, 4 * n // LEAF + 4)
+    axis = np.full(capacity, -1, np.int64)
+    low, high = np.zeros(capacity), np.zeros(capacity)
+    left, right = np.zeros(capacity, np.int64), np.zeros(capacity, np.int64)
     stack = np.zeros((64, 3), np.int64)  # node, first, last
     stack[0, 2] = n
     depth, nodes = 1, 1
@@ -49,12 +51,12 @@ def _build(points):
             continue
         longest, side = -1.0, 0
         for d in range(3):
-            least, most_ = np.inf, -np.inf
+            lowest, highest = np.inf, -np.inf
             for k in range(first, last):
                 value = points[index[k], d]
-                least, most_ = min(least, value), max(most_, value)
-            if most_ - least > longest:
-                longest, side = most_ - least, d
+                lowest, highest = min(lowest, value), max(highest, value)
+            if highest - lowest > longest:
+                longest, side = highest - lowest, d
         middle = (first + last) // 2
         _select(points[:, side], index, first, last - 1, middle)
         below = -np.inf
@@ -71,7 +73,7 @@ def _build(points):
 
 @njit(cache=True)
 def _select(value, index, first, last, k):
-    """Hoare's selection: put the k-th smallest at k, smaller ones before it and larger ones behind."""
+    """Quickselect (Hoare 1961): move the k-th smallest to place k, smaller ones before it and larger ones after it."""
     while first < last:
         pivot = value[index[(first + last) // 2]]
         i, j = first, last
@@ -93,20 +95,20 @@ def _select(value, index, first, last, k):
 
 
 @njit(cache=True)
-def next_leaf(tree, x, y, z, limit, depth, node_of, reach):
-    """(leaf, depth of the stack left) of the next leaf that may hold points within √limit of (x, y, z); leaf −1: none.
+def next_leaf(tree, x, y, z, limit, depth, node_of, node_distance):
+    """Next leaf that may hold points within √limit of (x, y, z), and the remaining depth of the stack; leaf −1 if none.
 
-    A search begins with ``depth`` 1 and zeros in the first rows of the stack: ``node_of (64,)``, the nodes left to
-    visit, and ``reach (64, 4)``, the squared distance to the box of each and its parts along x, y and z. Source: Arya
-    and Mount, "Algorithms for fast vector quantization", 1993 (incremental distance).
+    The stack of nodes to visit is ``node_of (64,)``, and ``node_distance (64, 4)`` with the squared distance to the box
+    of each node and its parts along x, y and z. A search starts with ``depth`` 1 and zeros in their first rows. Source:
+    Arya and Mount, "Algorithms for fast vector quantization", 1993 (incremental distance).
     """
     axis, low, high = tree.axis, tree.low, tree.high
     while depth:
         depth -= 1
-        node, far = node_of[depth], reach[depth, 0]
+        node, far = node_of[depth], node_distance[depth, 0]
         if far > limit:
             continue
-        fx, fy, fz = reach[depth, 1], reach[depth, 2], reach[depth, 3]
+        fx, fy, fz = node_distance[depth, 1], node_distance[depth, 2], node_distance[depth, 3]
         while axis[node] >= 0:
             side = axis[node]
             value = x if side == 0 else (y if side == 1 else z)
@@ -118,10 +120,10 @@ def next_leaf(tree, x, y, z, limit, depth, node_of, reach):
             gap2 = gap * gap
             total = far - old + gap2
             if total <= limit:
-                node_of[depth], reach[depth, 0] = far_node, total
-                reach[depth, 1] = gap2 if side == 0 else fx
-                reach[depth, 2] = gap2 if side == 1 else fy
-                reach[depth, 3] = gap2 if side == 2 else fz
+                node_of[depth], node_distance[depth, 0] = far_node, total
+                node_distance[depth, 1] = gap2 if side == 0 else fx
+                node_distance[depth, 2] = gap2 if side == 1 else fy
+                node_distance[depth, 3] = gap2 if side == 2 else fz
                 depth += 1
             node = near_node
         return node, depth
@@ -129,47 +131,47 @@ def next_leaf(tree, x, y, z, limit, depth, node_of, reach):
 
 
 @njit(cache=True)
-def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, reach):
-    """Write the positions in ``tree.point`` of the nearest points to ``found``, squared distances to ``distance``.
+def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, node_distance):
+    """Write the indices in ``tree.point`` of the nearest points to ``found``, their squared distances to ``distance``.
 
-    Nearest first, only those within √limit; returns their number. The nearer a limit that surely holds enough of them,
-    the less is searched. ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
+    Up to ``k_most`` points within √limit, nearest first; returns their number. A tight limit makes the search faster.
+    ``node_of (64,)`` and ``node_distance (64, 4)`` are buffers.
     """
     point = tree.point
-    node_of[0], reach[0, :] = 0, 0.0
+    node_of[0], node_distance[0, :] = 0, 0.0
     count, worst = 0, limit
-    leaf, depth = next_leaf(tree, x, y, z, worst, 1, node_of, reach)
+    leaf, depth = next_leaf(tree, x, y, z, worst, 1, node_of, node_distance)
     while leaf >= 0:
         for k in range(tree.left[leaf], tree.right[leaf]):
             dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
             d = dx * dx + dy * dy + dz * dz
             if d < worst:
-                place = min(count, k_most - 1)
-                while place > 0 and distance[place - 1] > d:
-                    distance[place], found[place] = distance[place - 1], found[place - 1]
-                    place -= 1
-                distance[place], found[place] = d, k
+                rank = min(count, k_most - 1)
+                while rank > 0 and distance[rank - 1] > d:
+                    distance[rank], found[rank] = distance[rank - 1], found[rank - 1]
+                    rank -= 1
+                distance[rank], found[rank] = d, k
                 count = min(count + 1, k_most)
                 if count == k_most:
                     worst = distance[count - 1]
-        leaf, depth = next_leaf(tree, x, y, z, worst, depth, node_of, reach)
+        leaf, depth = next_leaf(tree, x, y, z, worst, depth, node_of, node_distance)
     return count
 
 
 @njit(cache=True)
-def within(tree, x, y, z, limit, found_x, found_y, found_z, node_of, reach):
-    """Write the coordinates of all points within √limit to ``found_x (N + 1,)`` and so on; returns their number.
+def within(tree, x, y, z, limit, found_x, found_y, found_z, node_of, node_distance):
+    """Write the coordinates of all points within √limit to ``found_x``, ``found_y``, ``found_z (N + 1,)``.
 
-    ``node_of (64,)`` and ``reach (64, 4)`` are scratch.
+    Returns their number. ``node_of (64,)`` and ``node_distance (64, 4)`` are buffers.
     """
     point = tree.point
-    node_of[0], reach[0, :] = 0, 0.0
+    node_of[0], node_distance[0, :] = 0, 0.0
     count = np.uint64(0)
-    leaf, depth = next_leaf(tree, x, y, z, limit, 1, node_of, reach)
+    leaf, depth = next_leaf(tree, x, y, z, limit, 1, node_of, node_distance)
     while leaf >= 0:
         for k in range(tree.left[leaf], tree.right[leaf]):
             dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
             found_x[count], found_y[count], found_z[count] = point[k, 0], point[k, 1], point[k, 2]
-            count += np.uint64(dx * dx + dy * dy + dz * dz <= limit)  # written first, kept if near: no branch to guess
-        leaf, depth = next_leaf(tree, x, y, z, limit, depth, node_of, reach)
+            count += np.uint64(dx * dx + dy * dy + dz * dz <= limit)  # without a branch: faster
+        leaf, depth = next_leaf(tree, x, y, z, limit, depth, node_of, node_distance)
     return np.int64(count)

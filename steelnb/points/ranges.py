@@ -1,4 +1,4 @@
-"""Ranges of scans: their noise, and their denoising by the sigma filter."""
+"""Range noise, and the sigma filter that reduces it."""
 
 import numpy as np
 from numba import njit
@@ -7,10 +7,11 @@ from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array
 
 SIGMA_M, SIGMA_SHARE = 0.01, 0.01
-"""Standard deviation of a range to every estimator: 1 cm, and 1 % of the range beyond 1 m, as in data sheets of
-Time-of-Flight cameras, that of the Starling 2 among them."""
-ALIKE = 4.0
-"""Standard deviations by which ranges of one surface may differ: each has its own noise, so nearly three of theirs."""
+"""Standard deviation of a range that every estimator assumes: 1 cm up to 1 m, 1 % beyond, as in data sheets of
+Time-of-Flight cameras such as that of the Starling 2."""
+GATE_SIGMAS = 4.0
+"""Largest difference of two ranges of one surface, in standard deviations of one range. The difference
+of two has √2 times that."""
 
 
 @njit(cache=True)
@@ -21,8 +22,10 @@ def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def ranges_ahead(image):  # type: ignore[no-untyped-def]
-    """Ranges ``(H, W)`` of an organised scan ``(H, W, 3)``, sensor frame; NaN for no return and for what is not before
-    the sensor, such as zeros, by which many drivers mark no return."""
+    """Ranges ``(H, W)`` of an organised scan ``(H, W, 3)``, sensor frame, metres; NaN where there is no return.
+
+    Points not in front of the sensor count as no return: many drivers write zeros for it.
+    """
     rows, columns = image.shape[0], image.shape[1]
     distance = np.empty((rows, columns))
     for r in range(rows):
@@ -32,45 +35,45 @@ def ranges_ahead(image):  # type: ignore[no-untyped-def]
     return distance
 
 
-def smooth_ranges(points: Array, half: int = 1) -> Array:
-    """Points ``(H, W, 3)`` of an organised scan in the sensor frame, each moved along its ray; NaN stays NaN. A cloud
-    ``(N, 3)``, which has no neighbours, stays as it is.
+def smooth_ranges(points: Array, radius_px: int = 1) -> Array:
+    """Organised scan ``(H, W, 3)``, sensor frame, metres, with denoised ranges: each point moves along its ray.
 
-    Its range becomes the mean of the ranges within ``half`` pixels that differ from it by less than `ALIKE` standard
-    deviations: the sigma filter (Lee 1983, Digital image smoothing and the sigma filter). Ranges of a bar are averaged
-    along the bar; background beside it does not count. Raises `InputError` for another shape.
+    The new range is the mean of all ranges within ``radius_px`` pixels that differ from the old one by at most
+    `GATE_SIGMAS` standard deviations, so a bar is not blurred with its background. NaN stays NaN. A cloud ``(N, 3)`` is
+    returned unchanged. Raises `InputError` for any other shape. Source: Lee, "Digital image smoothing and the sigma
+    filter" (1983).
     """
     points = checked_cloud(points)
     if points.ndim == 2:
         return points
-    return np.asarray(_smooth(np.ascontiguousarray(points), half))
+    return np.asarray(_sigma_filter(np.ascontiguousarray(points), radius_px))
 
 
 @njit(cache=True)
-def _smooth(points, half):
+def _sigma_filter(points, radius):
     rows, columns, _ = points.shape
-    # NaN compares false with everything, so a border of it needs no bounds.
-    distance = np.full((rows + 2 * half, columns + 2 * half), np.nan)
+    # A border of NaN replaces checks of the bounds: NaN fails every comparison.
+    distance = np.full((rows + 2 * radius, columns + 2 * radius), np.nan)
     for i in range(rows):
         for j in range(columns):
             x, y, z = points[i, j, 0], points[i, j, 1], points[i, j, 2]
-            distance[i + half, j + half] = np.sqrt(x * x + y * y + z * z)
+            distance[i + radius, j + radius] = np.sqrt(x * x + y * y + z * z)
     smooth = np.empty_like(points)
     for i in range(rows):
         for j in range(columns):
-            middle = distance[i + half, j + half]
-            if not 0.0 < middle < np.inf:
+            own = distance[i + radius, j + radius]
+            if not 0.0 < own < np.inf:
                 smooth[i, j, :] = points[i, j]
                 continue
-            bound = ALIKE * range_sigma_m(middle)
+            bound = GATE_SIGMAS * range_sigma_m(own)
             total, count = 0.0, 0.0
-            for a in range(2 * half + 1):
-                for b in range(2 * half + 1):
-                    apart = distance[i + a, j + b] - middle
-                    if abs(apart) <= bound:
-                        total += apart
+            for a in range(2 * radius + 1):
+                for b in range(2 * radius + 1):
+                    difference = distance[i + a, j + b] - own
+                    if abs(difference) <= bound:
+                        total += difference
                         count += 1.0
-            share = 1.0 + total / count / middle
+            scale = 1.0 + total / count / own
             for k in range(3):
-                smooth[i, j, k] = points[i, j, k] * share
+                smooth[i, j, k] = points[i, j, k] * scale
     return smooth

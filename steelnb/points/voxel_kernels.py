@@ -1,4 +1,4 @@
-"""Compiled parts of the voxel map: an open-addressing hash table of voxels, and the moments of their points."""
+"""Compiled parts of the voxel map: a hash table of voxels with open addressing, and the moments of their points."""
 
 import numpy as np
 from numba import njit
@@ -8,14 +8,14 @@ from steelnb.points.moments import NO_MOMENTS, add_moments, add_point, covarianc
 EMPTY = -1
 BITS = 20
 REACH = 1 << BITS
-"""Voxels are counted from −REACH to REACH along each axis; 100 km each way with voxels of 10 cm."""
+"""Voxel indices range from −REACH to REACH along each axis: ±100 km with voxels of 10 cm."""
 
 
 @njit(cache=True)
-def place_of(key, mask):
-    """Where in a hash table with ``mask`` + 1 entries the search for a key begins."""
-    # A product's bits depend only on the lower bits of its factors, and the first index of a voxel is in the highest of
-    # its key: without the second product, voxels in a row along x share a place, and a search goes through all of them.
+def bucket_of(key, mask):
+    """First bucket to probe for a key in a hash table with ``mask`` + 1 buckets."""
+    # A bit of a product depends only on the lower bits of its factors, and a key has the index along x in its highest
+    # bits. Without the second product, voxels in a row along x would share a bucket.
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     return np.int64((h >> np.uint64(32)) & np.uint64(mask))
@@ -23,49 +23,52 @@ def place_of(key, mask):
 
 @njit(cache=True)
 def pack(i, j, k):
-    """The three indices of a voxel as one number."""
+    """Key of the voxel with indices (i, j, k)."""
     return ((i + REACH) << (2 * BITS + 2)) | ((j + REACH) << (BITS + 1)) | (k + REACH)
 
 
 @njit(cache=True)
 def unpack(key):
-    """The three indices of a voxel."""
+    """Indices (i, j, k) of the voxel with a key."""
     mask = (np.int64(1) << (BITS + 1)) - 1
     return (key >> (2 * BITS + 2)) - REACH, ((key >> (BITS + 1)) & mask) - REACH, (key & mask) - REACH
 
 
 @njit(cache=True)
 def find(key, table_key, table_slot):
-    """The slot of a voxel, or −1."""
+    """Slot of a voxel, or −1 if the table does not hold it."""
     mask = len(table_key) - 1
-    place = place_of(key, mask)
-    while table_key[place] != EMPTY:
-        if table_key[place] == key:
-            return table_slot[place]
-        place = (place + 1) & mask
+    bucket = bucket_of(key, mask)
+    while table_key[bucket] != EMPTY:
+        if table_key[bucket] == key:
+            return table_slot[bucket]
+        bucket = (bucket + 1) & mask
     return np.int64(-1)
 
 
 @njit(cache=True)
 def put(key, slot, table_key, table_slot):
-    """Enter a voxel that the table does not hold."""
+    """Add a voxel that the table does not hold yet."""
     mask = len(table_key) - 1
-    place = place_of(key, mask)
-    while table_key[place] != EMPTY:
-        place = (place + 1) & mask
-    table_key[place], table_slot[place] = key, slot
+    bucket = bucket_of(key, mask)
+    while table_key[bucket] != EMPTY:
+        bucket = (bucket + 1) & mask
+    table_key[bucket], table_slot[bucket] = key, slot
 
 
 @njit(cache=True)
 def rehash(keys, table_key, table_slot):
-    """Fill an empty table."""
+    """Fill an empty table with the voxels ``keys``, the slot of each being its index."""
     for slot in range(len(keys)):
         put(keys[slot], slot, table_key, table_slot)
 
 
 @njit(cache=True)
-def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, seen, size, mark, accumulate):
-    """Add points to the voxels; (slots touched, number of voxels). ``seen`` holds the last mark of each voxel."""
+def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, last_mark, size, mark, accumulate):
+    """Add points to the voxels; returns the slots of the touched voxels and the number of all voxels.
+
+    ``mark`` numbers the insertion. ``last_mark`` holds the last one that touched each voxel.
+    """
     touched = np.empty(len(points), np.int64)
     count = 0
     inverse = 1.0 / voxel
@@ -81,14 +84,14 @@ def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, se
             size += 1
             keys[slot] = key
             moment[slot, :] = 0.0
-            seen[slot] = 0
+            last_mark[slot] = 0
             put(key, slot, table_key, table_slot)
         m = moment[slot]
-        if seen[slot] != mark:
-            seen[slot] = mark
+        if last_mark[slot] != mark:
+            last_mark[slot] = mark
             touched[count] = slot
             count += 1
-            if not accumulate and m[0] > 0.0:  # the old mean becomes one point
+            if not accumulate and m[0] > 0.0:  # the old mean counts as one point
                 store(add_point(NO_MOMENTS, 1.0, m[1] / m[0], m[2] / m[0], m[3] / m[0]), m)
         x, y, z = points[n, 0] - i * voxel, points[n, 1] - j * voxel, points[n, 2] - k * voxel
         store(add_point(m, weights[n], x, y, z), m)
@@ -103,7 +106,7 @@ def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, se
 
 @njit(cache=True)
 def near(keys, low, high):
-    """Slots of the voxels with indices from ``low (3,)`` to ``high (3,)``: a loop over all, without a branch."""
+    """Slots of the voxels with indices from ``low (3,)`` to ``high (3,)``, by a branch-free scan of all voxels."""
     i0, i1, j0, j1, k0, k1 = low[0], high[0], low[1], high[1], low[2], high[2]
     found = np.empty(len(keys) + 1, np.int64)
     count = np.uint64(0)
@@ -116,36 +119,39 @@ def near(keys, low, high):
 
 @njit(cache=True)
 def link(first, last, keys, table_key, table_slot, around):
-    """Link new voxels with their neighbours: slots of the 3×3×3 voxels around each, −1 for none."""
+    """Write the slots of the 3×3×3 voxels around each new voxel to ``around (V, 27)``, −1 where there is none."""
     for slot in range(first, last):
         i, j, k = unpack(keys[slot])
-        place = 0
+        neighbour = 0
         for a in range(-1, 2):
             for b in range(-1, 2):
                 for c in range(-1, 2):
                     other = find(pack(i + a, j + b, k + c), table_key, table_slot)
-                    around[slot, place] = other
+                    around[slot, neighbour] = other
                     if other >= 0:
-                        around[other, 26 - place] = slot
-                    place += 1
+                        around[other, 26 - neighbour] = slot
+                    neighbour += 1
 
 
 @njit(cache=True)
 def outdate(touched, around, outdated):
-    """Note in ``outdated (V,)`` that the shapes of the voxels touched and of each of their neighbours have changed."""
+    """Mark the shapes of the touched voxels and of their neighbours in ``outdated (V,)``."""
     for slot in touched:
-        for place in range(27):
-            near = around[slot, place]
-            if near >= 0:
-                outdated[near] = True
+        for neighbour in range(27):
+            other = around[slot, neighbour]
+            if other >= 0:
+                outdated[other] = True
 
 
 @njit(cache=True)
-def shapes(asked, slots, floor, value, voxel, around, moment, shape, outdated):
-    """Write to ``value (M, 6)``, NaN where it was not asked for before, the shapes of the voxels at places ``asked`` of
-    ``slots (M,)``, −1 for none, with ``floor`` added to their diagonals; those outdated are computed first."""
-    for i in asked:
-        if i < 0 or value[i, 0] == value[i, 0]:
+def shapes(index, slots, floor, value, voxel, around, moment, shape, outdated):
+    """Write the shapes of the voxels ``slots[index]`` plus ``floor`` on their diagonals to ``value[index]``.
+
+    Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are skipped. Outdated shapes are computed
+    first.
+    """
+    for i in index:
+        if i < 0 or not np.isnan(value[i, 0]):
             continue
         slot = slots[i]
         if outdated[slot]:
@@ -159,10 +165,11 @@ def shapes(asked, slots, floor, value, voxel, around, moment, shape, outdated):
 
 @njit(cache=True)
 def _shape(slot, voxel, around, moment, shape):
+    """Covariance of all points in the 3×3×3 voxels around a voxel."""
     m = NO_MOMENTS
-    for place in range(27):
-        near = around[slot, place]
-        if near >= 0:
-            x, y, z = (place // 9 - 1) * voxel, (place // 3 % 3 - 1) * voxel, (place % 3 - 1) * voxel
-            m = add_moments(m, moment[near], x, y, z)
+    for neighbour in range(27):
+        other = around[slot, neighbour]
+        if other >= 0:
+            i, j, k = neighbour // 9 - 1, neighbour // 3 % 3 - 1, neighbour % 3 - 1
+            m = add_moments(m, moment[other], i * voxel, j * voxel, k * voxel)
     shape[slot, :] = covariance(m)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals, regularised
+from steelnb.points.covariances import PLANE_THICKNESS, PlaneCovariances, neighbour_covariances, normals, regularised
 from steelnb.points.kdtree import build_kdtree
 from tests import naive
 
@@ -20,14 +20,14 @@ CLOUDS = {
 @pytest.mark.kernels
 @pytest.mark.parametrize("k", [4, 20])
 @pytest.mark.parametrize("name", CLOUDS)
-def test_covariances_are_their_slow_twin(name, k):
+def test_covariances_equal_their_slow_twin(name, k):
     points = CLOUDS[name]
     result = neighbour_covariances(points, k)
     expected = naive.covariances(points, min(k, len(points)))
     np.testing.assert_allclose(naive.full(result), expected, atol=1e-10 * max(expected.max(), 1e-6))
 
 
-def test_covariances_come_in_the_order_of_the_tree_where_its_points_are_given():
+def test_covariances_are_in_tree_order_for_the_points_of_the_tree():
     points = CLOUDS["uniform"]
     tree = build_kdtree(points)
     in_order = neighbour_covariances(points, 10)
@@ -37,8 +37,8 @@ def test_covariances_come_in_the_order_of_the_tree_where_its_points_are_given():
 
 
 @pytest.mark.parametrize("k", [5, 7, 20, 30])
-def test_ties_and_duplicates_are_taken_as_they_come(k):
-    # A grid: many points are equally far. The trace is Σd²/k − |mean|², whatever the choice among equals.
+def test_ties_and_duplicates(k):
+    # On a grid many points are at equal distance. The trace is Σd²/k − |mean|², however ties are broken.
     grid = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)
     middle = np.flatnonzero((grid == 3).all(axis=1))[0]
     result = naive.full(neighbour_covariances(grid, k))
@@ -46,8 +46,8 @@ def test_ties_and_duplicates_are_taken_as_they_come(k):
     trace = np.trace(result[middle])
     assert (distance**2).mean() - 1.0 <= trace <= (distance**2).mean() + 1e-12
     np.testing.assert_allclose(neighbour_covariances(np.ones((50, 3)), k), 0)
-    half = np.repeat([[0.0, 0, 0], [1, 0, 0]], 30, axis=0)
-    np.testing.assert_allclose(neighbour_covariances(half, min(k, 30)), 0, atol=1e-15)
+    two_places = np.repeat([[0.0, 0, 0], [1, 0, 0]], 30, axis=0)
+    np.testing.assert_allclose(neighbour_covariances(two_places, min(k, 30)), 0, atol=1e-15)
 
 
 def test_no_points_have_no_covariances():
@@ -56,24 +56,23 @@ def test_no_points_have_no_covariances():
     assert normals(np.zeros((0, 6))).shape == (0, 3)
 
 
-def test_normals_and_regularised_covariances_have_the_axes_of_the_spread():
+def test_normals_and_regularised_covariances_keep_the_eigenvectors():
     spread = neighbour_covariances(CLOUDS["uniform"], 8)
     value, vector = np.linalg.eigh(naive.full(spread))
     assert (np.diff(value, axis=1) > 1e-6).all()
     np.testing.assert_allclose(np.abs((normals(spread) * vector[:, :, 0]).sum(axis=1)), 1, atol=1e-9)
-    for thickness in (1e-3, 0.5):
-        expected = (vector * [thickness, 1, 1]) @ vector.transpose(0, 2, 1)
-        np.testing.assert_allclose(naive.full(regularised(spread, thickness)), expected, atol=1e-8)
+    expected = (vector * [PLANE_THICKNESS, 1, 1]) @ vector.transpose(0, 2, 1)
+    np.testing.assert_allclose(naive.full(regularised(spread)), expected, atol=1e-8)
 
 
-def test_covariances_computed_when_asked_for_are_those_of_all_points():
+def test_covariances_computed_on_demand_equal_those_of_all_points():
     tree = build_kdtree(CLOUDS["uniform"])
-    rng, all_of_them = np.random.default_rng(3), regularised(neighbour_covariances(tree.point, 12, tree))
+    rng, expected = np.random.default_rng(3), regularised(neighbour_covariances(tree.point, 12, tree))
     planes = PlaneCovariances.of(tree, 12)
     for _ in range(6):
-        asked = np.append(rng.integers(0, len(tree.point), 4), -1)
-        planes.fill(asked)
-        np.testing.assert_array_equal(planes.value[asked[:-1]], all_of_them[asked[:-1]])
-    there = np.isfinite(planes.value).all(axis=1)
-    assert 4 <= np.count_nonzero(there) < len(there)
-    np.testing.assert_array_equal(planes.value[there], all_of_them[there])
+        index = np.append(rng.integers(0, len(tree.point), 4), -1)
+        planes.fill(index)
+        np.testing.assert_array_equal(planes.value[index[:-1]], expected[index[:-1]])
+    computed = np.isfinite(planes.value).all(axis=1)
+    assert 4 <= np.count_nonzero(computed) < len(computed)
+    np.testing.assert_array_equal(planes.value[computed], expected[computed])

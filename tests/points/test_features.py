@@ -10,13 +10,13 @@ pytestmark = pytest.mark.kernels
 
 
 def camera(columns=61, rows=41):
-    """Unit rays of a camera, and the same with x = 1."""
+    """Rays of a camera: of unit length, and with x = 1."""
     ray = rays(TofSettings(columns=columns, rows=rows, fov_horizontal_rad=1.2, fov_vertical_rad=0.9))
     return ray, ray / ray[..., :1]
 
 
-def steps(seed, missing):
-    """A picture of walls at different depths with noise and holes, seen by a camera."""
+def stepped_walls(seed, missing):
+    """A scan of walls at different depths, with noise and missing returns."""
     noise = np.random.default_rng(seed)
     _, flat = camera(columns=121, rows=6)
     depth = np.repeat(noise.uniform(1.5, 4, (6, 6)), 21, axis=1)[:, :121]
@@ -26,39 +26,39 @@ def steps(seed, missing):
 
 
 @pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("most", [(2, 4), (20, 40)])
-def test_edges_and_planes_are_those_of_a_slow_twin(seed, most):
-    image = steps(seed, missing=0.003 * seed)
-    found, twin = loam_features(image, *most), naive.loam_features(image, *most)
-    assert len(found.point) == len(twin) > 10
-    assert 0 < found.plane.sum() < len(twin)
-    np.testing.assert_allclose(found.point, [point for point, _, _ in twin])
-    np.testing.assert_array_equal(found.plane, [plane for _, plane, _ in twin])
-    np.testing.assert_array_equal(found.rank, [rank for _, _, rank in twin])
+@pytest.mark.parametrize("limits", [(2, 4), (20, 40)])
+def test_edges_and_planes_equal_those_of_the_slow_twin(seed, limits):
+    image = stepped_walls(seed, missing=0.003 * seed)
+    features, twin = loam_features(image, *limits), naive.loam_features(image, *limits)
+    assert len(features.point) == len(twin) > 10
+    assert 0 < features.plane.sum() < len(twin)
+    np.testing.assert_allclose(features.point, [point for point, _, _ in twin])
+    np.testing.assert_array_equal(features.plane, [plane for _, plane, _ in twin])
+    np.testing.assert_array_equal(features.rank, [rank for _, _, rank in twin])
 
 
 def test_the_corner_of_two_walls_is_an_edge_and_the_walls_are_planes():
     _, flat = camera(rows=5)
-    corner = flat * (3.0 - np.abs(flat[..., 1:2]))  # nearer the farther from the middle
-    found = loam_features(corner, edges=1, planes=4)
-    sharpest = found.point[(found.plane == 0) & (found.rank == 0)]
+    corner = flat * (3.0 - np.abs(flat[..., 1:2]))
+    features = loam_features(corner, edges=1, planes=4)
+    sharpest = features.point[(features.plane == 0) & (features.rank == 0)]
     assert len(sharpest) >= 5
     assert np.abs(sharpest[:, 1]).min() < 0.1  # three pixels
     assert loam_features(3.0 * flat).plane.all()  # a wall alone has no edge
     assert SMOOTH == 5e-3
 
 
-def test_what_something_nearer_hides_gives_no_edge_at_its_border():
+def test_an_occluded_boundary_gives_no_edge():
     _, flat = camera(rows=3)
     image = 4.0 * flat
     near = np.abs(flat[..., 1]) < 0.15
     image[near] = 2.0 * flat[near]
     edge = loam_features(image).point[loam_features(image).plane == 0]
     assert len(edge) >= 6
-    assert (edge[:, 0] < 2.5).all()  # the border of the front, none of the wall's shadow
+    assert (edge[:, 0] < 2.5).all()  # edges of the front surface only, not of its shadow on the wall
 
 
-def test_the_returns_of_each_laser_are_one_line_by_azimuth():
+def test_scan_lines_has_one_row_a_laser_sorted_by_azimuth():
     noise = np.random.default_rng(1)
     elevation = np.radians([-15.0, -13.0, -0.5, 1.2, 15.0])
     azimuth = np.radians(np.arange(-180, 180, 3.0))
@@ -74,12 +74,12 @@ def test_the_returns_of_each_laser_are_one_line_by_azimuth():
     np.testing.assert_allclose(image.reshape(-1, 3), points)
 
 
-def test_a_cloud_without_lasers_is_cut_into_lines_all_the_same():
+def test_scan_lines_splits_a_cloud_without_distinct_lasers():
     noise = np.random.default_rng(2)
     points = noise.uniform(-1, 1, (3000, 3))
     image = scan_lines(points)
-    found = image[np.isfinite(image).all(axis=2)]
+    returns = image[np.isfinite(image).all(axis=2)]
     assert 50 < len(image) < 1000
-    assert sorted(map(tuple, found)) == sorted(map(tuple, points))
+    assert sorted(map(tuple, returns)) == sorted(map(tuple, points))
     assert scan_lines(np.full((4, 3), np.nan)).shape == (0, 0, 3)
     assert not len(loam_features(scan_lines(np.zeros((0, 3)))).point)

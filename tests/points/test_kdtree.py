@@ -11,7 +11,7 @@ pytestmark = pytest.mark.kernels
 
 @st.composite
 def clouds(draw):
-    """Points spread evenly, on a line, in clusters, on a grid (many ties), or all the same."""
+    """Uniform points, points on a line, in clusters, on a grid (many ties), or all identical."""
     n, rng = draw(st.integers(1, 120)), np.random.default_rng(draw(st.integers(0, 10_000)))
     kind = draw(st.sampled_from(["even", "line", "clusters", "grid", "same"]))
     points = rng.uniform(-1, 1, (n, 3))
@@ -27,7 +27,7 @@ def clouds(draw):
 
 
 def search(points, query, k, limit):
-    """(tree, positions, distances) of the nearest points within a limit."""
+    """(tree, indices, distances) of the nearest points within a limit."""
     tree, found, distance = kdtree.build_kdtree(points), np.full(k, -7), np.full(k, -7.0)
     count = kdtree.nearest_k(tree, *query, k, limit**2, found, distance, np.empty(64, np.int64), np.empty((64, 4)))
     return tree, found[:count], np.sqrt(distance[:count])
@@ -48,7 +48,7 @@ def test_the_tree_holds_every_point_once(points):
 @given(
     points=clouds(), seed=st.integers(0, 99), k=st.sampled_from([1, 3, 20]), limit=st.sampled_from([np.inf, 1.0, 0.02])
 )
-def test_nearest_k_is_a_search_by_brute_force(points, seed, k, limit):
+def test_nearest_k_equals_brute_force(points, seed, k, limit):
     rng = np.random.default_rng(seed)
     for query in (rng.uniform(-2, 2, 3), points[rng.integers(len(points))], np.array([1e6, 0, 0]), np.zeros(3)):
         tree, found, distance = search(points, query, k, limit)

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.kernels
 ROWS, COLUMNS = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 
 
-def about(points, weights, origin):
+def moments_about(points, weights, origin):
     m = moments.NO_MOMENTS
     for w, (x, y, z) in zip(weights, points - origin, strict=True):
         m = moments.add_point(m, w, x, y, z)
@@ -19,32 +19,33 @@ def about(points, weights, origin):
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 40), first=st.integers(0, 40), shift=st.floats(-1e3, 1e3))
-def test_moments_of_two_parts_about_different_origins_add_up_to_the_covariance_of_all(seed, count, first, shift):
+def test_moments_about_two_origins_add_up_to_the_covariance_of_all_points(seed, count, first, shift):
     rng = np.random.default_rng(seed)
     points, weights = rng.normal(size=(count, 3)) * [1, 3, 0.1] + shift, rng.uniform(0.1, 5, count)
-    one, other = points[0] + rng.normal(size=(2, 3))
-    whole = moments.add_moments(about(points[:first], weights[:first], one),
-                                about(points[first:], weights[first:], other), *(other - one))  # fmt: skip
-    assert whole[0] == pytest.approx(weights.sum())
-    np.testing.assert_allclose(np.array(whole[1:4]) / whole[0] + one, weights @ points / weights.sum(), rtol=1e-9)
+    origin_a, origin_b = points[0] + rng.normal(size=(2, 3))
+    part_a = moments_about(points[:first], weights[:first], origin_a)
+    part_b = moments_about(points[first:], weights[first:], origin_b)
+    total = moments.add_moments(part_a, part_b, *(origin_b - origin_a))
+    assert total[0] == pytest.approx(weights.sum())
+    np.testing.assert_allclose(np.array(total[1:4]) / total[0] + origin_a, weights @ points / weights.sum(), rtol=1e-9)
     expected = np.cov(points.T, aweights=weights, bias=True)
-    np.testing.assert_allclose(naive.full([moments.covariance(whole)])[0], expected, atol=1e-9)
+    np.testing.assert_allclose(naive.full([moments.covariance(total)])[0], expected, atol=1e-9)
     row = np.zeros(10)
-    moments.store(whole, row)
-    np.testing.assert_array_equal(row, whole)
+    moments.store(total, row)
+    np.testing.assert_array_equal(row, total)
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 30), shift=st.floats(-1e6, 1e6))
-def test_moments_about_the_mean_are_those_of_the_chosen_points_wherever_they_lie(seed, count, shift):
+def test_moments_about_the_mean_do_not_depend_on_where_the_points_lie(seed, count, shift):
     rng = np.random.default_rng(seed)
     points, chosen = rng.normal(size=(40, 3)) + shift, rng.permutation(40)
     *mean, m = moments.moments_about_mean(*points.T.copy(), chosen, count)
     some = points[chosen[:count]]
     np.testing.assert_allclose(mean, some.mean(axis=0), rtol=1e-9, atol=1e-9)
-    apart = some - some.mean(axis=0)
+    offset = some - some.mean(axis=0)
     assert m[0] == count
-    np.testing.assert_allclose(m[4:], (apart.T @ apart)[ROWS, COLUMNS], atol=1e-6)
+    np.testing.assert_allclose(m[4:], (offset.T @ offset)[ROWS, COLUMNS], atol=1e-6)
 
 
 def matrices():
@@ -57,7 +58,7 @@ def matrices():
     return np.concatenate([*shapes, [np.diag([3.0, 1, 2])]])
 
 
-def test_eigenvalues_and_vectors_are_lapacks():
+def test_eigenvalues_and_eigenvectors_equal_lapack():
     for matrix in matrices():
         atol = 1e-13 * max(np.abs(matrix).max(), 1e-300)
         answer = np.array(moments.eigen(*matrix[ROWS, COLUMNS]))

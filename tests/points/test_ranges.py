@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.errors import InputError
 from steelnb.points import smooth_ranges
-from steelnb.points.ranges import ALIKE, SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import GATE_SIGMAS, SIGMA_M, SIGMA_SHARE
 
 
 def directions(rows, columns):
@@ -12,23 +12,23 @@ def directions(rows, columns):
     return ray / np.linalg.norm(ray, axis=-1)[..., None]
 
 
-def obviously(points, half):
+def naive_sigma_filter(points, radius):
     distance = np.linalg.norm(points, axis=-1)
     smooth = points.copy()
     for i, j in np.argwhere(distance > 0):
-        near = distance[max(i - half, 0) : i + half + 1, max(j - half, 0) : j + half + 1]
-        alike = near[np.abs(near - distance[i, j]) <= ALIKE * max(SIGMA_M, SIGMA_SHARE * distance[i, j])]
+        near = distance[max(i - radius, 0) : i + radius + 1, max(j - radius, 0) : j + radius + 1]
+        alike = near[np.abs(near - distance[i, j]) <= GATE_SIGMAS * max(SIGMA_M, SIGMA_SHARE * distance[i, j])]
         smooth[i, j] *= alike.mean() / distance[i, j]
     return smooth
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("half", [0, 1, 2])
-def test_it_is_the_mean_of_the_ranges_alike(half):
+@pytest.mark.parametrize("radius", [0, 1, 2])
+def test_smooth_ranges_equals_its_slow_twin(radius):
     rng = np.random.default_rng(3)
     distance = rng.choice([1.0, 1.02, 1.07, 3.0, 3.1, np.nan], (12, 17)) + 0.005 * rng.normal(size=(12, 17))
     points = distance[..., None] * directions(12, 17)
-    np.testing.assert_allclose(smooth_ranges(points, half), obviously(points, half), atol=1e-12)
+    np.testing.assert_allclose(smooth_ranges(points, radius), naive_sigma_filter(points, radius), atol=1e-12)
 
 
 def test_noise_falls_threefold_on_a_surface_and_an_edge_stays_sharp():
@@ -43,7 +43,7 @@ def test_noise_falls_threefold_on_a_surface_and_an_edge_stays_sharp():
     assert abs((smooth - truth).mean()) < 0.002
 
 
-def test_what_did_not_return_stays_as_it_is_and_counts_for_nothing():
+def test_missing_returns_stay_and_do_not_enter_the_mean():
     points = 2.0 * directions(5, 5)
     points[2, 2] = np.nan
     points[0, 0], points[4, 4] = np.inf, 0.0
@@ -51,7 +51,7 @@ def test_what_did_not_return_stays_as_it_is_and_counts_for_nothing():
     np.testing.assert_allclose(smooth, points, atol=1e-12)
 
 
-def test_points_without_order_stay_as_they_are():
+def test_an_unorganised_cloud_is_returned_unchanged():
     points = directions(5, 5).reshape(-1, 3)
     assert smooth_ranges(points) is points
     with pytest.raises(InputError, match=r"\(7, 4\)"):

@@ -12,14 +12,21 @@ VOXEL = 0.25
 
 
 def frames(count=5, n=400):
-    """Scans of a wavy surface around the origin, so that negative coordinates are among them."""
+    """Scans of a wavy surface around the origin, with positive and negative coordinates."""
     rng = np.random.default_rng(7)
     for k in range(count):
         x, y = rng.uniform(-2, 2, (2, n)) + 0.3 * k
         yield np.stack([x, y, 0.3 * np.sin(3 * x) + 0.02 * rng.normal(size=n)], axis=1)
 
 
-def by_cube(points):
+def all_shapes(voxels):
+    """Covariances (M, 6) of all voxels."""
+    shapes = VoxelShapes.of(voxels, np.arange(len(voxels)))
+    shapes.fill(shapes.slot)
+    return shapes.value
+
+
+def sorted_by_voxel(points):
     return points[np.lexsort(np.floor(points / VOXEL).T[::-1])]
 
 
@@ -31,7 +38,7 @@ def by_cube(points):
     count=st.integers(1, 4),
     n=st.integers(1, 60),
 )
-def test_moments_and_shapes_are_their_slow_twin_after_every_frame(seed, voxel_m, count, n):
+def test_moments_and_shapes_equal_their_slow_twin_after_every_scan(seed, voxel_m, count, n):
     voxels, points, weights = VoxelMap(voxel_m), np.zeros((0, 3)), np.zeros(0)
     rng = np.random.default_rng(seed)
     for _ in range(count):
@@ -39,82 +46,82 @@ def test_moments_and_shapes_are_their_slow_twin_after_every_frame(seed, voxel_m,
         voxels.update_shapes(voxels.insert(frame, weight))
         points, weights = np.vstack([points, frame]), np.append(weights, weight)
         expected = naive.voxel_moments(points, weights, voxel_m)
-        means, mass, shapes = voxels.means(), voxels.weights(), naive.full(voxels.shapes())
+        means, mass, shapes = voxels.means(), voxels.weights(), naive.full(all_shapes(voxels))
         assert len(voxels) == len(expected) == len(means)
-        for slot, cube in enumerate(map(tuple, np.floor(means / voxel_m).astype(int))):
-            weight_, mean, covariance = expected[cube]
+        for slot, cell in enumerate(map(tuple, np.floor(means / voxel_m).astype(int))):
+            weight_, mean, covariance = expected[cell]
             assert mass[slot] == pytest.approx(weight_)
             np.testing.assert_allclose(means[slot], mean, atol=1e-12)
             np.testing.assert_allclose(shapes[slot], covariance, atol=1e-12)
 
 
-def test_insert_tells_which_voxels_it_touched_and_slots_stay():
+def test_insert_returns_the_touched_slots_and_keeps_all_others():
     voxels = VoxelMap(VOXEL)
     first, second = list(frames(2))
     voxels.insert(first)
     before = voxels.means()
     touched = voxels.insert(second)
-    cubes = {tuple(c) for c in np.floor(second / VOXEL).astype(int)}
-    assert len(touched) == len(set(touched)) == len(cubes)
-    assert {tuple(c) for c in np.floor(voxels.means(touched) / VOXEL).astype(int)} == cubes
+    cells = {tuple(c) for c in np.floor(second / VOXEL).astype(int)}
+    assert len(touched) == len(set(touched)) == len(cells)
+    assert {tuple(c) for c in np.floor(voxels.means(touched) / VOXEL).astype(int)} == cells
     untouched = np.setdiff1d(np.arange(len(before)), touched)
     assert len(untouched) > 10
     np.testing.assert_array_equal(voxels.means(untouched), before[untouched])
 
 
-def test_without_accumulation_the_map_is_the_reports_filter_over_old_means_and_new_points():
+def test_without_accumulate_the_map_is_the_voxel_grid_of_old_means_and_new_points():
     voxels, cloud = VoxelMap(VOXEL, accumulate=False), np.zeros((0, 3))
     for frame in frames():
         voxels.insert(frame)
         cloud = voxel_grid(np.vstack([cloud, frame]), VOXEL)  # PC0 ← voxel grid of PC0 + PC1
-        np.testing.assert_allclose(by_cube(voxels.means()), by_cube(cloud), atol=1e-9)
+        np.testing.assert_allclose(sorted_by_voxel(voxels.means()), sorted_by_voxel(cloud), atol=1e-9)
     accumulated = VoxelMap(VOXEL)
     for frame in frames():
         accumulated.insert(frame)
-    assert np.abs(by_cube(accumulated.means()) - by_cube(cloud)).max() > 0.01
+    assert np.abs(sorted_by_voxel(accumulated.means()) - sorted_by_voxel(cloud)).max() > 0.01
 
 
 @pytest.mark.parametrize("accumulate", [True, False])
-def test_growing_past_every_capacity_changes_nothing(accumulate):
-    # 60,000 voxels in many insertions, past the first sizes of arrays and table, against one insertion of all.
+def test_many_insertions_equal_one(accumulate):
+    # 60,000 voxels exceed the initial capacity of the arrays and the table several times.
     rng = np.random.default_rng(1)
     points = rng.uniform(-5, 5, (70_000, 3))
-    grown, whole = VoxelMap(0.2, accumulate), VoxelMap(0.2, accumulate)
-    whole.update_shapes(whole.insert(points))
+    grown, at_once = VoxelMap(0.2, accumulate), VoxelMap(0.2, accumulate)
+    at_once.update_shapes(at_once.insert(points))
     for part in np.array_split(points, 40):
         grown.update_shapes(grown.insert(part))
-    assert len(grown) == len(whole) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
+    assert len(grown) == len(at_once) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
     if accumulate:
-        np.testing.assert_allclose(grown.means(), whole.means(), atol=1e-12)
-        np.testing.assert_allclose(grown.shapes(), whole.shapes(), atol=1e-12)
+        np.testing.assert_allclose(grown.means(), at_once.means(), atol=1e-12)
+        np.testing.assert_allclose(all_shapes(grown), all_shapes(at_once), atol=1e-12)
     assert sum(array.nbytes for array in vars(grown).values() if isinstance(array, np.ndarray)) < 100e6
 
 
-def test_near_finds_the_voxels_that_reach_into_a_cube():
+def test_near_finds_the_voxels_that_overlap_a_cube():
     voxels = VoxelMap(VOXEL)
     for frame in frames():
         voxels.insert(frame)
     corner = np.floor(voxels.means() / VOXEL) * VOXEL
     for centre, radius in [((0, 0, 0), 0.6), ((-1.1, 0.4, 0.1), 0.33), ((0.5, 0.5, 0.2), 1e9), ((30, 0, 0), 1.0)]:
-        reaches = ((corner <= np.add(centre, radius)) & (corner + VOXEL > np.subtract(centre, radius))).all(axis=1)
-        np.testing.assert_array_equal(np.sort(voxels.near(np.array(centre), radius)), np.flatnonzero(reaches))
+        overlaps = ((corner <= np.add(centre, radius)) & (corner + VOXEL > np.subtract(centre, radius))).all(axis=1)
+        np.testing.assert_array_equal(np.sort(voxels.near(np.array(centre), radius)), np.flatnonzero(overlaps))
     assert len(voxels.near(np.array([0, 0, 0.0]), 0.6)) > 10
 
 
-def test_points_on_faces_and_at_negative_coordinates_fall_into_the_voxel_above():
+def test_points_on_voxel_faces_belong_to_the_upper_voxel():
     voxels = VoxelMap(0.5)
     voxels.insert(np.array([[0.0, 0, 0], [-0.5, 0, 0], [-1e-9, 0, 0], [0.5, 0, 0], [-0.75, 0, 0]]))
     assert len(voxels) == 4
     np.testing.assert_allclose(np.sort(voxels.means()[:, 0]), [-0.75, -0.25, 0.0, 0.5], atol=1e-8)
 
 
-def test_far_points_keep_their_precision():
+def test_shapes_and_means_keep_their_precision_far_from_the_origin():
     offset = np.array([9e4, -8e4, 1e3])
     near, far = VoxelMap(0.1), VoxelMap(0.1)
     points = next(frames(1)) + 0.05
     near.update_shapes(near.insert(points))
     far.update_shapes(far.insert(points + offset))
-    np.testing.assert_allclose(by_cube(far.means() - offset), by_cube(near.means()), atol=1e-9)
+    np.testing.assert_allclose(sorted_by_voxel(far.means() - offset), sorted_by_voxel(near.means()), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +135,7 @@ def test_far_points_keep_their_precision():
         (np.zeros((2, 3)), np.ones(3)),
     ],
 )
-def test_points_and_weights_that_cannot_be_kept_leave_the_map_as_it_was(points, weight):
+def test_invalid_points_and_weights_are_refused_and_leave_the_map_unchanged(points, weight):
     voxels = VoxelMap(0.1)
     voxels.insert(next(frames(1)))
     before = voxels.means()
@@ -138,7 +145,7 @@ def test_points_and_weights_that_cannot_be_kept_leave_the_map_as_it_was(points, 
 
 
 @pytest.mark.parametrize("voxel_m", [0.0, -1.0, np.nan, np.inf])
-def test_a_voxel_without_size_is_refused(voxel_m):
+def test_a_voxel_size_that_is_not_positive_is_refused(voxel_m):
     with pytest.raises(InputError, match="voxel_m"):
         VoxelMap(voxel_m)
 
@@ -152,14 +159,13 @@ def test_an_empty_scan_changes_nothing():
 
 
 @pytest.mark.parametrize("step", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (512, 0, 0), (0, 512, 0), (0, 0, 512), (1, 1, 1)])
-def test_voxels_in_a_row_spread_over_the_table(step):
-    # A tower beside the next, and the next: their voxels differ in one index only.
+def test_voxels_in_a_row_have_different_buckets(step):
     keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
-    places = {kernels.place_of(key, (1 << 12) - 1) for key in keys}
-    assert len(places) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # as many as at random, and a tenth less
+    buckets = {kernels.bucket_of(key, (1 << 12) - 1) for key in keys}
+    assert len(buckets) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # at most a tenth fewer than at random
 
 
-def test_shapes_are_computed_where_a_registration_asks_for_them():
+def test_shapes_are_computed_on_demand():
     voxels = VoxelMap(VOXEL)
     for frame in frames():
         voxels.update_shapes(voxels.insert(frame))
@@ -169,5 +175,5 @@ def test_shapes_are_computed_where_a_registration_asks_for_them():
         missing = np.ones(len(slot), dtype=bool)
         missing[[0, 3]] = False
         assert np.isnan(shapes.value[missing]).all()
-        expected = naive.full(voxels.shapes(slot)) + 0.25 * np.eye(3)
+        expected = naive.full(all_shapes(voxels)[slot]) + 0.25 * np.eye(3)
         np.testing.assert_array_equal(naive.full(shapes.value[[0, 3]]), expected[[0, 3]])
