@@ -1,4 +1,4 @@
-"""Points → `Lines` → `Segments`: the iterative 3D Hough transform and the sorting of its lines."""
+"""Points → `Lines` → `Segments`: the iterative 3D Hough transform and the segments along its lines."""
 
 from steelnb.hough.directions import directions
 from steelnb.hough.lines import detect_lines

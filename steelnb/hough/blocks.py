@@ -1,10 +1,11 @@
-"""Segments of a whole structure: the Hough transform in small blocks, and a greedy selection among their segments.
+"""Segments of a whole structure: Hough transforms of small blocks, then a greedy selection among their segments.
 
-One transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of a
-long line by many dx. And the longest lines get the most votes, so that a line across twenty bars of a face beats the
-bars. Blocks a few bars wide avoid both, but cut bars and find each of them several times. So their segments are
-proposals: each scores the points inside its tube less those in the ring around it, the best is grown through the whole
-cloud and its points are removed, which lowers the scores of all others that share them; and so on.
+A single transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of
+a long line by many dx. And a line across twenty bars of a face gets more votes than each bar. Blocks a few bars wide
+avoid both, but they cut bars and find each of them several times. Their segments are therefore proposals. The score of
+a proposal is the number of points in its tube minus `RING_WEIGHT` times the number in the ring around it. The best
+proposal is grown through the whole cloud. Then its points are removed, which lowers the scores of the proposals that
+share them.
 """
 
 import itertools
@@ -16,29 +17,29 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.hough.cubes import sort_into_cubes, walk
-from steelnb.hough.growth import around, best_stretch, grow, run_along
+from steelnb.hough.growth import best_interval, grow, points_around, run_along
 from steelnb.hough.pieces import span
 from steelnb.hough.segments import detect_segments
 from steelnb.hough.transform import fit_line
 from steelnb.types import Array, Segments
 
 BLOCK = 12.0
-"""Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by dx/2."""
+"""Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by up to dx/2."""
 GRANULARITY = 3
 GAP, LENGTH, PCA_RATIO = 4.0, 5.0, 0.9
-"""Bounds of a segment: largest gap and least length in dx, least share of the variance along it."""
+"""Bounds of a segment: maximum gap and minimum length in dx, minimum share of the variance along it."""
 RING_WEIGHT = 0.75
-"""Weight of a point between dx and 2 dx. A sheet of points holds as many there as within dx, so 1 would tell bars from
-sheets, but bars whose points scatter by dx leave some there too: on ten surveyed towers, 1 loses up to 60 % of the
-points that 0.75 explains. At 0.5 a third of a tower jittered by 1 m passes for bars, at 0.75 a twentieth."""
+"""Weight of a point in the ring from dx to 2 dx. At 1 a planar surface scores zero, but so do bars whose points scatter
+by dx: on ten surveyed towers, 1 loses up to 60 % of the points that 0.75 explains. At 0.5, a third of a tower jittered
+by 1 m passes for bars, at 0.75 a twentieth."""
 MIN_VOTES = 8
-"""Fewest points of a bar."""
-SHADOW = 1.25
-"""Points within this many dx of a chosen segment cannot start another: else wide bars come out doubled."""
+"""Minimum number of points of a bar."""
+EXCLUDE_DX = 1.25
+"""Points within this many dx of a chosen segment are removed, or wide bars would be found twice."""
 SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
-"""Shifts of the grids of blocks, in halves of a block."""
-GROUP = 256
-"""Size of the groups of proposals whose largest score is kept, which shortens the search for the strongest."""
+"""Shifts of the grids of blocks, in half blocks."""
+SCORE_GROUP = 256
+"""Number of proposals whose maximum score is cached together, to find the strongest faster."""
 
 
 def segment_structure(
@@ -50,11 +51,11 @@ def segment_structure(
     ----------
     points: ``(N, 3)`` in metres, any frame, finite, voxel-filtered with a leaf of about dx/√3.
     dx: radius of the tube that holds a bar's points, metres.
-    min_votes: least excess of points in the tube over those in the ring, and fewest points of a segment.
-    length_min: least length of a segment, in dx.
-    grids: number of shifted grids of blocks, 1 to 8; each proposes most bars again, and takes as long.
+    min_votes: minimum score and minimum number of points of a segment.
+    length_min: minimum length of a segment, in dx.
+    grids: number of shifted grids of blocks, 1 to 8. More grids find more bars; the time is proportional.
 
-    Surfaces (ground, walls) come out as stripes side by side: crop them first.
+    Surfaces such as the ground are found as parallel stripes: crop them first.
 
     Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
@@ -68,14 +69,14 @@ def segment_structure(
     _pairs(cubes, start, direction, length, dx, first_pair, pair)
     ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
     radius = np.zeros(len(proposed))
-    found = _choose(
+    found = _select(
         cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
     )  # fmt: skip
     return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
 
 
 def within(points: Array, segments: Segments, distance: float) -> NDArray[np.bool_]:
-    """Which of the points ``(N, 3)`` lie within ``distance`` metres of a segment, its ends included."""
+    """Whether each of the points ``(N, 3)`` lies within ``distance`` metres of a segment: ``(N,)``."""
     near = np.zeros(len(points), dtype=np.bool_)
     cubes = sort_into_cubes(np.asarray(points), distance)
     near[cubes.order] = _mark(cubes, segments.start, segments.direction, segments.length, distance)
@@ -85,23 +86,28 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
 def propose(
     points: Array, dx: float, min_votes: int, length_min: float, shifts: Sequence[tuple[int, int, int]]
 ) -> Segments:
-    """Segments of each block of the cloud ``(N, 3)``, of grids of blocks that are shifted by half a block against each
-    other, one for each of the ``shifts``. Lengths as in `segment_structure`, which chooses among them."""
+    """Segments of every block of the cloud ``(N, 3)``, in one grid of blocks for each of the ``shifts``.
+
+    Arguments as in `segment_structure`, which selects among them. The bounds are looser than the final ones, since a
+    block may hold only part of a bar.
+    """
     edge = BLOCK * dx
     low = points.min(axis=0)
     found = [Segments.empty()]
     for shift in shifts:
-        cell = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
-        order = np.lexsort(cell.T[::-1])  # by the three numbers: blocks may be more than one number counts
-        new = (np.diff(cell[order], axis=0) != 0).any(axis=1)
+        block = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
+        order = np.lexsort(block.T[::-1])
+        new = (np.diff(block[order], axis=0) != 0).any(axis=1)
         bounds = np.concatenate([[0], np.flatnonzero(new) + 1, [len(points)]])
         for first, last in itertools.pairwise(bounds):
-            some = points[order[first:last]]
-            # Bounds looser than the final ones: a block may hold only part of a bar.
-            if len(some) >= 0.75 * min_votes and np.linalg.norm(np.ptp(some, axis=0)) > (length_min - 1) * dx:
+            block_points = points[order[first:last]]
+            if (
+                len(block_points) >= 0.75 * min_votes
+                and np.linalg.norm(np.ptp(block_points, axis=0)) > (length_min - 1) * dx
+            ):
                 found.append(
                     detect_segments(
-                        some, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
+                        block_points, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
                         gap_max=GAP * dx, pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx,
                         length_min=(length_min - 1) * dx,
                     )
@@ -112,10 +118,10 @@ def propose(
 @njit(cache=True)
 def _mark(cubes, start, direction, length, distance):
     hit = np.zeros(len(cubes.px), dtype=np.bool_)
-    seen, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
+    visited, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], seen, k, near)):
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, k, near)):
             i = near[c]
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
@@ -127,16 +133,17 @@ def _mark(cubes, start, direction, length, distance):
 
 @njit(cache=True)
 def _pairs(cubes, start, direction, length, dx, first, pair):
-    """Find the points within 2 dx of each proposal; return the number of pairs.
+    """Find the points within 2 dx of each proposal; returns the number of pairs of a point and a proposal.
 
-    Counts those of point i in ``first[i + 2]`` if ``pair`` is empty. Otherwise ``first[i + 1]`` is where the pairs of
-    point i begin in ``pair``, and moves on to where they end: twice the proposal, and 1 more inside than in the ring.
+    Called twice. With ``pair`` empty it counts the pairs of point i in ``first[i + 2]``. Then ``first`` holds their
+    cumulative sum, and the pairs of point i are written to ``pair`` from ``first[i + 1]`` on, which is advanced past
+    them. The entry for proposal k is 2k + 1 in the tube and 2k in the ring.
     """
     n = 0
-    seen, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
+    visited, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], seen, k, near)):
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, k, near)):
             i = near[c]
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = x * ux + y * uy + z * uz
@@ -152,51 +159,54 @@ def _pairs(cubes, start, direction, length, dx, first, pair):
 
 
 @njit(cache=True)
-def _strongest(score, stale, most):
-    """The first of the largest scores. ``most`` holds the largest of each `GROUP`, renewed where it is ``stale``."""
-    for group in range(len(most)):
-        if stale[group]:
-            most[group] = score[group * GROUP : (group + 1) * GROUP].max()
-            stale[group] = False
-    first = np.argmax(most) * GROUP
-    return first + np.argmax(score[first : first + GROUP])
+def _strongest(score, stale, group_max):
+    """Index of the largest score, the first of equals.
+
+    ``group_max`` caches the largest score of each group of `SCORE_GROUP`; ``stale`` groups are computed again.
+    """
+    for g in range(len(group_max)):
+        if stale[g]:
+            group_max[g] = score[g * SCORE_GROUP : (g + 1) * SCORE_GROUP].max()
+            stale[g] = False
+    first = np.argmax(group_max) * SCORE_GROUP
+    return first + np.argmax(score[first : first + SCORE_GROUP])
 
 
 @njit(cache=True, nogil=True)
-def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
-    """Take the best proposal, grow it, take its points away, again. Fills ``ends``, ``count``, ``radius``."""
+def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
+    """Grow the best proposal, remove its points, repeat; fills ``ends``, ``count``, ``radius``, returns their number."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
     for k in range(len(pair)):
         score[pair[k] >> 1] += weight[pair[k] & 1]
-    groups = (len(length) + GROUP - 1) // GROUP
-    stale, most = np.ones(groups, dtype=np.bool_), np.empty(groups)
+    groups = (len(length) + SCORE_GROUP - 1) // SCORE_GROUP
+    stale, group_max = np.ones(groups, dtype=np.bool_), np.empty(groups)
     free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
-    seen = np.zeros(len(cubes.first), np.int64)  # the last one counts the walks
+    visited = np.zeros(len(cubes.first), np.int64)  # the last entry counts the walks
     found = 0
     while len(score) > 0:
-        best = _strongest(score, stale, most)
+        best = _strongest(score, stale, group_max)
         if score[best] < min_votes:
             break
         score[best] = -np.inf
-        stale[best // GROUP] = True
+        stale[best // SCORE_GROUP] = True
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
-        m, ax, ay, az, ux, uy, uz, low, high = grow(
-            cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, 8, seen, near, along, run
+        size, ax, ay, az, ux, uy, uz, low, high = grow(
+            cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, visited, near, along, run
         )
-        if m < min_votes:
+        if size < min_votes:
             continue
-        low, high, excess = _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near)
-        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, seen, near, along, run)
+        low, high, best_score = _trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, visited, near)
+        size = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, visited, near, along, run)
         kept = 0
-        for k in range(m):
+        for k in range(size):
             t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
             if low <= t <= high:
                 run[kept] = run[k]
                 kept += 1
-        if excess < min_votes or kept < min_votes:
+        if best_score < min_votes or kept < min_votes:
             continue
         spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, kept)
         low, high = span(px, py, pz, run[:kept], ax, ay, az, ux, uy, uz)
@@ -207,31 +217,31 @@ def _choose(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+        for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
             i = near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
-            if free[i] and low <= t <= high and x * x + y * y + z * z - t * t <= (SHADOW * dx) ** 2:
+            if free[i] and low <= t <= high and x * x + y * y + z * z - t * t <= (EXCLUDE_DX * dx) ** 2:
                 free[i] = False
                 for k in range(first_pair[i], first_pair[i + 1]):
                     score[pair[k] >> 1] -= weight[pair[k] & 1]
-                    stale[(pair[k] >> 1) // GROUP] = True
+                    stale[(pair[k] >> 1) // SCORE_GROUP] = True
     return found
 
 
 @njit(cache=True)
-def _stretch(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, seen, near):
-    """The part of a grown segment that stands out most: (low, high, excess of points). It may have outgrown its bar.
+def _trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, visited, near):
+    """Trim a grown segment, which may have outgrown its bar, to the interval with the best score.
 
-    The `best_stretch` of slices one dx long.
+    Returns (low, high, score). The interval is the `best_interval` of slices one dx long.
     """
     slices = np.zeros(int((high - low) / dx) + 1)
-    for c in range(around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near)):
+    for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
         i = near[c]
         x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
         t = x * ux + y * uy + z * uz
         distance2 = x * x + y * y + z * z - t * t
         if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:
             slices[int((t - low) / dx)] += 1.0 if distance2 <= dx * dx else -RING_WEIGHT
-    first, last, excess = best_stretch(slices)
-    return low + first * dx, min(high, low + last * dx), excess
+    first, last, best_score = best_interval(slices)
+    return low + first * dx, min(high, low + last * dx), best_score

@@ -1,4 +1,4 @@
-"""Points sorted into cubes, for searches along lines in time proportional to the points near the line."""
+"""Points sorted into cubes, to find the points near a line in time proportional to their number."""
 
 from typing import NamedTuple
 
@@ -9,15 +9,16 @@ from steelnb.points.voxel_kernels import REACH, find, pack, rehash
 from steelnb.types import Array, IntArray
 
 EDGE = 1.25
-"""Edge of a cube in search distances. A point within the distance of a line lies at most √(¼ + 1/EDGE²) < 1 edge from
-the nearest step of a walk, so the 27 cubes around the step hold it."""
+"""Edge of a cube in search distances. A point within the search distance of a line is at most √(¼ + 1/EDGE²) < 1 edge
+from the nearest step of a walk, so it is in one of the 27 cubes around that step."""
 
 
 class Cubes(NamedTuple):
-    """N points in C cubes of edge ``edge``, counted from ``low (3,)``; no point lies beyond ``high (3,)``.
+    """N points in C cubes of edge ``edge``, metres. ``low (3,)`` and ``high (3,)`` are their bounding box.
 
-    ``order (N,)``: the points, cube by cube; ``px, py, pz (N,)``: their coordinates in that order; ``first (C + 1,)``:
-    where each cube begins. ``key`` and ``slot`` are a hash table of the cubes (`steelnb.points.voxel_kernels`).
+    ``order (N,)``: indices of the points, sorted by cube; ``px, py, pz (N,)``: their coordinates in that order;
+    ``first (C + 1,)``: where each cube begins in it. ``key`` and ``slot`` are the hash table of the cubes
+    (`steelnb.points.voxel_kernels`).
     """
 
     low: Array
@@ -33,36 +34,36 @@ class Cubes(NamedTuple):
 
 
 def sort_into_cubes(points: Array, distance: float) -> Cubes:
-    """Cubes of finite points ``(N, 3)`` for searches (`walk`) as far as ``distance`` from a line, both in metres."""
+    """Sort finite points ``(N, 3)`` for searches (`walk`) within ``distance`` of a line, both in metres."""
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
-    edge = max(EDGE * distance, 2.0 * float((high - low).max()) / REACH)  # so that the cubes can be numbered
+    edge = max(EDGE * distance, 2.0 * float((high - low).max()) / REACH)  # few enough for `pack`
     cube = np.floor((points - low) / edge).astype(np.int64)
-    name = pack(cube[:, 0], cube[:, 1], cube[:, 2])
-    order = np.argsort(name, kind="stable")
-    first = np.append(np.flatnonzero(np.diff(name[order], prepend=-1)), len(points))
+    number = pack(cube[:, 0], cube[:, 1], cube[:, 2])
+    order = np.argsort(number, kind="stable")
+    first = np.append(np.flatnonzero(np.diff(number[order], prepend=-1)), len(points))
     size = 4
     while size < 2 * len(first):
         size *= 2
     key, slot = np.full(size, -1, dtype=np.int64), np.zeros(size, dtype=np.int64)
-    rehash(name[order[first[:-1]]], key, slot)
+    rehash(number[order[first[:-1]]], key, slot)
     px, py, pz = np.ascontiguousarray(points[order].T)
     return Cubes(low, high, edge, order, px, py, pz, first, key, slot)
 
 
 @njit(cache=True)
-def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, seen, mark, near):
-    """Write the places of the points near a line from ``begin`` to ``end`` on it, once each; return their number.
+def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, mark, near):
+    """Write the indices of the points near a line to ``near``, once each; returns their number.
 
-    All points within the distance of `sort_into_cubes` of that part are written, ends included, and others farther
-    away. ``seen (C,)`` holds the ``mark`` of the last walk through each cube.
+    The line is a + t u with t from ``begin`` to ``end``. All points within the distance of `sort_into_cubes` are
+    written, and some that are farther away. ``visited (C,)`` holds the ``mark`` of the last walk through each cube.
     """
-    # No further than the box of the points, else a line that is long beside the cubes takes forever.
+    # Clip the line to the bounding box, so that the time does not depend on its length.
     a, u = (ax, ay, az), (ux, uy, uz)
     for c in range(3):
         low, high = cubes.low[c] - cubes.edge - a[c], cubes.high[c] + cubes.edge - a[c]
         if abs(u[c]) > 1e-12:
-            one, other = low / u[c], high / u[c]
-            begin, end = max(begin, min(one, other)), min(end, max(one, other))
+            t0, t1 = low / u[c], high / u[c]
+            begin, end = max(begin, min(t0, t1)), min(end, max(t0, t1))
         elif low > 0.0 or high < 0.0:
             return 0
     if begin > end:
@@ -78,10 +79,10 @@ def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, seen, mark, near):
             for j in range(j0 - 1, j0 + 2):
                 for m in range(k0 - 1, k0 + 2):
                     cube = find(pack(i, j, m), cubes.key, cubes.slot)
-                    if cube < 0 or seen[cube] == mark:
+                    if cube < 0 or visited[cube] == mark:
                         continue
-                    seen[cube] = mark
-                    for place in range(cubes.first[cube], cubes.first[cube + 1]):
-                        near[n] = place
+                    visited[cube] = mark
+                    for index in range(cubes.first[cube], cubes.first[cube + 1]):
+                        near[n] = index
                         n += 1
     return n

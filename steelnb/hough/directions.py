@@ -1,4 +1,4 @@
-"""Directions of lines: a subdivided icosahedron, upper half (Jeltsch, Dalitz, Pohle-Froehlich, VISAPP 2016)."""
+"""Directions of lines: the upper half of a subdivided icosahedron (Jeltsch, Dalitz, Pohle-Froehlich, VISAPP 2016)."""
 
 from functools import lru_cache
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from steelnb.types import Array
 
-# Single precision on purpose: the published program computes the first twelve corners so, and ties between directions
-# are broken by their order and last bits.
+# In single precision, as in the published program: ties between directions depend on their order and last bits.
 _TAU = np.float32(1.61803399)
 _NORM = np.sqrt(np.float32(1) + _TAU * _TAU)
 _V = float(np.float32(1) / _NORM)
@@ -28,8 +27,8 @@ _TRIANGLES = (
 def directions(granularity: int) -> Array:
     """Unit vectors ``(5 * 4**granularity + 1, 3)`` that cover the half sphere evenly, one of each opposite pair.
 
-    ``granularity`` 4 gives 1281 directions about 4° apart, 6 gives 20481 about 1° apart. The order is that of the
-    reference program, which breaks ties by it. Raises ValueError outside 0–6.
+    ``granularity`` 4 gives 1281 directions about 4° apart, 6 gives 20481 about 1° apart. They are in the order of the
+    published program, which breaks ties by it. Raises ValueError outside 0–6.
     """
     if granularity not in range(7):
         raise ValueError(f"granularity = {granularity}: expected an integer from 0 to 6")

@@ -7,41 +7,37 @@ from steelnb.errors import InputError
 from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array
 
-DX_MIN_M, SPACINGS, PROBES = 0.07, 1.2, 5000
+DX_MIN_M, DX_PER_SPACING, SAMPLE = 0.07, 1.2, 5000
 
 
 def default_dx(points: Array) -> float:
-    """The default ``dx`` of lines and segments, metres: 1.2 times the median spacing of the points, at least 7 cm,
-    which holds a bar of a tower with its noise, and at most half the diagonal of the cloud.
+    """Default ``dx`` of lines and segments for finite ``points (N, 3)``, metres. Raises `InputError`.
 
-    ``points (N, 3)`` finite, in metres. Raises `InputError`.
+    It is 1.2 times the median spacing of the points, at least 7 cm, which holds a bar of a tower with its noise, and at
+    most half the diagonal of the cloud.
     """
     points, low, high = distinct_points(points)
-    return min(max(SPACINGS * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
+    return min(max(DX_PER_SPACING * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
 
 
 def spacing(points: Array) -> float:
-    """Median distance of a point of ``(N, 3)`` to the nearest other one, metres; of many points, of some thousands."""
-    asked = points[np.linspace(0, len(points) - 1, min(len(points), PROBES)).astype(int)]
-    return float(np.median(cKDTree(points).query(asked, k=min(2, len(points)))[0][:, -1]))
+    """Median distance of the points ``(N, 3)`` to their nearest neighbours, metres, of at most `SAMPLE` points."""
+    sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)]
+    return float(np.median(cKDTree(points).query(sample, k=min(2, len(points)))[0][:, -1]))
 
 
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
-    """``points`` as ``(N, 3)`` float64, finite and not all identical, and the corners ``(3,)`` of their bounding box.
+    """``points (N, 3)`` as float64, and the corners ``(3,)`` of their bounding box.
 
-    Raises `InputError` for another shape, no points, points that are not finite, or fewer than two distinct ones.
+    Raises `InputError` for another shape, points that are not finite, and fewer than two distinct points.
     """
     points = checked_cloud(points)
     if points.ndim != 2:
         raise InputError(f"points of shape {points.shape}: expected (N, 3)")
-    if not len(points):
-        raise InputError("cloud of 0 points: expected at least two")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
-    if len(points) < 2:
-        raise InputError("cloud of 1 point: expected at least two")
-    low, high = points.min(axis=0), points.max(axis=0)
-    if (low == high).all():
-        raise InputError(f"cloud of {len(points)} points: all identical, expected two distinct points")
+    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+    if len(points) < 2 or (low == high).all():
+        raise InputError(f"cloud of {len(points)} points: expected at least two distinct points")
     return points, low, high

@@ -1,4 +1,4 @@
-"""Growth of a proposed segment through a whole cloud, along the points that are still free."""
+"""Growth of a proposed segment through the free points of a whole cloud."""
 
 import numpy as np
 from numba import njit
@@ -7,26 +7,28 @@ from steelnb.hough.cubes import walk
 from steelnb.hough.pieces import span
 from steelnb.hough.transform import fit_line
 
-
-@njit(cache=True)
-def around(cubes, ax, ay, az, ux, uy, uz, low, high, seen, near):
-    """`walk` with a mark of its own: the last of ``seen`` counts them."""
-    seen[-1] += 1
-    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, seen, seen[-1], near)
+FITS_MAX = 8
+"""Maximum number of fits of a growing segment."""
 
 
 @njit(cache=True)
-def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, seen, near, along, run):
-    """Free points within ``radius`` of a line, as far from ``low`` to ``high`` on it as gaps allow; returns their
-    number.
+def points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near):
+    """`walk` with a new mark; the last entry of ``visited`` counts the walks."""
+    visited[-1] += 1
+    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, visited[-1], near)
 
-    The points are looked for a few gaps beyond ``low`` and ``high``; twice as far if the run comes near to where the
-    search ended.
+
+@njit(cache=True)
+def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run):
+    """Write the indices of a run of free points within ``radius`` of a line to ``run``; returns their number.
+
+    A run has no gap above ``gap`` along the line. Of several runs, the one that overlaps most with the interval from
+    ``low`` to ``high`` is taken. The search extends a few gaps past that interval, and farther if the run does.
     """
     beyond = 4.0 * gap
     while True:
         n = 0
-        for c in range(around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, seen, near)):
+        for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -36,32 +38,32 @@ def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, seen,
                 n += 1
         order = np.argsort(along[:n])
         m = first = 0
-        overlap, reach = 0.0, 0.0
+        overlap, overshoot = 0.0, 0.0
         for k in range(1, n + 1):
             if k < n and along[order[k]] - along[order[k - 1]] <= gap:
                 continue
-            shared = min(along[order[k - 1]], high) - max(along[order[first]], low)
-            if shared > overlap:  # of several runs, the one that shares most with the proposal
-                overlap, m = shared, k - first
-                reach = max(along[order[k - 1]] - high, low - along[order[first]])
+            overlap_of_run = min(along[order[k - 1]], high) - max(along[order[first]], low)
+            if overlap_of_run > overlap:
+                overlap, m = overlap_of_run, k - first
+                overshoot = max(along[order[k - 1]] - high, low - along[order[first]])
                 for j in range(m):
                     run[j] = near[order[first + j]]
             first = k
-        if m == 0 or reach + gap < beyond:
+        if m == 0 or overshoot + gap < beyond:
             return m
         beyond *= 2.0
 
 
 @njit(cache=True)
-def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes, rounds, seen, near, along, run):
-    """Fit a line to its `run_along` and look again, until the run has no more points: (their number, line, low, high).
+def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes, visited, near, along, run):
+    """Alternate between `run_along` a line and a fit to the run, until the run stops growing.
 
-    Fewer than ``min_votes`` points end it; line and ends are then those before.
+    Returns (number of points, line, low, high). It stops early when a run has fewer than ``min_votes`` points.
     """
     m = 0
-    for _ in range(rounds):
+    for _ in range(FITS_MAX):
         before = m
-        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, seen, near, along, run)
+        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run)
         if m < min_votes or m == before:
             break
         _, _, ax, ay, az, ux, uy, uz = fit_line(cubes.px, cubes.py, cubes.pz, run, m)
@@ -70,14 +72,14 @@ def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes,
 
 
 @njit(cache=True)
-def best_stretch(slices):
-    """Kadane's maximum-sum stretch: (first slice, one past the last, sum); the sum is 0 where no slice is above 0."""
-    total = excess = 0.0
+def best_interval(slices):
+    """Kadane's maximum-sum interval: (first slice, one past the last, sum). The sum is 0 if no slice is positive."""
+    total = best_sum = 0.0
     begin = first = last = 0
     for k in range(len(slices)):
         if total <= 0.0:
             total, begin = 0.0, k
         total += slices[k]
-        if total > excess:
-            excess, first, last = total, begin, k + 1
-    return first, last, excess
+        if total > best_sum:
+            best_sum, first, last = total, begin, k + 1
+    return first, last, best_sum

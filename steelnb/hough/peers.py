@@ -1,8 +1,8 @@
 """Points → `Segments`, by the methods that the report compares (its section 1.1).
 
-All take ``(points, seed, dx, points_min, …)``: ``points (N, 3)`` finite in metres, ``dx`` in metres (default
-`default_dx`) and the fewest points of a bar. All raise as `steelnb.hough.detect_lines` does. Open3D and scikit-learn
-are imported when a method is called, since they take seconds.
+All take ``(points, seed, dx, points_min, …)``: finite ``points (N, 3)`` in metres, ``dx`` in metres (default
+`default_dx`) and the minimum number of points of a bar. All raise as `steelnb.hough.detect_lines`. Open3D and
+scikit-learn are imported by the methods that use them, since the imports take seconds.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,28 +20,28 @@ from steelnb.rng import stream
 from steelnb.types import Array, Lines, Segments
 
 PLANES_MAX, NEIGHBOURS_MIN, VARIANCE_FLOOR_M2 = 30, 10, 1e-5
-"""Most planes of RANSAC, fewest neighbours within dx of DBSCAN, least variance of a component of a mixture along any
-axis."""
+"""Maximum number of planes of RANSAC, minimum number of neighbours within dx of DBSCAN, minimum variance of a mixture
+component along any axis."""
 GRANULARITY = 3
-"""That of `detect_lines`: the 8° between directions are enough, since lines are fitted to their points."""
+"""Of `detect_lines`. Directions 8° apart suffice, since the lines are then fitted to their points."""
 SAMPLE_M, DRAWS = 0.5, 50
-"""RANSAC draws the second point of a line so near the first, with so many draws; without that, two of 10,000 points
-are seldom on one bar."""
+"""RANSAC draws the second point of a line within `SAMPLE_M` of the first, in up to `DRAWS` draws. Two arbitrary points
+of 10,000 are seldom on one bar."""
 FAILURES = 3
-"""Lines of RANSAC in a row with too few points, before the search ends."""
+"""RANSAC stops after this many lines in a row with too few points."""
 
 
 def segment_by_hough(points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN) -> Segments:
     """Hough lines with at least ``points_min`` votes, in two passes, then refined. ``seed`` is not used."""
     points, dx = prepared(points, dx, points_min)
-    found = in_passes(lambda some: segment_by_hough_once(some, seed, dx, points_min), points, dx, points_min)
+    found = in_passes(lambda subset: segment_by_hough_once(subset, seed, dx, points_min), points, dx, points_min)
     return refine(points, found, dx, points_min)
 
 
 def segment_by_hough_once(
     points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN
 ) -> Segments:
-    """One pass of `segment_by_hough`, not refined: the same as `steelnb.hough.detect_segments`."""
+    """A single pass of `segment_by_hough` without refinement, as `steelnb.hough.detect_segments`."""
     points, dx = prepared(points, dx, points_min)
     lines = detect_lines(points, dx, points_min, None, GRANULARITY, skip_weak=True)
     return bars_of_lines(points, lines, points_min)
@@ -50,15 +50,15 @@ def segment_by_hough_once(
 def segment_by_hough_blocks(
     points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN
 ) -> Segments:
-    """Hough lines of small blocks and a choice among them (`steelnb.hough.blocks`), refined: for whole structures.
+    """Hough lines of small blocks and a selection among them (`steelnb.hough.blocks`), refined: for whole structures.
 
-    ``points`` voxel-filtered with a leaf of about dx/√3. ``seed`` is not used.
+    ``points`` must be voxel-filtered with a leaf of about dx/√3. ``seed`` is not used.
     """
     points, dx = prepared(points, dx, points_min)
     return refine(points, segment_structure(points, dx), dx, points_min)
 
 
-def check_trials(trials: int) -> None:
+def _check_trials(trials: int) -> None:
     """Raise `InputError` for a number of trials below 1."""
     if trials < 1:
         raise InputError(f"trials = {trials}: expected at least 1")
@@ -67,20 +67,20 @@ def check_trials(trials: int) -> None:
 def segment_by_ransac_lines(
     points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, trials: int = 300
 ) -> Segments:
-    """The line with most points within ``dx`` out of ``trials`` lines through two points, one line after the other.
+    """RANSAC lines: of ``trials`` lines through two points, take the one with the most inliers, remove them, repeat.
 
-    Source: Fischler and Bolles, "Random Sample Consensus", Communications of the ACM 24 (1981), 381–395. Compiled here:
-    scikit-learn's RANSAC fits regressions, Open3D's knows planes only, scikit-image's and pyRANSAC-3D's try one line
-    after the other in Python, and a frame needs some 30,000.
+    Inliers lie within ``dx``. Source: Fischler and Bolles, "Random Sample Consensus", Communications of the ACM 24
+    (1981), 381–395. Compiled here, since a scan needs some 30,000 trials: scikit-learn's RANSAC fits regressions,
+    Open3D's only planes, and those of scikit-image and pyRANSAC-3D loop in Python.
     """
     points, dx = prepared(points, dx, points_min)
-    check_trials(trials)
+    _check_trials(trials)
     random = stream(seed, "ransac-lines")
 
-    def find(some: Array) -> Segments:
-        px, py, pz = np.ascontiguousarray(some.T)
-        lines = Lines(*_lines(px, py, pz, random, dx, trials, points_min))
-        return bars_of_lines(some, lines, points_min)
+    def find(subset: Array) -> Segments:
+        px, py, pz = np.ascontiguousarray(subset.T)
+        lines = Lines(*_ransac_lines(px, py, pz, random, dx, trials, points_min))
+        return bars_of_lines(subset, lines, points_min)
 
     return refine(points, in_passes(find, points, dx, points_min), dx, points_min)
 
@@ -88,22 +88,22 @@ def segment_by_ransac_lines(
 def segment_by_ransac_planes(
     points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, trials: int = 500
 ) -> Segments:
-    """The plane with most points within ``dx`` out of ``trials`` planes, its points taken out, again."""
+    """RANSAC planes: of ``trials`` planes, take the one with the most points within ``dx``, remove them, repeat."""
     points, dx = prepared(points, dx, points_min)
-    check_trials(trials)
+    _check_trials(trials)
     open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
     label = np.full(len(points), -1, dtype=np.int64)
     for plane in range(PLANES_MAX):
-        left = np.flatnonzero(label < 0)
-        if len(left) < max(points_min, 3):
+        remaining = np.flatnonzero(label < 0)
+        if len(remaining) < max(points_min, 3):
             break
-        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[left]))
-        # With a probability of 1 all trials are made: their number then does not depend on threads.
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[remaining]))
+        # With probability 1 all trials run; otherwise their number depends on the threads.
         _, inside = cloud.segment_plane(dx, ransac_n=3, num_iterations=trials, probability=1.0)
         if len(inside) < points_min:
             break
-        label[left[np.asarray(inside)]] = plane
+        label[remaining[np.asarray(inside)]] = plane
     return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
 
 
@@ -127,10 +127,10 @@ def segment_by_gmm(
     components: Sequence[int] = (25, 50, 100),
     sample: int = 3000,
 ) -> Segments:
-    """A mixture for each number of ``components``, the best by the Bayesian information criterion, and the principal
-    axis of the points of each component.
+    """Gaussian mixture with the number of ``components`` that minimises the Bayesian information criterion.
 
-    It is fitted to ``sample`` of the points and then assigns all.
+    The bars are the principal axes of the components. The mixtures are fitted to ``sample`` random points and then
+    assign all points.
     """
     points, dx = prepared(points, dx, points_min)
     if not components or min(components) < 1 or sample < 2:
@@ -139,14 +139,14 @@ def segment_by_gmm(
     from threadpoolctl import threadpool_limits
 
     random = stream(seed, "gmm")
-    some = points if len(points) <= sample else points[np.sort(random.choice(len(points), sample, replace=False))]
+    subset = points if len(points) <= sample else points[np.sort(random.choice(len(points), sample, replace=False))]
     state = int(random.integers(2**31))
-    with threadpool_limits(1):  # sums of several threads are rounded in their order
+    with threadpool_limits(1):  # else rounding depends on the threads
         mixtures = [
-            GaussianMixture(n, random_state=state, reg_covar=VARIANCE_FLOOR_M2, max_iter=200).fit(some)
-            for n in sorted({min(n, len(some)) for n in components})
+            GaussianMixture(n, random_state=state, reg_covar=VARIANCE_FLOOR_M2, max_iter=200).fit(subset)
+            for n in sorted({min(n, len(subset)) for n in components})
         ]
-        best = min(mixtures, key=lambda mixture: mixture.bic(some))
+        best = min(mixtures, key=lambda mixture: mixture.bic(subset))
         label = best.predict(points).astype(np.int64)
     return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
 
@@ -164,17 +164,17 @@ METHODS: dict[str, Callable[..., Segments]] = {
 
 
 @njit(cache=True)
-def _lines(px, py, pz, random, dx, trials, points_min):
-    """Strongest line, refitted, its points taken out, again: (anchor, direction, count, label) as in `Lines`."""
+def _ransac_lines(px, py, pz, random, dx, trials, points_min):
+    """The loop of `segment_by_ransac_lines`: (anchor, direction, count, label) as in `Lines`."""
     n = len(px)
     label = np.full(n, -1, np.int64)
     anchor, direction = np.zeros((n // points_min + 1, 3)), np.zeros((n // points_min + 1, 3))
     count = np.zeros(n // points_min + 1, np.int64)
     px, py, pz, original = px.copy(), py.copy(), pz.copy(), np.arange(n)
-    chosen, gone = np.empty(n, np.int64), np.zeros(n, np.uint8)
+    chosen, removed = np.empty(n, np.int64), np.zeros(n, np.uint8)
     found = failures = 0
     while n >= points_min and failures < FAILURES:
-        most, line = 0, np.zeros(6)
+        inliers_max, line = 0, np.zeros(6)
         for _ in range(trials):
             i = int(random.random() * n)
             for _ in range(DRAWS):
@@ -186,14 +186,14 @@ def _lines(px, py, pz, random, dx, trials, points_min):
             else:
                 continue
             x, y, z = x / length, y / length, z / length
-            near = _count_near(px, py, pz, n, px[i], py[i], pz[i], x, y, z, dx)
-            if near > most:
-                most = near
+            inliers = _count_inliers(px, py, pz, n, px[i], py[i], pz[i], x, y, z, dx)
+            if inliers > inliers_max:
+                inliers_max = inliers
                 line[:] = px[i], py[i], pz[i], x, y, z
         fitted, size, ax, ay, az, ux, uy, uz = fit_near_line(
             px[:n], py[:n], pz[:n], line[0], line[1], line[2], line[3], line[4], line[5], dx, points_min, chosen
         )
-        if most < points_min or not fitted:
+        if inliers_max < points_min or not fitted:
             failures += 1
             continue
         failures = 0
@@ -201,15 +201,15 @@ def _lines(px, py, pz, random, dx, trials, points_min):
         direction[found, 0], direction[found, 1], direction[found, 2] = ux, uy, uz
         count[found] = size
         for k in range(size):
-            gone[original[chosen[k]]] = 1
+            removed[original[chosen[k]]] = 1
             label[original[chosen[k]]] = found
-        n = drop(gone, px[:n], py[:n], pz[:n], original)
+        n = drop(removed, px[:n], py[:n], pz[:n], original)
         found += 1
     return anchor[:found], direction[:found], count[:found], label
 
 
 @njit(cache=True)
-def _count_near(px, py, pz, n, ax, ay, az, ux, uy, uz, distance):
+def _count_inliers(px, py, pz, n, ax, ay, az, ux, uy, uz, distance):
     count = 0
     limit = distance * distance
     for i in range(n):

@@ -1,6 +1,6 @@
-"""Compiled parts of the sorting of lines: cut at gaps, merge parallel copies, fit, filter by shape.
+"""Compiled steps from lines to segments: cut at gaps, merge collinear pieces, fit, filter by shape.
 
-A piece is a row (first, one past last) of positions in ``order``, which holds indices of points.
+A piece is a range (first, one past last) in ``order``, which holds indices of points.
 """
 
 import math
@@ -12,13 +12,13 @@ from steelnb.hough.transform import fit_line
 from steelnb.points.moments import NO_MOMENTS, add_moments, covariance, moments_about_mean, principal_axis, store
 
 MERGE_ANGLE_COS = math.cos(math.radians(10))
-"""Cosine of the largest angle between copies: short ones are tilted by up to dx over their length, but a brace that
-meets a leg is no copy of it."""
+"""Cosine of the maximum angle between merged pieces. Short pieces are tilted by up to dx over their length; a brace and
+the leg that it meets differ by more."""
 
 
 @njit(cache=True)
 def cut(px, py, pz, order, begin, anchor, direction, gap_max, min_points):
-    """Sort the points of each line along it, in place in ``order``; rows (first, one past last) of the pieces in it."""
+    """Sort ``order`` along each line, in place, and cut it at gaps; returns the pieces ``(M, 2)``."""
     piece = np.empty((len(order) // min_points + 1, 2), np.int64)
     pieces = 0
     for line in range(len(anchor)):
@@ -46,7 +46,7 @@ def cut(px, py, pz, order, begin, anchor, direction, gap_max, min_points):
 
 @njit(cache=True)
 def span(px, py, pz, chosen, mx, my, mz, ux, uy, uz):
-    """First and last position of points along the line through (mx, my, mz) with direction (ux, uy, uz)."""
+    """Lowest and highest coordinate of points along the line through (mx, my, mz) with direction (ux, uy, uz)."""
     low, high = np.inf, -np.inf
     for i in chosen:
         t = (px[i] - mx) * ux + (py[i] - my) * uy + (pz[i] - mz) * uz
@@ -55,8 +55,8 @@ def span(px, py, pz, chosen, mx, my, mz, ux, uy, uz):
 
 
 @njit(cache=True)
-def _axis(origin, m):
-    """Mean ``(3,)`` and principal direction ``(3,)`` of points with moments ``m`` about an origin ``(3,)``."""
+def _mean_and_axis(origin, m):
+    """Mean ``(3,)`` and principal axis ``(3,)`` of points with moments ``m`` about an origin ``(3,)``."""
     xx, xy, xz, yy, yz, zz = covariance(m)
     _, _, ux, uy, uz = principal_axis(xx, xy, xz, yy, yz, zz)
     return origin + np.array([m[1], m[2], m[3]]) / m[0], np.array([ux, uy, uz])
@@ -64,10 +64,11 @@ def _axis(origin, m):
 
 @njit(cache=True)
 def merge(px, py, pz, order, piece, distance, gap_max):
-    """Join the pieces that are copies of one bar: (points of the groups one after the other, rows as of `cut`).
+    """Merge collinear pieces: a new ``order``, and the merged pieces in it.
 
-    The piece with most points comes first and takes in every piece of nearly its direction whose two ends are within
-    ``distance`` of its axis and which leaves no gap along it, then again with the axis of both, until none is left.
+    Starting from the piece with the most points, absorb every piece of similar direction whose ends are both within
+    ``distance`` of its axis and which leaves no gap above ``gap_max`` along it. The axis is then fitted again, and the
+    search repeated until no piece is absorbed.
     """
     n = len(piece)
     mean, moment, axis, ends = np.empty((n, 3)), np.empty((n, 10)), np.empty((n, 3)), np.empty((n, 2, 3))
@@ -75,7 +76,7 @@ def merge(px, py, pz, order, piece, distance, gap_max):
         chosen = order[piece[k, 0] : piece[k, 1]]
         mean[k, 0], mean[k, 1], mean[k, 2], m = moments_about_mean(px, py, pz, chosen, len(chosen))
         store(m, moment[k])
-        _, axis[k] = _axis(mean[k], m)
+        _, axis[k] = _mean_and_axis(mean[k], m)
         low, high = span(px, py, pz, chosen, mean[k, 0], mean[k, 1], mean[k, 2], axis[k, 0], axis[k, 1], axis[k, 2])
         ends[k, 0], ends[k, 1] = mean[k] + low * axis[k], mean[k] + high * axis[k]
     strongest = np.argsort(-moment[:, 0], kind="mergesort")
@@ -88,25 +89,25 @@ def merge(px, py, pz, order, piece, distance, gap_max):
             continue
         group[root] = groups
         m = add_moments(NO_MOMENTS, moment[root], 0.0, 0.0, 0.0)
-        middle, u = mean[root].copy(), axis[root].copy()
+        line_mean, line_axis = mean[root].copy(), axis[root].copy()
         low, high = ends[root, 0].copy(), ends[root, 1].copy()
         grown = True
         while grown:
             grown = False
-            a, b = (low - middle) @ u, (high - middle) @ u
+            a, b = (low - line_mean) @ line_axis, (high - line_mean) @ line_axis
             for k in strongest:
-                if group[k] >= 0 or not _is_copy(middle, u, a, b, axis[k], ends[k], distance, gap_max):
+                if group[k] >= 0 or not _is_collinear(line_mean, line_axis, a, b, axis[k], ends[k], distance, gap_max):
                     continue
                 group[k] = groups
-                apart = mean[k] - mean[root]
-                m = add_moments(m, moment[k], apart[0], apart[1], apart[2])
-                middle, u = _axis(mean[root], m)
-                # The extremes of all four ends, projected on the new axis.
-                a = b = (low - middle) @ u
+                offset = mean[k] - mean[root]
+                m = add_moments(m, moment[k], offset[0], offset[1], offset[2])
+                line_mean, line_axis = _mean_and_axis(mean[root], m)
+                # The extremes of all four ends along the new axis.
+                a = b = (low - line_mean) @ line_axis
                 for end in (high, ends[k, 0], ends[k, 1]):
-                    t = (end - middle) @ u
+                    t = (end - line_mean) @ line_axis
                     a, b = min(a, t), max(b, t)
-                low, high = middle + a * u, middle + b * u
+                low, high = line_mean + a * line_axis, line_mean + b * line_axis
                 grown = True
         groups += 1
     for g in range(groups):
@@ -121,14 +122,14 @@ def merge(px, py, pz, order, piece, distance, gap_max):
 
 
 @njit(cache=True)
-def _is_copy(middle, u, a, b, axis, ends, distance, gap_max):
-    """Whether a piece with an ``axis`` and two ``ends`` lies along the line (middle, u) from ``a`` to ``b``."""
-    if abs(axis[0] * u[0] + axis[1] * u[1] + axis[2] * u[2]) < MERGE_ANGLE_COS:
+def _is_collinear(line_mean, line_axis, a, b, axis, ends, distance, gap_max):
+    """Whether a piece with ``axis`` and ``ends`` lies along the line (line_mean, line_axis) from ``a`` to ``b``."""
+    if abs(axis[0] * line_axis[0] + axis[1] * line_axis[1] + axis[2] * line_axis[2]) < MERGE_ANGLE_COS:
         return False
     low, high = np.inf, -np.inf
     for e in range(2):
-        x, y, z = ends[e, 0] - middle[0], ends[e, 1] - middle[1], ends[e, 2] - middle[2]
-        t = x * u[0] + y * u[1] + z * u[2]
+        x, y, z = ends[e, 0] - line_mean[0], ends[e, 1] - line_mean[1], ends[e, 2] - line_mean[2]
+        t = x * line_axis[0] + y * line_axis[1] + z * line_axis[2]
         if x * x + y * y + z * z - t * t > distance * distance:
             return False
         low, high = min(low, t), max(high, t)
@@ -136,28 +137,28 @@ def _is_copy(middle, u, a, b, axis, ends, distance, gap_max):
 
 
 @njit(cache=True)
-def sort(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, length_min):
-    """Fit each piece; (start, end, count, radius) of those that pass the bounds, as in `Segments`."""
+def filter_pieces(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, length_min):
+    """Fit each piece; returns (start, end, count, radius) of those within the bounds, as in `Segments`."""
     start, end = np.zeros((len(piece), 3)), np.zeros((len(piece), 3))
     count, radius = np.zeros(len(piece), np.int64), np.zeros(len(piece))
-    kept = 0
+    size = 0
     for row in range(len(piece)):
         chosen = order[piece[row, 0] : piece[row, 1]]
         n = len(chosen)
         along, across, mx, my, mz, ux, uy, uz = fit_line(px, py, pz, chosen, n)
         low, high = span(px, py, pz, chosen, mx, my, mz, ux, uy, uz)
         length = high - low
-        spread = math.sqrt(across / n)
+        rms = math.sqrt(across / n)
         if (
             along >= pca_ratio_min * (along + across)
-            and spread <= radius_max
+            and rms <= radius_max
             and n >= density_min * length
             and length > 0.0
             and length >= length_min
         ):
-            start[kept, 0], start[kept, 1], start[kept, 2] = mx + low * ux, my + low * uy, mz + low * uz
-            end[kept, 0], end[kept, 1], end[kept, 2] = mx + high * ux, my + high * uy, mz + high * uz
-            count[kept] = n
-            radius[kept] = spread
-            kept += 1
-    return start[:kept], end[:kept], count[:kept], radius[:kept]
+            start[size, 0], start[size, 1], start[size, 2] = mx + low * ux, my + low * uy, mz + low * uz
+            end[size, 0], end[size, 1], end[size, 2] = mx + high * ux, my + high * uy, mz + high * uz
+            count[size] = n
+            radius[size] = rms
+            size += 1
+    return start[:size], end[:size], count[:size], radius[:size]

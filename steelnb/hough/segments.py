@@ -1,4 +1,4 @@
-"""Lines → segments: cut at gaps, merge parallel copies where asked, sort by shape (the report's "segments sorting")."""
+"""Lines → segments: cut at gaps, merge collinear pieces, filter by shape (the report's "segments sorting")."""
 
 import math
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from steelnb.hough.dx import default_dx
 from steelnb.hough.lines import detect_lines
-from steelnb.hough.pieces import cut, merge, sort
+from steelnb.hough.pieces import cut, filter_pieces, merge
 from steelnb.settings import HoughSettings
 from steelnb.types import Array, Lines, Segments
 
 GAP = 4.0
-"""Default gap in dx."""
+"""Default of ``gap_max`` in dx."""
 
 
 def detect_segments(
@@ -27,19 +27,19 @@ def detect_segments(
     length_min: float = 0.0,
     skip_weak: bool = True,
 ) -> Segments:
-    """Find line segments: Hough lines (`detect_lines`), cut where their points leave a gap, sorted by their PCA.
+    """Find line segments: Hough lines (`detect_lines`), cut at gaps between their points and filtered by shape.
 
     Parameters
     ----------
     points, dx, min_votes, max_lines, granularity: as in `detect_lines`.
-    gap_max: largest distance of neighbours along a line, metres; it is cut where they are further apart; default 4 dx.
-    pca_ratio_min: least share of the variance that lies along the segment, 0–1.
-    radius_max: largest root mean square distance of the points to the axis, metres.
-    density_min: fewest points for each metre.
-    length_min: shortest segment, metres.
-    skip_weak: leave out lines of fewer than ``min_votes`` points and go on, unlike the published program.
+    gap_max: maximum gap between consecutive points of a segment, metres; default 4 dx.
+    pca_ratio_min: minimum share of the variance along the segment, 0–1.
+    radius_max: maximum root mean square distance of the points to the axis, metres.
+    density_min: minimum number of points per metre.
+    length_min: minimum length, metres.
+    skip_weak: drop lines with fewer than ``min_votes`` points and go on, unlike the published program.
 
-    Returns `Segments` in the frame of the points; their ends are the extreme points projected on the fitted axis.
+    Returns `Segments` in the frame of the points. Their ends are the extreme points projected onto the fitted axis.
     Raises `InputError` as `detect_lines`.
 
     >>> import numpy as np
@@ -75,10 +75,10 @@ def cut_and_sort(
     length_min: float,
     merge_distance: float = 0.0,
 ) -> Segments:
-    """Cut the points of each line at gaps, merge copies, and keep the pieces within the bounds of `detect_segments`.
+    """Cut the points ``(N, 3)`` of each line at gaps, and keep the pieces within the bounds of `detect_segments`.
 
-    Pieces of fewer than ``min_points`` points are dropped at once. Parallel pieces whose axes are nearer than
-    ``merge_distance``, metres, become one before they are sorted; 0 for no merging.
+    Pieces with fewer than ``min_points`` points are dropped first. Collinear pieces within ``merge_distance``, metres,
+    are merged before the bounds are applied; 0 turns merging off.
     """
     order = np.argsort(lines.label, kind="stable")
     begin = np.searchsorted(lines.label[order], np.arange(len(lines) + 1))
@@ -86,4 +86,4 @@ def cut_and_sort(
     piece = cut(px, py, pz, order, begin, lines.anchor, lines.direction, gap_max, max(min_points, 2))
     if merge_distance > 0:
         order, piece = merge(px, py, pz, order, piece, merge_distance, gap_max)
-    return Segments(*sort(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, length_min))
+    return Segments(*filter_pieces(px, py, pz, order, piece, pca_ratio_min, radius_max, density_min, length_min))

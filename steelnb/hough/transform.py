@@ -1,11 +1,11 @@
-"""Compiled parts of the iterative Hough transform: the vote of one direction, the line fit, the loop.
+"""Compiled parts of the iterative Hough transform: the votes of one direction, the line fit, the loop.
 
 Source: Dalitz, Schramke, Jeltsch, "Iterative Hough Transform for Line Detection in 3D Point Clouds", Image Processing
 On Line 7 (2017), 184–196: equations (2), (3) and (7), and Algorithm 1.
 
-The published program keeps a vote volume of all directions and searches all of it in every round. Here, no volume is
-kept. Removing points can only lower votes, so the maximum that a direction had is an upper bound of what it has. The
-directions wait in a heap by that bound, and only the one on top is voted again, until the one on top is up to date. The
+The published program stores the votes of all directions and searches all of them in every round. Here they are not
+stored. Removing points can only lower votes, so the last maximum of a direction is an upper bound of its current one.
+The directions are in a heap sorted by that bound. Only the top one is voted again, until the top is up to date. The
 lines are the same.
 """
 
@@ -17,15 +17,15 @@ from numba import njit
 from steelnb.points.moments import moments_about_mean, principal_axis
 
 BLOCK = 256
-"""Cells of the vote image whose maximum is taken at once."""
+"""Number of cells of the vote image whose maximum is computed at once."""
 
 
 @njit(cache=True)
 def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
     """Votes of one direction (equation 2): (largest count, first cell that has it).
 
-    ``box (3,)`` holds half the extents of the cloud, which is centred on its bounding box.
-    ``image ((columns + 4)² + BLOCK)`` holds zeros on entry and on return; ``index`` is scratch as long as the points.
+    ``box (3,)`` is half the size of the bounding box, on which the cloud is centred.
+    ``image ((columns + 4)² + BLOCK)`` must be zero, and is zero on return; ``index (N,)`` is a buffer.
     """
     n = len(px)
     beta = 1.0 / (1.0 + bz)
@@ -36,8 +36,8 @@ def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
         column = np.int32(ax * px[i] + ay * py[i] + az * pz[i] + shift)
         row = np.int32(cx * px[i] + cy * py[i] + cz * pz[i] + shift)
         index[i] = column * columns + row
-    # Neighbours mostly vote for one cell, and each vote waits for the one before to be stored: so four take turns that
-    # lie far apart. The index is unsigned, since a signed one costs a test whether it counts from the end.
+    # Four interleaved loops: neighbours mostly vote for the same cell, and a vote waits until the one before is stored.
+    # Unsigned indices save numba's test for negative ones.
     part = n // 4
     for i in range(part):
         image[np.uint32(index[i])] += 1
@@ -46,22 +46,22 @@ def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
         image[np.uint32(index[i + 3 * part])] += 1
     for i in range(4 * part, n):
         image[np.uint32(index[i])] += 1
-    # The reference drops votes past the last cell, which only a corner of the cloud can cast.
+    # As in the published program, votes past the last cell are dropped; only a corner of the cloud can cast them.
     cells = columns * columns
     image[cells : (columns + 2) * (columns + 2)] = 0
-    # The columns that the bounding box can reach, and one more on either side for rounding.
-    reach = abs(ax) * box[0] + abs(ay) * box[1] + abs(az) * box[2]
-    begin, end = max(int(shift - reach) - 1, 0) * columns, min((int(shift + reach) + 3) * columns, cells)
+    # The columns that the bounding box can vote for, and one more on either side for rounding.
+    extent = abs(ax) * box[0] + abs(ay) * box[1] + abs(az) * box[2]
+    begin, end = max(int(shift - extent) - 1, 0) * columns, min((int(shift + extent) + 3) * columns, cells)
     best = np.int32(0)
-    if end - begin <= 8 * n:  # then a scan of the image, which vectorises, is quicker than a visit to each point's cell
+    if end - begin <= 8 * n:  # a scan of the image vectorises, a visit to each point's cell does not
         cell = np.int64(begin)
         for first in range(begin, end, BLOCK):
             block = image[first : first + BLOCK]
-            most = np.int32(0)
+            block_max = np.int32(0)
             for k in range(BLOCK):
-                most = max(most, block[k])
-            if most > best:
-                best, cell = most, np.int64(first)
+                block_max = max(block_max, block[k])
+            if block_max > best:
+                best, cell = block_max, np.int64(first)
         while best > 0 and image[cell] != best:
             cell += 1
         image[begin:end] = 0
@@ -78,9 +78,9 @@ def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
 
 @njit(cache=True)
 def fit_line(px, py, pz, chosen, count):
-    """Orthogonal least squares line through ``count`` chosen points: (spread along, spread across, mean, direction).
+    """Orthogonal least squares line through the points ``chosen[:count]``: (along, across, mean, direction).
 
-    The spreads are sums of squared distances to the mean along the line, and to the line.
+    ``along`` is the sum of squared distances to the mean along the line, ``across`` that of squared distances to it.
     """
     mx, my, mz, m = moments_about_mean(px, py, pz, chosen, count)
     along, across, ux, uy, uz = principal_axis(m[4], m[5], m[6], m[7], m[8], m[9])
@@ -89,10 +89,10 @@ def fit_line(px, py, pz, chosen, count):
 
 @njit(cache=True)
 def points_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, chosen):
-    """Write the indices of the points within ``distance`` of a line (equation 7) to ``chosen``; return their count.
+    """Write the indices of the points within ``distance`` of a line (equation 7) to ``chosen (N,)``.
 
-    ``chosen`` is as long as the points and holds yes or no for each of them first: so, the loop that computes
-    vectorises, and the one that collects has no branch.
+    Returns their number. ``chosen`` first holds a flag for each point: the first loop then vectorises, and the second
+    has no branch.
     """
     limit = distance * distance
     for i in range(len(px)):
@@ -110,9 +110,10 @@ def points_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, chosen):
 
 @njit(cache=True)
 def fit_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, min_points, chosen):
-    """Fit the points near a line, collect those near the fit, and fit again: (fitted, count, anchor, direction).
+    """Fit the points near a line, then fit the points near that fit: (fitted, count, anchor, direction).
 
-    ``count`` points are left in ``chosen``. Not ``fitted`` where they are fewer than ``min_points`` or all identical.
+    The indices of the points are in ``chosen[:count]``. ``fitted`` is false if there are fewer than ``min_points`` or
+    all are identical.
     """
     count = points_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, chosen)
     along, _, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, chosen, count)
@@ -124,11 +125,11 @@ def fit_near_line(px, py, pz, ax, ay, az, ux, uy, uz, distance, min_points, chos
 
 
 @njit(cache=True)
-def drop(gone, px, py, pz, original):
-    """Move the points whose original index is not ``gone`` to the front, in their order; returns their number."""
+def drop(removed, px, py, pz, original):
+    """Move the points that are not ``removed`` to the front, keeping their order; returns their number."""
     kept = 0
     for i in range(len(px)):
-        stays = 1 - int(gone[original[i]])
+        stays = 1 - int(removed[original[i]])
         px[kept], py[kept], pz[kept], original[kept] = px[i], py[i], pz[i], original[i]
         kept += stays
     return kept
@@ -138,19 +139,18 @@ def drop(gone, px, py, pz, original):
 def iterate(
     px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
 ):
-    """Algorithm 1: find the strongest line, fit it, remove its points, again. Returns the number of lines.
+    """Algorithm 1: find the strongest line, fit it, remove its points, repeat. Returns the number of lines.
 
-    ``px, py, pz`` are overwritten. Lines go to the rows of ``anchor``, ``direction`` and ``counts``, the number of its
-    line to ``label`` of each point, which is −1 on entry.
+    ``px, py, pz`` are overwritten. The lines are written to ``anchor``, ``direction`` and ``counts``. ``label (N,)``,
+    −1 on entry, becomes the index of the line of each point.
     """
     n = len(px)
     image = np.zeros((columns + 4) * (columns + 4) + BLOCK, np.int32)
     index = np.empty(n, np.int32)
     inverse_dx = 1.0 / dx
     original, chosen = np.arange(n), np.empty(n, np.int64)
-    gone = np.zeros(n, np.uint8)
-    # (−votes, cell, direction) of the strongest cell of each direction: more votes come first, then the smaller cell,
-    # then the smaller direction. A direction is up to date as of the round in which it was last voted.
+    removed = np.zeros(n, np.uint8)
+    # (−votes, cell, direction) of the strongest cell of each direction. Ties go to the smaller cell, then direction.
     heap = [(0, 0, j) for j in range(len(sphere))]
     voted_in = np.zeros(len(sphere), np.int64)
     for j in range(len(sphere)):
@@ -189,11 +189,11 @@ def iterate(
             anchor[found, 0], anchor[found, 1], anchor[found, 2] = ax, ay, az
             direction[found, 0], direction[found, 1], direction[found, 2] = ux, uy, uz
             counts[found] = count
-        # Take the points out, keeping the order of the rest. A weak line's points go too, without a label.
+        # The points of a weak line are removed as well, without a label.
         for k in range(count):
-            gone[original[chosen[k]]] = 1
+            removed[original[chosen[k]]] = 1
             label[original[chosen[k]]] = -1 if weak else found
-        n = drop(gone, px[:n], py[:n], pz[:n], original)
+        n = drop(removed, px[:n], py[:n], pz[:n], original)
         found += 0 if weak else 1
         round_number += 1
     return found

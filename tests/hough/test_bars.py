@@ -24,15 +24,15 @@ def strip(start, end, wide, n=600, noise_m=0.005, seed=0):
 
 @pytest.mark.kernels
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), beyond=st.floats(0, 0.3))
-def test_the_nearest_bar_is_the_nearest_of_those_in_reach(seed, beyond):
+@given(seed=st.integers(0, 10_000), end_margin=st.floats(0, 0.3))
+def test_nearest_bar_equals_its_slow_twin(seed, end_margin):
     rng = np.random.default_rng(seed)
-    points, some = rng.uniform(-1, 1, (60, 3)), bars(rng.uniform(-1, 1, (5, 2, 3)))
-    label = nearest_bar(points, some, 0.4, beyond)
+    points, candidates = rng.uniform(-1, 1, (60, 3)), bars(rng.uniform(-1, 1, (5, 2, 3)))
+    label = nearest_bar(points, candidates, 0.4, end_margin)
     for point, found in zip(points, label, strict=True):
-        along = ((point - some.start) * some.direction).sum(axis=1)
-        across = np.linalg.norm(point - some.start - along[:, None] * some.direction, axis=1)
-        across[(along < -beyond) | (along > some.length + beyond) | (across >= 0.4)] = np.inf
+        along = ((point - candidates.start) * candidates.direction).sum(axis=1)
+        across = np.linalg.norm(point - candidates.start - along[:, None] * candidates.direction, axis=1)
+        across[(along < -end_margin) | (along > candidates.length + end_margin) | (across >= 0.4)] = np.inf
         assert found == (-1 if np.isinf(across).all() else across.argmin())
 
 
@@ -47,7 +47,7 @@ def test_groups_are_cut_at_gaps_and_merged(monkeypatch):
     assert len(bars_of_groups(points, label)) == 3
 
 
-def test_refining_finds_the_middle_of_a_wide_section_from_its_edge():
+def test_refine_moves_a_bar_from_the_edge_to_the_middle_of_a_wide_section():
     points = strip([0, 0, 0], [2, 0, 0], 0.10)
     found = refine(points, bars(([0.5, 0.04, 0], [1.5, 0.03, 0])), 0.06)
     assert len(found) == 1
@@ -55,7 +55,7 @@ def test_refining_finds_the_middle_of_a_wide_section_from_its_edge():
     assert abs(found.direction[0, 1]) < 0.01
 
 
-def test_refining_joins_the_parts_of_a_bar(monkeypatch):
+def test_refine_merges_the_parts_of_a_bar(monkeypatch):
     points = strip([0, 0, 0], [2, 0, 0], 0.02)
     points = points[abs(points[:, 0] - 1) > 0.2]
     parts = bars(([0, 0, 0], [0.8, 0, 0]), ([1.2, 0, 0], [2, 0, 0]))
@@ -76,17 +76,17 @@ def test_a_chord_across_a_bar_is_dropped(monkeypatch):
     np.testing.assert_allclose(found.length, 2, atol=0.05)
 
 
-def test_the_second_pass_sees_what_the_first_left():
+def test_the_second_pass_gets_the_points_that_the_first_left():
     points = np.concatenate([strip([0, 0, 0], [1, 0, 0], 0.02, n=100), strip([0, 2, 0], [1, 2, 0], 0.02, n=80)])
-    seen = []
+    passed = []
 
     def find(some):
-        seen.append(len(some))
+        passed.append(len(some))
         return bars(([0, 0, 0], [1, 0, 0]))
 
     assert len(in_passes(find, points, 0.05)) == 2
-    assert seen == [180, 80]
+    assert passed == [180, 80]
 
 
-def test_no_bars_are_refined_to_none():
+def test_refine_of_no_bars_gives_none():
     assert len(refine(strip([0, 0, 0], [1, 0, 0], 0.02), Segments.empty(), 0.05)) == 0

@@ -9,7 +9,7 @@ from steelnb.types import Segments
 
 
 def frame(seed, noise_m=0.01):
-    """Voxel-filtered points of the twelve edges of a box of 3 m, turned and shifted at random, and the edges' ends."""
+    """Voxel-filtered points of the twelve edges of a box of 3 m in a random pose, and the ends of the edges."""
     rng = np.random.default_rng(seed)
     corners = np.array(np.meshgrid([0, 3.0], [0, 3.0], [0, 3.0])).reshape(3, -1).T
     pairs = [(a, b) for a in corners for b in corners if np.abs(a - b).sum() == 3 and tuple(a) < tuple(b)]
@@ -21,16 +21,16 @@ def frame(seed, noise_m=0.01):
 
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_the_bars_of_a_frame_are_found_wherever_it_stands_and_in_any_order_of_its_points(seed):
+def test_the_bars_of_a_frame_are_found_in_any_pose_and_order_of_points(seed):
     points, edges = frame(seed)
     found = segment_structure(points, 0.08)
     assert len(found) == 12
     for start, end in edges:
-        apart = np.minimum(
+        end_error = np.minimum(
             np.maximum(np.linalg.norm(found.start - start, axis=1), np.linalg.norm(found.end - end, axis=1)),
             np.maximum(np.linalg.norm(found.end - start, axis=1), np.linalg.norm(found.start - end, axis=1)),
         )
-        assert apart.min() < 0.25
+        assert end_error.min() < 0.25
     assert within(points, found, 0.08).mean() > 0.97
     again = segment_structure(points[np.random.default_rng(seed).permutation(len(points))], 0.08)
     np.testing.assert_allclose(again.start, found.start, atol=1e-9)
@@ -39,7 +39,7 @@ def test_the_bars_of_a_frame_are_found_wherever_it_stands_and_in_any_order_of_it
 @pytest.mark.kernels
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), distance=st.floats(0.01, 2.0), bars=st.integers(0, 6))
-def test_within_is_the_distance_to_the_nearest_segment(seed, distance, bars):
+def test_within_equals_its_slow_twin(seed, distance, bars):
     rng = np.random.default_rng(seed)
     points, start, end = rng.uniform(-2, 2, (200, 3)), *rng.uniform(-2, 2, (2, bars, 3))
     expected = np.zeros(200, dtype=bool)

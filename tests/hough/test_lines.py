@@ -35,9 +35,9 @@ def test_directions_cover_the_half_sphere_once(granularity):
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-7)
     assert (d[:, 2] >= 0).all()
     if granularity <= 4:
-        apart = np.abs(d @ d.T) - 2 * np.eye(len(d))
-        assert apart.max() < 1 - 1e-6  # no two the same, and none the opposite of another
-        # Twice the spacing of so many directions on a half sphere, for any direction there is.
+        cosine = np.abs(d @ d.T) - 2 * np.eye(len(d))
+        assert cosine.max() < 1 - 1e-6  # no two equal or opposite
+        # Every direction has a neighbour within the spacing of so many directions on a half sphere.
         probe = np.random.default_rng(0).normal(size=(500, 3))
         probe /= np.linalg.norm(probe, axis=1)[:, None]
         assert np.arccos(np.clip(np.abs(probe @ d.T).max(axis=1), 0, 1)).max() < 2 * np.sqrt(2 * np.pi / len(d)) / 2
@@ -46,7 +46,7 @@ def test_directions_cover_the_half_sphere_once(granularity):
 @pytest.mark.kernels
 @pytest.mark.parametrize("seed", range(4 if JIT else 1))
 @pytest.mark.parametrize("dx", [0.05, 0.15])
-def test_lines_are_those_of_the_full_vote_volume(seed, dx):
+def test_lines_equal_those_of_a_full_vote_volume(seed, dx):
     points = lattice(seed, lines=4, points=20, noise_m=0.01, clutter=15)
     expected = naive.hough_lines(points, dx, min_votes=3, granularity=2)
     found = detect_lines(points, dx, min_votes=3, granularity=2)
@@ -59,8 +59,8 @@ def test_lines_are_those_of_the_full_vote_volume(seed, dx):
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("dx", [0.06, 0.3])
-def test_a_vote_goes_to_the_first_of_the_strongest_cells(dx):
-    # Both ways to search the image: over its cells, and over the points where these are fewer.
+def test_vote_returns_the_first_of_the_strongest_cells(dx):
+    # The two values of dx cover both searches of the image: over its cells, and over the points.
     cloud = np.round(lattice(3, lines=2, points=60, noise_m=0.02), 1)
     high = (cloud.max(axis=0) - cloud.min(axis=0)) / 2
     cloud = cloud - cloud.min(axis=0) - high
@@ -73,8 +73,8 @@ def test_a_vote_goes_to_the_first_of_the_strongest_cells(dx):
         assert found == (counts.max(), counts.argmax())
 
 
-def test_lines_are_those_of_the_published_program():
-    # Answers of hough3dlines 1.2 (IPOL 2017), printed to six digits, on clouds made by the same call as here.
+def test_lines_equal_those_of_the_published_program():
+    # Output of hough3dlines 1.2 (IPOL 2017), printed to six digits, on clouds of the same `lattice` calls.
     for case in json.loads((Path(__file__).parent / "reference_lines.json").read_text()):
         points = np.round(lattice(**case["cloud"]), 6)
         found = detect_lines(points, case["dx"], case["min_votes"])
@@ -87,7 +87,7 @@ def test_lines_are_those_of_the_published_program():
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-50, 50)] * 3))
-def test_neither_the_order_of_the_points_nor_a_shift_changes_the_lines(seed, shift):
+def test_lines_do_not_depend_on_the_order_of_the_points_or_on_a_shift(seed, shift):
     points = lattice(seed, lines=4, points=40, noise_m=0.01, clutter=30)
     order = np.random.default_rng(seed).permutation(len(points))
     found, other = detect_lines(points, 0.1, 10), detect_lines(points[order] + shift, 0.1, 10)
@@ -98,7 +98,7 @@ def test_neither_the_order_of_the_points_nor_a_shift_changes_the_lines(seed, shi
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), times=st.integers(2, 6))
-def test_points_given_several_times_give_the_same_lines_with_as_many_more_votes(seed, times):
+def test_duplicated_points_give_the_same_lines_with_more_votes(seed, times):
     points = lattice(seed, lines=4, points=40, noise_m=0.01, clutter=30)
     found, other = detect_lines(points, 0.1, 10), detect_lines(np.tile(points, (times, 1)), 0.1, 10 * times)
     np.testing.assert_array_equal(other.count, times * found.count)
@@ -117,8 +117,8 @@ def test_lines_partition_the_points(seed, skip_weak):
         np.testing.assert_allclose(found.anchor[k], points[found.label == k].mean(axis=0), atol=1e-9)
 
 
-def test_skipping_weak_lines_finds_what_stopping_misses():
-    # A ball of 44 points has all its votes in one cell, more than the noisy bar of 60, and is too weak a line itself.
+def test_skip_weak_finds_a_line_behind_a_weak_one():
+    # The ball has 44 votes in one cell, more than any cell of the noisy bar of 60 points, but below min_votes.
     rng = np.random.default_rng(1)
     bar = np.outer(rng.uniform(-0.5, 0.5, 60), [0, 0, 1]) + rng.normal(scale=0.015, size=(60, 3)) + [1.5, 0, 0]
     ball = rng.normal(scale=0.001, size=(44, 3)) - [1.5, 0, 0]
@@ -134,8 +134,8 @@ def test_skipping_weak_lines_finds_what_stopping_misses():
     seed=st.integers(0, 10_000), clutter=st.integers(0, 200), turn=st.tuples(*[st.floats(-3, 3)] * 3),
     shift=st.tuples(*[st.floats(-50, 50)] * 3),
 )  # fmt: skip
-def test_clutter_hides_no_line_of_enough_points_wherever_it_lies(seed, clutter, turn, shift):
-    # Lines a metre apart: 200 even points in 8 m³ leave about one within dx of any of them.
+def test_lines_are_found_in_clutter_in_any_pose(seed, clutter, turn, shift):
+    # The lines are a metre cosine. Of 200 uniform points in 8 m³ about one is within dx of each line.
     rng, R = np.random.default_rng(seed), Rotation.from_rotvec(turn).as_matrix()
     at, along = np.array([[-0.8, 0, 0], [0.8, 0, -0.5], [0, 0.9, 0]]), np.eye(3)[[2, 1, 0]]
     lines = [a + np.outer(rng.uniform(-1, 1, 80), u) for a, u in zip(at, along, strict=True)]
@@ -153,7 +153,7 @@ def test_clutter_hides_no_line_of_enough_points_wherever_it_lies(seed, clutter, 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 99), n=st.integers(2, 50), value=st.sampled_from([np.nan, np.inf, -np.inf]))
-def test_a_value_that_is_not_finite_is_refused_wherever_it_stands(seed, n, value):
+def test_points_that_are_not_finite_are_refused(seed, n, value):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(n, 3))
     points[rng.integers(n), rng.integers(3)] = value
@@ -163,43 +163,43 @@ def test_a_value_that_is_not_finite_is_refused_wherever_it_stands(seed, n, value
 
 
 @pytest.mark.parametrize(
-    ("points", "arguments", "error", "says"),
+    ("points", "arguments", "error", "message"),
     [
-        (np.zeros((0, 3)), {}, InputError, "0 points"),
-        (np.zeros((1, 3)), {}, InputError, "1 point"),
-        (np.ones((5, 3)), {}, InputError, "identical"),
+        (np.zeros((0, 3)), {}, InputError, "two distinct points"),
+        (np.zeros((1, 3)), {}, InputError, "two distinct points"),
+        (np.ones((5, 3)), {}, InputError, "two distinct points"),
         (np.zeros((5, 2)), {}, InputError, "shape"),
         (np.eye(3), {"dx": 0.0}, InputError, "dx = 0"),
         (np.eye(3), {"dx": -1.0}, InputError, "dx = -1"),
         (np.eye(3), {"dx": 5.0}, InputError, "diagonal"),
         (np.eye(3), {"dx": np.nan}, InputError, "dx = nan"),
         (np.eye(3), {"granularity": -1}, InputError, "granularity = -1"),
-        (np.eye(3), {"dx": 1e-5}, InputError, "would fit"),
+        (np.eye(3), {"dx": 1e-5}, InputError, "vote image"),
         (np.eye(3), {"granularity": 7}, InputError, "granularity = 7"),
         (np.eye(3), {"min_votes": 1}, InputError, "min_votes = 1"),
         (np.eye(3), {"max_lines": 0}, InputError, "max_lines = 0"),
     ],
 )
-def test_bad_input_says_what_was_wrong(points, arguments, error, says):
+def test_invalid_input_is_named_in_the_error(points, arguments, error, message):
     for find in [detect_lines] if arguments else [detect_lines, detect_segments, default_dx]:
-        with pytest.raises(error, match=says):
+        with pytest.raises(error, match=message):
             find(points, **arguments)
 
 
-def test_the_dx_that_would_fit_fits():
+def test_the_smallest_dx_named_by_the_error_is_accepted():
     points = np.random.default_rng(0).normal(size=(4, 3))
-    with pytest.raises(InputError, match="would fit") as refusal:
+    with pytest.raises(InputError, match="vote image") as refusal:
         detect_lines(points, 1e-300)
-    dx = float(str(refusal.value).split("a dx of ")[1].split(" m")[0])
+    dx = float(str(refusal.value).split("at least ")[1].split(" m")[0])
     detect_lines(points, dx, granularity=0)
     half = np.linalg.norm(np.ptp(points, axis=0)) / 2
-    assert 0.98 * MAX_CELLS < (2 * half / dx) ** 2 <= MAX_CELLS
-    with pytest.raises(InputError, match="would fit"):
+    assert 0.96 * MAX_CELLS < (2 * half / dx) ** 2 <= MAX_CELLS
+    with pytest.raises(InputError, match="vote image"):
         detect_lines(points, 0.98 * dx)
 
 
 def test_a_point_past_the_last_column_is_dropped():
-    # The ends of this cloud lie on the border of the image, where rounding decides whether they are in it.
+    # The ends of this cloud are on the border of the image, so rounding decides whether they are inside.
     points = np.outer([-1.0, 0.0, 0.01, 1.0], [1, 0, 0])
     for columns in range(3, 60):
         for offset in (-1e-15, 0.0, 1e-15):

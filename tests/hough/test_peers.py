@@ -24,7 +24,7 @@ def ends(bars):
 
 
 @pytest.mark.parametrize("method", EXACT)
-def test_bars_that_stand_apart_are_found_with_their_ends(method):
+def test_separate_bars_and_their_ends_are_found(method):
     found = METHODS[method](cloud(), dx=0.05, **OPTIONS.get(method, {}))
     assert len(found) == 3
     np.testing.assert_allclose(ends(np.stack([found.start, found.end], axis=1)), ends(BARS), atol=0.03)
@@ -39,14 +39,14 @@ def test_clutter_makes_no_bar(method):
     assert len(METHODS[method](np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
 
 
-def test_a_plane_gives_one_bar_of_the_many_in_it():
+def test_planes_give_one_bar_for_many_in_a_plane():
     points = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
     assert len(segment_by_hough(points, dx=0.05)) == 4
     assert len(METHODS["ransac-planes"](points, dx=0.05)) <= 1
     assert len(METHODS["ransac-planes"](cloud(BARS[:1]), dx=0.05)) == 1
 
 
-def test_bars_that_touch_are_one_cluster():
+def test_dbscan_takes_touching_bars_for_one_cluster():
     cross = np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float)
     points = cloud(cross, points=1500)
     assert len(segment_by_hough(points, dx=0.05)) == len(segment_by_ransac_lines(points, dx=0.05)) == 2
@@ -54,7 +54,7 @@ def test_bars_that_touch_are_one_cluster():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_seed_gives_the_same_bars_again(method):
+def test_a_seed_gives_the_same_bars(method):
     points = cloud(clutter=100)
     before = points.copy()
     once, again = (METHODS[method](points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
@@ -65,12 +65,12 @@ def test_a_seed_gives_the_same_bars_again(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("points", "options", "error", "says"),
+    ("points", "options", "error", "message"),
     [
-        (np.zeros((0, 3)), {}, InputError, "0 points"),
+        (np.zeros((0, 3)), {}, InputError, "two distinct points"),
         (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, InputError, "1 of 2"),
-        (np.zeros((1, 3)), {}, InputError, "1 point"),
-        (np.ones((40, 3)), {}, InputError, "identical"),
+        (np.zeros((1, 3)), {}, InputError, "two distinct points"),
+        (np.ones((40, 3)), {}, InputError, "two distinct points"),
         (np.zeros((5, 2)), {}, InputError, "shape"),
         (cloud(), {"dx": 0.0}, InputError, "dx = 0"),
         (cloud(), {"dx": -0.1}, InputError, "dx = -0.1"),
@@ -78,13 +78,13 @@ def test_a_seed_gives_the_same_bars_again(method):
         (cloud(), {"points_min": 1}, InputError, "points_min = 1"),
     ],
 )
-def test_bad_input_is_refused_with_its_value(method, points, options, error, says):
-    with pytest.raises(error, match=says):
+def test_invalid_input_is_named_in_the_error(method, points, options, error, message):
+    with pytest.raises(error, match=message):
         METHODS[method](points, **options)
 
 
 @pytest.mark.parametrize(
-    ("method", "options", "says"),
+    ("method", "options", "message"),
     [
         ("ransac-lines", {"trials": 0}, "trials = 0"),
         ("ransac-planes", {"trials": 0}, "trials = 0"),
@@ -93,19 +93,19 @@ def test_bad_input_is_refused_with_its_value(method, points, options, error, say
         ("gmm", {"sample": 1}, "sample = 1"),
     ],
 )
-def test_bad_options_are_refused_with_their_value(method, options, says):
-    with pytest.raises(InputError, match=says):
+def test_invalid_options_are_named_in_the_error(method, options, message):
+    with pytest.raises(InputError, match=message):
         METHODS[method](cloud(), **options)
 
 
-def test_the_criterion_picks_the_number_of_components():
+def test_gmm_selects_the_number_of_components():
     points = cloud(noise_m=0.02)
     picked = segment_by_gmm(points, components=[3, 40], sample=900)
     np.testing.assert_array_equal(picked.start, segment_by_gmm(points, components=[3], sample=900).start)
 
 
 @pytest.mark.parametrize("method", EXACT)
-def test_a_bar_is_long_enough_and_has_points_enough(method, monkeypatch):
+def test_short_bars_and_bars_of_few_points_are_dropped(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
     assert len(METHODS[method](cloud(), points_min=400, **options)) == 0
     monkeypatch.setattr(bars, "LENGTH_MIN_M", 1.45)

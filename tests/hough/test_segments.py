@@ -16,16 +16,16 @@ def bar(start, end, n, noise_m=0.004, seed=0):
     return start + rng.uniform(0, 1, (n, 1)) * (end - start) + rng.normal(scale=noise_m, size=(n, 3))
 
 
-def test_a_line_is_cut_where_its_points_leave_a_gap():
+def test_a_line_is_cut_at_gaps():
     points = np.concatenate([bar([0, 0, 0], [1, 0, 0], 100, seed=1), bar([1.5, 0, 0], [3, 0, 0], 150, seed=2)])
     together = detect_segments(points, 0.05, min_votes=20, gap_max=0.6)
-    apart = detect_segments(points, 0.05, min_votes=20, gap_max=0.3)
+    separate = detect_segments(points, 0.05, min_votes=20, gap_max=0.3)
     assert len(together) == 1
-    np.testing.assert_allclose(sorted(apart.length), [1, 1.5], atol=0.05)
-    np.testing.assert_array_equal(sorted(apart.count), [100, 150])
+    np.testing.assert_allclose(sorted(separate.length), [1, 1.5], atol=0.05)
+    np.testing.assert_array_equal(sorted(separate.count), [100, 150])
 
 
-def test_ends_direction_and_radius_are_those_of_the_bar():
+def test_ends_direction_and_radius_equal_those_of_the_bar():
     start, end = np.array([1.0, 2, 3]), np.array([1.5, 2.5, 5])
     found = detect_segments(bar(start, end, 2000, noise_m=0.01), 0.08, min_votes=500)
     assert len(found) == 1
@@ -48,7 +48,7 @@ def test_ends_direction_and_radius_are_those_of_the_bar():
         ({"length_min": 1.2}, 0),
     ],
 )
-def test_sorting_keeps_what_passes_its_bounds(bounds, kept):
+def test_segments_outside_the_bounds_are_dropped(bounds, kept):
     points = bar([0, 0, 0], [0, 1, 0], 100)
     assert len(detect_segments(points, 0.05, min_votes=20, **bounds)) == kept
 
@@ -64,7 +64,7 @@ def strip(wide, n=1500, length=2.0, noise_m=0.005, seed=0):
     return rng.uniform([0, -wide / 2, 0], [length, wide / 2, 1e-9], (n, 3)) + rng.normal(scale=noise_m, size=(n, 3))
 
 
-def test_the_copies_of_a_wide_bar_become_one():
+def test_parallel_segments_of_a_wide_bar_are_merged():
     points = strip(0.14)
     lines = detect_lines(points, 0.04, min_votes=60, skip_weak=True)
     assert len(cut_and_sort(points, lines, 0.16, 60, 0.98, np.inf, 0.0, 0.0)) >= 2
@@ -86,7 +86,7 @@ def test_the_copies_of_a_wide_bar_become_one():
         (([0.2, 0, 0.01], [1.2, 0.3, 0.01]), False),  # leaves it
     ],
 )
-def test_two_segments_are_one_when_they_lie_along_one_axis(other, merged):
+def test_collinear_segments_are_merged(other, merged):
     points = np.concatenate([bar([0, 0, 0], [1, 0, 0], 200, seed=1), bar(*other, 150, seed=2)])
     order, rows = merge(*points.T.copy(), np.arange(350), np.array([[0, 200], [200, 350]]), 0.1, 0.25)
     assert len(rows) == (1 if merged else 2)
@@ -96,7 +96,7 @@ def test_two_segments_are_one_when_they_lie_along_one_axis(other, merged):
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-20, 20)] * 3))
-def test_what_is_merged_depends_neither_on_pose_nor_on_the_order_of_pieces(seed, turn, shift):
+def test_merging_does_not_depend_on_the_pose_or_on_the_order_of_the_pieces(seed, turn, shift):
     rng = np.random.default_rng(seed)
     clouds = [bar(*rng.uniform(-0.4, 0.4, (2, 3)) + np.array([[0, 0, 0], [2, 0, 0]]), 40 + k, seed=k) for k in range(6)]
     R = Rotation.from_rotvec(turn).as_matrix()
@@ -108,32 +108,31 @@ def test_what_is_merged_depends_neither_on_pose_nor_on_the_order_of_pieces(seed,
         order, rows = merge(*p, np.arange(p.shape[1]), piece, 0.15, 0.3)
         owner = np.repeat(np.array(chosen), np.diff(first))
         groups.append({frozenset(owner[order[a:b]].tolist()) for a, b in rows})
-        assert {frozenset(np.array(chosen)[list(g)].tolist()) for g in naive.merged(p.T, piece, 0.15, 0.3)} == groups[
-            -1
-        ]
+        expected = {frozenset(np.array(chosen)[list(g)].tolist()) for g in naive.merged(p.T, piece, 0.15, 0.3)}
+        assert groups[-1] == expected
     assert groups[0] == groups[1]
 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_merging_loses_no_point_and_moves_no_end_outwards_but_by_the_turn_of_the_axis(seed):
+def test_merging_keeps_all_points_and_does_not_lengthen_the_bars(seed):
     rng = np.random.default_rng(seed)
     points = np.concatenate([bar(*rng.uniform(-1, 1, (2, 3)), 80, noise_m=0.02, seed=seed + k) for k in range(4)])
     lines = detect_lines(points, 0.05, min_votes=8, skip_weak=True)
-    apart, together = (cut_and_sort(points, lines, 0.2, 8, 0.0, np.inf, 0.0, 0.0, gap) for gap in (0.0, 0.1))
-    assert together.count.sum() == apart.count.sum()
-    assert len(together) <= len(apart)
-    assert together.length.max(initial=0) <= apart.length.sum() + 0.2 * len(apart) + 1e-9
+    separate, together = (cut_and_sort(points, lines, 0.2, 8, 0.0, np.inf, 0.0, 0.0, gap) for gap in (0.0, 0.1))
+    assert together.count.sum() == separate.count.sum()
+    assert len(together) <= len(separate)
+    assert together.length.max(initial=0) <= separate.length.sum() + 0.2 * len(separate) + 1e-9
 
 
 @pytest.mark.parametrize(("spacing_m", "dx"), [(0.01, 0.07), (0.05, 0.07), (0.25, 0.3)])
-def test_dx_is_that_of_the_spacing_but_holds_a_bar(spacing_m, dx):
+def test_default_dx_follows_the_spacing_within_its_bounds(spacing_m, dx):
     grid = spacing_m * np.stack(np.meshgrid(*[np.arange(20)] * 3), axis=-1).reshape(-1, 3)
     assert default_dx(grid) == pytest.approx(dx)
-    assert default_dx(np.array([[0.0, 0, 0], [0.1, 0, 0]])) == pytest.approx(0.05)  # no more than half the cloud
+    assert default_dx(np.array([[0.0, 0, 0], [0.1, 0, 0]])) == pytest.approx(0.05)  # half the diagonal
 
 
-def test_lines_and_segments_choose_the_same_dx_from_the_points():
+def test_lines_and_segments_use_the_same_default_dx():
     points = np.concatenate([strip(0.05), strip(0.05, seed=1)[:, [2, 0, 1]] + np.array([0, 0, 3])])
     chosen, given_dx = detect_segments(points, min_votes=30), detect_segments(points, default_dx(points), min_votes=30)
     np.testing.assert_array_equal(chosen.start, given_dx.start)
@@ -142,8 +141,8 @@ def test_lines_and_segments_choose_the_same_dx_from_the_points():
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-50, 50)] * 3))
-def test_bars_are_found_with_their_ends_wherever_they_lie_in_clutter(seed, turn, shift):
-    # Clutter behind an end lengthens a bar by a gap at the most; the order of the points changes nothing but rounding.
+def test_bars_and_their_ends_are_found_in_clutter_in_any_pose(seed, turn, shift):
+    # Clutter behind an end lengthens a bar by one gap at most. The order of the points only affects rounding.
     rng = np.random.default_rng(seed)
     ends = np.array([[[0, 0, 0], [2, 0, 0]], [[0, 1, 0.3], [1, 1.2, 1.5]], [[1.5, -1, 0], [1.5, -0.8, 2]]], dtype=float)
     points = np.concatenate(
@@ -155,11 +154,11 @@ def test_bars_are_found_with_their_ends_wherever_they_lie_in_clutter(seed, turn,
     found = detect_segments(placed, **arguments)
     assert len(found) == 3
     for start, end in truth:
-        apart = np.minimum(
+        end_error = np.minimum(
             np.linalg.norm(found.start - start, axis=1) + np.linalg.norm(found.end - end, axis=1),
             np.linalg.norm(found.end - start, axis=1) + np.linalg.norm(found.start - end, axis=1),
         )
-        assert apart.min() < 2 * (0.12 + 0.03)
+        assert end_error.min() < 2 * (0.12 + 0.03)
     other = detect_segments(placed[rng.permutation(len(placed))], **arguments)
     np.testing.assert_allclose(other.start, found.start, atol=1e-9)
     np.testing.assert_array_equal(other.count, found.count)
