@@ -174,7 +174,7 @@ def _strongest(score, stale, group_max):
 
 @njit(cache=True, nogil=True)
 def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
-    """Grow the best proposal, remove its points, repeat; fills ``ends``, ``count``, ``radius``, returns their number."""
+    """Grow the best proposal, remove its points, repeat. Fills ``ends``, ``count``, ``radius``; returns how many."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))

@@ -1,4 +1,4 @@
-"""Estimates and truth → numbers. Nothing here plots."""
+"""Errors of estimates against the truth."""
 
 from steelnb.metrics.clouds import Bend, basin_radius_m, bend, largest_slip
 from steelnb.metrics.members import SeenMembers, SegmentScore, score_segments, seen_members

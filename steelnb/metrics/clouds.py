@@ -1,4 +1,4 @@
-"""Deformation of a cloud built at estimated poses against the true one; basin of convergence of a registration."""
+"""Deformation of a cloud built axis_points estimated poses against the true one; basin of convergence of a registration."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ from steelnb.types import Array, IntArray
 
 @dataclass(frozen=True)
 class Bend:
-    """The rigid motion from true to built cloud in each of S slices of height.
+    """Rigid motion from the true to the built cloud in each of S horizontal slices.
 
-    ``height_m (S,)`` of the middles of the slices, ``T_built_true (S, 4, 4)``, ``blur_m (S,)``, the root mean square
-    residual of that motion (layers side by side), and ``count (S,)`` points.
+    ``height_m (S,)`` of the middles of the slices; ``T_built_true (S, 4, 4)``; ``blur_m (S,)``, the root mean square
+    residual of that motion, which doubled surfaces raise; ``count (S,)`` points.
     """
 
     height_m: Array
@@ -23,30 +23,30 @@ class Bend:
 
     @property
     def tilt_deg(self) -> Array:
-        """Angle ``(S,)`` by which the vertical leans."""
+        """Angle ``(S,)`` between the vertical of the built and of the true cloud."""
         up = self.T_built_true[:, :3, 2]
         return np.asarray(np.degrees(np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])))
 
     @property
     def yaw_deg(self) -> Array:
-        """Turn ``(S,)`` about the vertical, anticlockwise from above."""
+        """Rotation ``(S,)`` about the vertical, anticlockwise from above."""
         R = self.T_built_true[:, :3, :3]
         return np.asarray(np.degrees(np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])))
 
     @property
     def bend_deg(self) -> float:
         """Angle of the rotation from the lowest slice to the highest."""
-        turn = self.T_built_true[-1, :3, :3] @ self.T_built_true[0, :3, :3].T
-        return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+        rotation = self.T_built_true[-1, :3, :3] @ self.T_built_true[0, :3, :3].T
+        return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
     def offset_m(self, axis: Array) -> Array:
-        """Displacement ``(S, 3)`` of the point at each slice's height on the vertical through ``axis (2,)``."""
-        at = np.column_stack([np.tile(axis, (len(self.height_m), 1)), self.height_m])
-        moved = np.einsum("sij,sj->si", self.T_built_true[:, :3, :3], at) + self.T_built_true[:, :3, 3]
-        return np.asarray(moved - at)
+        """Displacement ``(S, 3)``, metres, of the vertical through ``axis (2,)`` at the height of each slice."""
+        axis_points = np.column_stack([np.tile(axis, (len(self.height_m), 1)), self.height_m])
+        displaced = np.einsum("sij,sj->si", self.T_built_true[:, :3, :3], axis_points) + self.T_built_true[:, :3, 3]
+        return np.asarray(displaced - axis_points)
 
     def metrics(self, axis: Array) -> dict[str, float]:
-        """``bend_deg``, the largest tilt, turn and offset of a slice, and the mean blur."""
+        """``bend_deg``, the maximum tilt, yaw and offset of a slice, and the mean blur."""
         return {
             "bend_deg": self.bend_deg,
             "tilt_max_deg": float(self.tilt_deg.max()),
@@ -57,11 +57,11 @@ class Bend:
 
 
 def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:
-    """Fit a rotation and an offset (Kabsch 1976) to each slice of height of two clouds ``(N, 3)``, metres.
+    """Fit a rigid motion (Kabsch 1976) to each horizontal slice of two clouds ``(N, 3)``, metres, world frame.
 
-    Row k of ``built`` and of ``true`` is the same return placed at the estimated and at the true pose. Slices of
-    ``slice_m`` are cut by true height, counted from zero; those with fewer than ``points_min`` points are left out.
-    Raises ValueError if none is left or the clouds are no pairs.
+    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m`` start
+    at true height zero; those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice remains,
+    or if the shapes differ.
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
@@ -75,28 +75,28 @@ def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200)
 
 
 def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
-    """The ``T_target_source (4, 4)`` with the least sum of squared distances, and the root mean square residual."""
+    """Least-squares ``T_target_source (4, 4)``, and the root mean square residual."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     T = np.eye(4)
     T[:3, :3] = Rotation.align_vectors(target - target_mean, source - source_mean)[0].as_matrix()
     T[:3, 3] = target_mean - T[:3, :3] @ source_mean
-    left = source @ T[:3, :3].T + T[:3, 3] - target
-    return T, float(np.sqrt((left**2).sum(axis=1).mean()))
+    residual = source @ T[:3, :3].T + T[:3, 3] - target
+    return T, float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
-def basin_radius_m(offset_m: Array, right: np.ndarray) -> float:
-    """Radius of the basin of convergence in metres: the distance within which every start converges to the truth.
+def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
+    """Radius of the basin of convergence, metres: every start within it converges to the true pose.
 
-    ``offset_m (N, k)``: starts relative to the true position; ``right (N,)``: whether each converged to it. The radius
-    is the distance of the farthest start that is nearer than every start that did not, zero if there is none.
+    ``offset_m (N, k)`` are the starts relative to the true position; ``converged (N,)`` tells which of them converged
+    to it. The radius is the distance of the farthest start that is nearer than all failures, or zero.
     """
     distance = np.linalg.norm(offset_m, axis=1)
-    nearest_wrong = distance[~right].min(initial=np.inf)
-    return float(distance[distance < nearest_wrong - 1e-9].max(initial=0.0))
+    nearest_failure = distance[~converged].min(initial=np.inf)
+    return float(distance[distance < nearest_failure - 1e-9].max(initial=0.0))
 
 
 def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
-    """Largest growth in metres of an error ``(N,)`` within ``scans`` scans, and the scan at which it has grown."""
+    """Largest growth of an error ``(N,)`` over ``scans`` scans: (scan at its end, growth in metres)."""
     scans = min(scans, len(error_m) - 1)
     growth = error_m[scans:] - error_m[:-scans]
     k = int(growth.argmax())

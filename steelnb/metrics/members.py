@@ -1,4 +1,4 @@
-"""Recall, precision and errors of segments against the members of a tower."""
+"""Recall, precision and errors of segments, compared with the members of a tower."""
 
 import math
 from dataclasses import dataclass
@@ -6,21 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.metrics.matching import ANGLE_MAX_RAD, SHARE_MIN, match_members
+from steelnb.metrics.matching import ANGLE_MAX_RAD, SHARE_MIN, match_members, share
 from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
 from steelnb.types import Array, IntArray, Segments
 
 PARTS = 200
-"""Equal parts of a member, in which its coverage is counted."""
+"""Number of equal parts of a member in which its coverage is counted."""
+GAP_MAX_M = 0.1
+"""Gaps between points along a member up to this length count as seen."""
 
 
 @dataclass(frozen=True)
 class SegmentScore:
-    """Recall over the members observed, precision over the segments, and errors of the matched pieces.
+    """Recall over the observed members, precision over the segments, and errors of the correct segments.
 
-    ``recall``, ``precision`` 0–1; ``found (M,)`` the members found; ``right (S,)`` the segments that lie on a member;
-    ``duplicates``, how many of those lie beside a longer one of the same member; ``angle_rad`` and ``offset_m``, the
-    errors of each right segment, the second as its mean distance to the axis, with their medians: NaN without a match.
+    ``recall`` and ``precision``, 0–1; ``found (M,)``, which members are found; ``right (S,)``, which segments lie on a
+    member; ``duplicates``, how many of these lie beside a longer one on the same member; ``angle_rad`` and
+    ``offset_m``, angle and mean distance to the axis of each right segment, with their medians: NaN without a match.
     """
 
     recall: float
@@ -43,11 +45,12 @@ def score_segments(
 ) -> SegmentScore:
     """Compare segments with the true member axes ``(M, 2, 3)``, both in the world frame, metres.
 
-    A segment is right when at least half of it lies on one member (`match_members`); a member is found when right
-    segments cover at least half of it. ``observed (M,)`` masks the members that count for recall
-    (`Visibility.observed`), all by default. ``seen (M, 200)`` masks the parts of each member, from its first end to its
-    second, that are to be covered: what is hidden need not be found. A right segment is a duplicate when at least
-    half of it lies along parts of its member that longer right segments cover already.
+    A segment is right if at least half of it lies on one member (`match_members`). A member is found if right segments
+    cover at least half of it. A right segment is a duplicate if longer right segments cover at least half of its
+    interval on the member.
+
+    ``observed (M,)`` selects the members that count for recall (`Visibility.observed`), by default all. ``seen (M,
+    200)`` selects the parts of each member, from its first end to its second, that must be covered, by default all.
     """
     match = match_members(segments, axes, angle_max_rad)
     right, length = match.right, np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
@@ -55,10 +58,10 @@ def score_segments(
     for s in np.argsort(-segments.length, kind="stable"):
         if right[s]:
             m = match.member[s]
-            low, high = match.near_m[s] / length[m]
-            part = (grid >= low) & (grid <= high)
-            duplicates += bool(part.any() and covered[m, part].mean() >= SHARE_MIN)
-            covered[m] |= part
+            low, high = match.matched_m[s] / length[m]
+            parts = (grid >= low) & (grid <= high)
+            duplicates += bool(parts.any() and covered[m, parts].mean() >= SHARE_MIN)
+            covered[m] |= parts
     if seen is None:
         found = covered.mean(axis=1) >= SHARE_MIN
     else:
@@ -66,12 +69,8 @@ def score_segments(
     counted = np.ones(len(axes), dtype=bool) if observed is None else observed
     angle, offset = match.angle_rad[right], match.offset_m[right]
     return SegmentScore(
-        _mean(found[counted]), _mean(right), _median(angle), _median(offset), found, right, duplicates, angle, offset
+        share(found[counted]), share(right), _median(angle), _median(offset), found, right, duplicates, angle, offset
     )
-
-
-def _mean(values: NDArray[np.bool_]) -> float:
-    return float(values.mean()) if len(values) else math.nan
 
 
 def _median(values: Array) -> float:
@@ -80,7 +79,7 @@ def _median(values: Array) -> float:
 
 @dataclass(frozen=True)
 class SeenMembers:
-    """The visible part of the members of a tower in a cloud.
+    """The visible parts of the members of a tower in a cloud.
 
     ``axes (M, 2, 3)``: parallel to the true axis through the middle of the surface seen, from the first to the last
     point; the true axis where nothing is seen. ``seen (M, 200)``: the parts of it near a point.
@@ -91,31 +90,31 @@ class SeenMembers:
     visibility: Visibility
 
     def observed(self) -> NDArray[np.bool_]:
-        """The members ``(M,)`` over which the recall in a single scan is taken: at least 30 returns over 0.3 m."""
+        """The members ``(M,)`` that count for recall in a single scan: at least 30 returns over 0.3 m."""
         return self.visibility.observed(SCAN_RETURNS_MIN)
 
 
-def seen_members(axes: Array, points: Array, member: IntArray, gap_m: float = 0.1) -> SeenMembers:
-    """The visible part of members with axes ``(M, 2, 3)`` from the noise-free ``points (N, 3)`` on their surfaces.
+def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
+    """The visible parts of members with ``axes (M, 2, 3)`` from noise-free ``points (N, 3)`` on their surfaces.
 
-    ``member (N,)``: the member of each point, negative for a plate. The axis of an angle section is its heel, which no
-    sensor sees from outside: a method that is right finds a line in the middle of what is seen, up to half a flange
-    beside it. A part is seen when it is no further than half of ``gap_m`` from a point, along the axis.
+    ``member (N,)`` is the member of each point, negative for a plate. The axis of an angle section is its heel, which
+    is not visible from outside: a correct method finds a line in the middle of the visible surface, up to half a flange
+    from it. A part is seen if it is within half of `GAP_MAX_M` of a point, along the axis.
     """
     counter = SliceCounter(axes)
     points, member = points[member >= 0], member[member >= 0]
     counter.add(points, member)
-    shown, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)
+    visible, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)
     for m in np.unique(member):
-        own = points[member == m]
+        points_on_member = points[member == m]
         axis = (axes[m, 1] - axes[m, 0]) / np.linalg.norm(axes[m, 1] - axes[m, 0])
-        middle = own.mean(axis=0)
-        along = np.sort((own - middle) @ axis)
+        middle = points_on_member.mean(axis=0)
+        along = np.sort((points_on_member - middle) @ axis)
         length = along[-1] - along[0]
         if length <= 0:
             continue
-        shown[m] = middle + along[[0, -1], None] * axis
-        part = along[0] + (np.arange(PARTS) + 0.5) / PARTS * length
-        after = np.clip(np.searchsorted(along, part), 1, len(along) - 1)
-        seen[m] = np.minimum(part - along[after - 1], along[after] - part) <= gap_m / 2
-    return SeenMembers(shown, seen, counter.visibility())
+        visible[m] = middle + along[[0, -1], None] * axis
+        parts = along[0] + (np.arange(PARTS) + 0.5) / PARTS * length
+        after = np.clip(np.searchsorted(along, parts), 1, len(along) - 1)
+        seen[m] = np.minimum(parts - along[after - 1], along[after] - parts) <= GAP_MAX_M / 2
+    return SeenMembers(visible, seen, counter.visibility())

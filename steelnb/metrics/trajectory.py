@@ -1,10 +1,13 @@
-"""Errors of a trajectory, unaligned: the drift is zero at t = 0, so estimate and truth share a frame."""
+"""Trajectory errors without alignment: estimate and truth share a frame, since they start at the same pose."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from steelnb.types import Array, Trajectory
+
+GRACE_S = 2.0
+"""Time to recover after the sensor was blind."""
 
 
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
@@ -13,11 +16,11 @@ def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
 
 
 def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float = 1.0) -> dict[str, float]:
-    """``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m``, ``rpe_rmse_m`` of an estimate, metres.
+    """Absolute trajectory error and relative pose error of an estimate, metres, as evo computes them.
 
-    Absolute trajectory error and relative pose error (translation, over ``rpe_delta_s``, all pairs) after Sturm et al.,
-    "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. Truth is taken at the stamps of the estimate;
-    raises ValueError if it has none there.
+    ``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m`` of the position, and ``rpe_rmse_m`` of the
+    translation over ``rpe_delta_s``, all pairs. Raises ValueError if the truth has no pose at a stamp of the estimate.
+    Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
     """
     error = position_error_m(estimate, truth)
     result = {
@@ -29,9 +32,9 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float
     frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
     if len(estimate) > frames:
         P, Q = estimate.T_world_drone, truth.at(estimate.stamp_s).T_world_drone
-        moved, should = (inverse(T[:-frames]) @ T[frames:] for T in (P, Q))
-        apart_m = np.linalg.norm((inverse(should) @ moved)[:, :3, 3], axis=1)
-        result["rpe_rmse_m"] = np.sqrt((apart_m**2).mean())
+        estimated_motion, true_motion = (inverse(T[:-frames]) @ T[frames:] for T in (P, Q))
+        rpe_m = np.linalg.norm((inverse(true_motion) @ estimated_motion)[:, :3, 3], axis=1)
+        result["rpe_rmse_m"] = np.sqrt((rpe_m**2).mean())
     return {name: float(value) for name, value in result.items()}
 
 
@@ -43,17 +46,18 @@ def inverse(T: Array) -> Array:
     return result
 
 
-def score_gaps(
-    estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]], grace_s: float = 2.0
-) -> dict[str, float]:
-    """``ate_outside_gaps_rmse_m``, without the blind intervals and the ``grace_s`` after each, and
-    ``error_after_gaps_max_m``, the largest error within a second after that."""
+def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:
+    """Position errors, metres, of a flight whose sensor was blind in the intervals ``blind_s``.
+
+    ``ate_outside_gaps_rmse_m`` leaves out the intervals and `GRACE_S` after each; ``error_after_gaps_max_m`` is the
+    maximum error in the second after that, NaN without an interval.
+    """
     error = position_error_m(estimate, truth)
     stamp = estimate.stamp_s
     inside, after = np.zeros(len(stamp), dtype=bool), np.zeros(len(stamp), dtype=bool)
     for first, last in blind_s:
-        inside |= (stamp >= first) & (stamp < last + grace_s)
-        after |= (stamp >= last + grace_s) & (stamp < last + grace_s + 1.0)
+        inside |= (stamp >= first) & (stamp < last + GRACE_S)
+        after |= (stamp >= last + GRACE_S) & (stamp < last + GRACE_S + 1.0)
     return {
         "ate_outside_gaps_rmse_m": float(np.sqrt((error[~inside] ** 2).mean())),
         "error_after_gaps_max_m": float(error[after].max()) if after.any() else float("nan"),

@@ -1,4 +1,4 @@
-"""Source, target → `RegistrationResult`: the ICP family, one solver loop for every error and degree of freedom."""
+"""Source, target → `RegistrationResult`: the ICP family, with one solver for all errors and degrees of freedom."""
 
 from steelnb.registration.api import register
 from steelnb.registration.as_pcl import Aligned, gicp_as_pcl, icp_as_pcl

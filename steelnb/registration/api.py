@@ -1,4 +1,4 @@
-"""Registration of two clouds, or of a cloud to a voxel map, by any member of the ICP family."""
+"""Registration of two clouds, or of a cloud to a voxel map, by ICP, point-to-plane ICP or GICP."""
 
 import math
 
@@ -18,6 +18,7 @@ METHODS = {
 }  # fmt: skip
 """Error and default degrees of freedom of each method."""
 NEIGHBOURS_MIN = 4
+"""Minimum number of points of a covariance."""
 
 
 def register(
@@ -34,23 +35,24 @@ def register(
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
 ) -> RegistrationResult:
-    """Estimate ``T_target_source (4, 4)``, from an initial guess ``T_init (4, 4)`` (default identity).
+    """Estimate ``T_target_source (4, 4)`` from the initial guess ``T_init (4, 4)``, by default the identity.
 
-    ``source`` and ``target`` are clouds ``(N, 3)`` or images ``(H, W, 3)`` in metres; points that are not finite are
-    left out. The target may also be one that `make_target` has prepared for the same error, or a `VoxelMap`, whose
-    voxel means are then the cloud.
+    Parameters
+    ----------
+    source, target: clouds ``(N, 3)`` or images ``(H, W, 3)`` in metres. Points that are not finite are dropped. The
+        target may also be the result of `make_target` for the same error, or a `VoxelMap`, of which the means are used.
+    method: ``icp`` (point to point), ``plane`` (point to plane) or ``gicp`` (distribution to distribution; Segal et
+        al., RSS 2009); or ``icp-3dof``, ``icp-4dof``, ``gicp-3dof``, ``gicp-4dof`` with fewer degrees of freedom.
+    dof: overrides the degrees of freedom: ``xyz``, ``xyz_yaw`` or ``se3``. The others keep the values of ``T_init``.
+    max_correspondence_m: maximum distance of a pair, metres.
+    robust_scale: scale of the Geman-McClure weights, in metres, for gicp in standard deviations; default no weights.
+    iterations_max: maximum number of iterations.
+    neighbours: number of points for the normal or covariance of each point.
+    gravity: axis ``(3,)`` of yaw in the target frame; default z.
+    rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration.
 
-    ``method`` is one of ``icp`` (point to point), ``plane`` (point to plane) and ``gicp`` (distribution to
-    distribution; Segal et al., RSS 2009), or one with its degrees of freedom: ``icp-3dof``, ``icp-4dof``,
-    ``gicp-3dof``, ``gicp-4dof``. ``dof`` overrides them: ``xyz``, ``xyz_yaw`` (yaw about ``gravity (3,)``, by default
-    the target's z axis) or ``se3``; the rest of ``T_init`` is kept. Pairs farther apart than ``max_correspondence_m``
-    do not count.
-    ``robust_scale`` is that of Geman-McClure weights, in metres, for gicp in standard deviations; by default all pairs
-    weigh the same. ``neighbours`` points around each give its normal or covariance.
-    A step below ``rotation_epsilon_rad`` and ``translation_epsilon_m`` ends the iteration.
-
-    Raises `InputError`. A registration that does not converge does not
-    raise: see ``converged`` and ``reason`` of the result.
+    Raises `InputError`. A registration that does not converge does not raise: see ``converged`` and ``reason`` of the
+    result.
 
     >>> import numpy as np
     >>> target = np.random.default_rng(0).uniform(-1, 1, (500, 3))
@@ -69,34 +71,33 @@ def register(
     if neighbours < NEIGHBOURS_MIN:
         raise InputError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
-    least = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
-    points = _enough(finite(source, "source"), least, "source")
-    goal = _cloud(target, error, neighbours, least)
+    points_min = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
+    points = _enough(finite(source, "source"), points_min, "source")
+    prepared = _prepared(target, error, neighbours, points_min)
     covariance = regularised(neighbour_covariances(points, neighbours)) if error == "gicp" else None
     return align(
-        points, goal, error, free, T, limit, covariance, scale, iterations_max,
+        points, prepared, error, free, T, limit, covariance, scale, iterations_max,
         _positive("rotation_epsilon_rad", rotation_epsilon_rad),
         _positive("translation_epsilon_m", translation_epsilon_m),
     )  # fmt: skip
 
 
-def _cloud(target: Array | Target | VoxelMap, error: str, neighbours: int, least: int) -> Target:
+def _prepared(target: Array | Target | VoxelMap, error: str, neighbours: int, points_min: int) -> Target:
     if isinstance(target, Target):
-        missing = {"point": False, "plane": not len(target.normal), "gicp": not len(target.covariance)}
-        if missing[error]:
+        if (error == "plane" and not len(target.normal)) or (error == "gicp" and not len(target.covariance)):
             raise InputError(f"target: prepared for another error, expected make_target(points, {error!r})")
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
-    return make_target(_enough(finite(points, "target"), least, "target"), error, neighbours)
+    return make_target(_enough(finite(points, "target"), points_min, "target"), error, neighbours)
 
 
 def _positive(name: str, value: float) -> float:
-    if not isinstance(value, int | float | np.number) or not 0 < value < math.inf:
+    if not 0 < value < math.inf:
         raise InputError(f"{name} = {value!r}: expected a positive finite number")
     return float(value)
 
 
-def _enough(points: Array, least: int, name: str) -> Array:
-    if len(points) < least:
-        raise InputError(f"{name}: {len(points)} finite points, expected at least {least}")
+def _enough(points: Array, points_min: int, name: str) -> Array:
+    if len(points) < points_min:
+        raise InputError(f"{name}: {len(points)} finite points, expected at least {points_min}")
     return points

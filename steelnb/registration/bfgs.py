@@ -1,8 +1,8 @@
-"""The minimiser inside PCL's GICP, compiled: BFGS with Fletcher's line search and PCL's tolerances.
+"""The compiled minimiser of PCL's GICP: BFGS with Fletcher's line search and PCL's tolerances.
 
-Source of the method: Fletcher, "Practical Methods of Optimization" (2nd edition, 1987), sections 2.6 and 3.2. PCL keeps
-only the last step and gradient (no matrix) and interpolates by parabolas alone. A pose is ``x (6,)``: translation,
-then roll, pitch and yaw about the world's axes, applied in this order.
+Source: Fletcher, "Practical Methods of Optimization" (2nd edition, 1987), sections 2.6 and 3.2. PCL stores only the
+last step and gradient, not a matrix, and interpolates by parabolas only. A pose is ``x (6,)``: translation, then roll,
+pitch and yaw about the axes of the world, applied in this order.
 """
 
 import math
@@ -12,11 +12,11 @@ from numba import njit
 
 STEPS_MAX = 20
 GRADIENT_MAX = 1e-2
-"""Done where the gradient is shorter than this, both of the translation (m) and of the angles (m²/rad)."""
+"""Stop when the gradients by translation (m) and by angles (m²/rad) are both shorter than this."""
 DESCENT, CURVATURE = 0.01, 0.01
-"""Fletcher's ρ and σ: a step must descend by this share of the slope, and leave at most this share of it."""
+"""Fletcher's ρ and σ: minimum descent of a step and maximum slope after it, as fractions of the initial slope."""
 EXTRAPOLATED_MAX, FROM_LOW, FROM_HIGH = 9.0, 0.05, 0.5
-"""Fletcher's τ₁, τ₂, τ₃: how far a bracket grows, and the margins left at both ends of it."""
+"""Fletcher's τ₁, τ₂, τ₃: maximum growth of a bracket, and the margins at its two ends."""
 TRIALS_MAX = 100
 EPSILON = float(np.finfo(np.float64).eps)
 
@@ -35,8 +35,7 @@ def euler_pose(x):
 
 
 def metrics(source_covariance, target_covariance, R):
-    """The metric (C_target + R C_source Rᵀ)⁻¹ of each pair, ``(P, 6)`` from covariances ``(P, 6)``: upper triangles
-    xx xy xz yy yz zz."""
+    """Metric (C_target + R C_source Rᵀ)⁻¹ of each pair: ``(P, 6)``, upper triangles xx xy xz yy yz zz."""
     full = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
     inverse = np.linalg.inv(target_covariance[:, full] + R @ source_covariance[:, full] @ R.T)
     return np.ascontiguousarray(inverse[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])
@@ -44,13 +43,13 @@ def metrics(source_covariance, target_covariance, R):
 
 @njit(cache=True, error_model="numpy")
 def mean_cost(x, source, target, metric, gradient):
-    """The mean of eᵀ M e over pairs of points ``(P, 3)``, e = R p + t − q; writes its ``gradient (6,)``.
+    """Mean of eᵀ M e over pairs of points ``(P, 3)``, e = R p + t − q; writes its ``gradient (6,)``.
 
-    Points are of single precision, and so is R p + t, as in PCL: close to the minimum its rounding hides the slope, and
-    the search ends there.
+    Points and R p + t are in single precision, as in PCL: close to the minimum, rounding hides the slope and the search
+    ends.
 
-    The gradient of an angle is the moment of the forces M e about the axis that it turns: x turned by pitch and yaw, y
-    turned by yaw, and z.
+    The derivative by an angle is the moment of the forces M e about its axis: x rotated by pitch and yaw, y rotated by
+    yaw, and z.
     """
     T = euler_pose(x)
     S = T.astype(np.float32)
@@ -79,7 +78,7 @@ def mean_cost(x, source, target, metric, gradient):
 
 @njit(cache=True, error_model="numpy")
 def minimise(x, source, target, metric):
-    """Minimise `mean_cost` from ``x (6,)``, in place; at most `STEPS_MAX` steps, at least one."""
+    """Minimise `mean_cost` from ``x (6,)``, in place, in 1 to `STEPS_MAX` steps."""
     g, g_new = np.empty(6), np.empty(6)
     cost = mean_cost(x, source, target, metric, g)
     length = math.sqrt((g * g).sum())
@@ -93,21 +92,23 @@ def minimise(x, source, target, metric):
         step = _line_search(x, direction, cost, slope, first, source, target, metric, g_new)
         if step == 0.0:
             return
-        moved = step * direction
-        x += moved
+        last_step = step * direction
+        x += last_step
         cost_new = mean_cost(x, source, target, metric, g_new)
         change, cost = cost_new - cost, cost_new
-        turned = g_new - g
+        gradient_change = g_new - g
         g[:] = g_new
         if max((g[:3] ** 2).sum(), (g[3:] ** 2).sum()) < GRADIENT_MAX**2:
             return
-        # The next direction: BFGS of the last step alone.
-        curvature = (moved * turned).sum()
-        along_step = along_turn = 0.0
+        # BFGS direction from the last step only.
+        curvature = (last_step * gradient_change).sum()
+        along_step = along_change = 0.0
         if curvature != 0.0:
-            along_turn = (moved * g).sum() / curvature
-            along_step = (turned * g).sum() / curvature - (1.0 + (turned * turned).sum() / curvature) * along_turn
-        p = g - along_step * moved - along_turn * turned
+            along_change = (last_step * g).sum() / curvature
+            along_step = (gradient_change * g).sum() / curvature - (
+                1.0 + (gradient_change * gradient_change).sum() / curvature
+            ) * along_change
+        p = g - along_step * last_step - along_change * gradient_change
         length = math.sqrt((p * p).sum())
         if not length > 0.0:
             return
@@ -118,9 +119,9 @@ def minimise(x, source, target, metric):
 
 @njit(cache=True, error_model="numpy")
 def _line_search(x, direction, cost, slope, first, source, target, metric, g):
-    """A step along a direction that descends enough and levels the slope, 0 where rounding hides any progress.
+    """Step length that satisfies Fletcher's conditions; 0 if rounding hides any progress.
 
-    Fletcher, algorithms 2.6.2 (bracket) and 2.6.4 (section). ``g (6,)`` is scratch.
+    Fletcher, algorithms 2.6.2 (bracketing) and 2.6.4 (sectioning). ``g (6,)`` is a buffer.
     """
     last, cost_last, slope_last, step = 0.0, cost, slope, first
     a, cost_a, slope_a, b, cost_b = 0.0, cost, slope, first, 0.0
@@ -160,7 +161,7 @@ def _line_search(x, direction, cost, slope, first, source, target, metric, g):
 
 @njit(cache=True, error_model="numpy")
 def _parabola(a, cost_a, slope_a, b, cost_b, low, high):
-    """Where the parabola through the cost and slope at a and the cost at b is least between ``low`` and ``high``."""
+    """Minimiser in [low, high] of the parabola with the cost and slope at a and the cost at b."""
     width = b - a
     fall = slope_a * width
     bend = cost_b - cost_a - fall
@@ -171,7 +172,7 @@ def _parabola(a, cost_a, slope_a, b, cost_b, low, high):
     value = cost_a + z_high * (fall + z_high * bend)
     if value < least:
         best, least = z_high, value
-    if 2.0 * bend > a:  # PCL compares with a where Fletcher has 0: of brackets off the start it often takes an end
+    if 2.0 * bend > a:  # as in PCL; Fletcher compares with 0
         z = -fall / (2.0 * bend)
         if z_low < z < z_high and cost_a + z * (fall + z * bend) < least:
             best = z

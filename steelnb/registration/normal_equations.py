@@ -1,8 +1,8 @@
-"""Compiled parts of the ICP family: the normal equations of each error, with robust weights.
+"""Compiled normal equations of the ICP errors, with robust weights.
 
-A pose is improved by a twist ``ξ = (ω, v)`` in the axes of the target that acts about a centre c, the middle of the
-source: a transformed point q moves by ``ω × (q − c) + v``. So the normal equations ``H ξ = −b`` (6×6 and 6, rotation
-first) stay well conditioned however far the origin is, and v is the shift of the scan itself.
+A step is a twist ``ξ = (ω, v)`` in the axes of the target about a centre c, the mean of the source: a transformed point
+q moves by ``ω × (q − c) + v``. The normal equations ``H ξ = −b`` (6×6 and 6, rotation first) are therefore well
+conditioned at any distance from the origin, and v is the translation of the scan itself.
 """
 
 import numpy as np
@@ -13,16 +13,16 @@ POINT, PLANE, GICP = 0, 1, 2
 
 @njit(cache=True, error_model="numpy")
 def robust_weight(squared, scale):
-    """(weight, loss) of a squared residual for Geman-McClure of a scale; infinite for plain least squares."""
+    """Geman-McClure (weight, loss) of a squared residual; an infinite scale gives plain least squares."""
     u = squared / (scale * scale)
     return 1.0 / ((1.0 + u) * (1.0 + u)), 0.5 * squared / (1.0 + u)
 
 
 @njit(cache=True, error_model="numpy")
 def _metric(error, i, j, source_covariance, normal, target_covariance, R):
-    """The matrix M of the squared residual eᵀ M e of a pair: xx xy xz yy yz zz.
+    """Matrix M of the squared residual eᵀ M e of a pair: xx xy xz yy yz zz.
 
-    The identity for points, n nᵀ for planes, (C_target + R C_source Rᵀ)⁻¹ for distributions.
+    The identity for POINT, n nᵀ for PLANE, (C_target + R C_source Rᵀ)⁻¹ for GICP.
     """
     if error == POINT:
         return 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
@@ -54,11 +54,10 @@ def _metric(error, i, j, source_covariance, normal, target_covariance, R):
 def linearise(
     error, source, source_covariance, target, normal, target_covariance, match, T, R, centre, limit, scale, H, b,
 ):  # fmt: skip
-    """Write the normal equations at T about a centre to ``H (6, 6)`` and ``b (6,)``.
+    """Write the normal equations at T about ``centre`` to ``H (6, 6)`` and ``b (6,)``; returns (loss, inliers).
 
-    Returns (loss, inliers). ``error`` is POINT, PLANE or GICP; covariances are ``(N, 6)``
-    upper triangles xx xy xz yy yz zz, the source's turned by ``R (3, 3)``, which Gauss–Newton holds fixed; pairs
-    farther apart than the limit do not count.
+    ``error`` is POINT, PLANE or GICP. Covariances are ``(N, 6)``, upper triangles xx xy xz yy yz zz. Those of the
+    source are rotated by ``R (3, 3)``, which Gauss–Newton holds fixed. Pairs farther apart than ``limit`` are ignored.
     """
     H[:, :] = 0.0
     b[:] = 0.0
@@ -87,8 +86,8 @@ def linearise(
         gy = m01 * ex + m11 * ey + m12 * ez
         gz = m02 * ex + m12 * ey + m22 * ez
         squared = ex * gx + ey * gy + ez * gz
-        w, one = robust_weight(squared, scale)
-        loss += one
+        w, pair_loss = robust_weight(squared, scale)
+        loss += pair_loss
         m00, m01, m02, m11, m12, m22 = w * m00, w * m01, w * m02, w * m11, w * m12, w * m22
         gx, gy, gz = w * gx, w * gy, w * gz
         qx, qy, qz = qx - cx, qy - cy, qz - cz

@@ -1,11 +1,11 @@
-"""Shifts that the surfaces in sight do not determine: along a wall, over flat ground.
+"""Translations that the visible surfaces do not determine, such as those along a wall or over flat ground.
 
-Points of a scan are paired with the nearest points of the map, and these lie as the sensor sampled the surface. So even
-along a smooth wall there is a pose at which the pairs fit best: the one where the sensor was before. Its information is
-proportional to the number of points, not to what they tell, and no weight of a prior outlasts it. Shifts along which
-hardly any surface has its normal are therefore left out of the solve, and keep their prediction: the solution remapping
-of Zhang, Kaess and Singh, "On degeneracy of optimization-based state estimation problems" (ICRA 2016), with the
-normals in place of the Hessian, in which those samples count.
+The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even along a smooth wall the pairs
+therefore fit best at one pose: that of the earlier scan. The information of that false minimum grows with the number of
+points, so no prior outweighs it. Translations along which hardly any surface has its normal are left out of the solve
+and keep their prediction. This is the solution remapping of Zhang, Kaess and Singh, "On degeneracy of
+optimization-based state estimation problems" (ICRA 2016), based on the normals instead of the Hessian, which contains
+the sampling.
 """
 
 import numpy as np
@@ -14,15 +14,15 @@ from steelnb.points.covariances import normals
 from steelnb.types import Array, IntArray
 
 PAIRS_MAX = 500
-"""So many pairs, evenly picked, tell the directions of the surfaces."""
+"""Maximum number of pairs, evenly picked, from which the directions of the surfaces are estimated."""
 
 
 def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) -> Array:
-    """Unit vectors ``(u, 3)``, target frame, along which the surfaces paired have hardly any normals.
+    """Unit vectors ``(u, 3)``, target frame, along which the paired surfaces have hardly any normals.
 
-    The normal of a pair is the thinnest direction of its ``covariance (M, 6)`` (upper triangle) of the target, of which
-    ``match (N,)`` are positions, −1 for none. Directions are the eigenvectors of the mean of n nᵀ whose eigenvalue is
-    below ``normals_min`` of the largest. None where there are no pairs.
+    The normal n of a pair is the smallest eigenvector of the target's ``covariance (M, 6)``, an upper triangle, at
+    ``match (N,)``, −1 for no pair. The result is the eigenvectors of the mean of n nᵀ whose eigenvalue is below
+    ``normals_min`` times the largest. It is empty if there are no pairs.
     """
     paired = match[match >= 0]
     if not len(paired):
@@ -33,11 +33,13 @@ def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) ->
 
 
 def without_shifts(free: Array, unobserved: Array) -> Array:
-    """Columns ``(6, j)`` that span what is left of ``free (6, k)``, rotations first, without shifts along unit vectors
-    ``(u, 3)`` at right angles to each other."""
+    """Columns ``(6, j)`` that span ``free (6, k)``, rotation first, without translations along ``unobserved (u, 3)``.
+
+    The rows of ``unobserved`` are orthonormal.
+    """
     if not len(unobserved):
         return free
-    left = free.copy()
-    left[3:] -= unobserved.T @ (unobserved @ free[3:])
-    vector, size, _ = np.linalg.svd(left, full_matrices=False)
-    return np.asarray(vector[:, size > 1e-9 * size[0]])
+    remaining = free.copy()
+    remaining[3:] -= unobserved.T @ (unobserved @ free[3:])
+    vector, singular_value, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(vector[:, singular_value > 1e-9 * singular_value[0]])

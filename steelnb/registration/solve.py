@@ -1,4 +1,4 @@
-"""The one solver loop of the ICP family: correspond, linearise, solve in the free directions, until it stands still."""
+"""The solver of the ICP family: find correspondences, linearise, solve in the free directions, repeat."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,24 +17,24 @@ from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 DOFS = ("xyz", "xyz_yaw", "se3")
-BLIND = 1e-10
-"""Below this share of the largest eigenvalue a direction is unconstrained, and the solver does not move along it."""
+EIGENVALUE_RATIO_MIN = 1e-10
+"""The solver does not move along eigenvectors of H below this fraction of the largest eigenvalue."""
 
 AnyTarget = Target | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
-"""A further cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → its ``H (6, 6)``, ``b (6,)`` and loss."""
+"""An additional cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → ``H (6, 6)``, ``b (6,)`` and loss."""
 
 
 @dataclass(frozen=True)
 class RegistrationResult:
     """Pose and convergence of a registration.
 
-    ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, pairs within the largest distance;
-    ``reason`` why it stopped.
+    ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, the number of pairs within the maximum
+    correspondence distance; ``reason``, why it stopped.
 
-    ``H (6, 6)`` and ``b (6,)`` are the normal equations at the end, of twists ξ = (ω, v) in the axes of the target: a
-    turn about ``centre (3,)``, the middle of the source under the pose, and the shift of that centre. ``unobserved (u,
-    3)``, unit vectors: shifts that were left out of the solve, since the surfaces paired have no normals along them
+    ``H (6, 6)`` and ``b (6,)`` are the final normal equations of a twist ξ = (ω, v) in the axes of the target: a
+    rotation about ``centre (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are
+    unit vectors along which the solve did not translate, since the paired surfaces have no normals along them
     (`observability.unobserved_shifts`).
     """
 
@@ -50,8 +50,7 @@ class RegistrationResult:
 
 
 class Normal(NamedTuple):
-    """Normal equations at a pose, of twists about ``centre (3,)``: ``H (6, 6)``, ``b (6,)``, the loss, and the number
-    of pairs within the largest distance."""
+    """Normal equations ``H (6, 6)``, ``b (6,)`` of a twist about ``centre (3,)``, with the loss and the inliers."""
 
     H: Array
     b: Array
@@ -61,9 +60,9 @@ class Normal(NamedTuple):
 
 
 def free_directions(dof: str, gravity: Array | None = None) -> Array:
-    """Columns ``(6, k)`` of ξ = (ω, v) that a solve may use: all, position and yaw about gravity, or position.
+    """Columns ``(6, k)`` that span the free twists ξ = (ω, v) of ``xyz``, ``xyz_yaw`` or ``se3``.
 
-    ``gravity (3,)`` is its direction in the target frame, up or down; the z axis by default. Raises `InputError`.
+    Yaw is about ``gravity (3,)``, up or down in the target frame, by default the z axis. Raises `InputError`.
     """
     if dof not in DOFS:
         raise InputError(f"dof = {dof!r}: expected one of {', '.join(map(repr, DOFS))}")
@@ -94,29 +93,34 @@ def align(
     terms: Sequence[Term] = (),
     normals_min: float = 0.0,
 ) -> RegistrationResult:
-    """Register ``source (N, 3)`` to a target from ``T_init``: Gauss–Newton in the columns of ``free (6, k)``.
+    """Register ``source (N, 3)`` to a target from ``T_init`` by Gauss–Newton. Its arguments are not checked.
 
-    A restricted solve is one: columns are dropped before it, no angle is dropped after. Twists act about the middle of
-    the source. ``robust_scale`` is that of Geman-McClure weights, in metres for ``point`` and ``plane``, in standard
-    deviations for ``gicp``; infinite for plain least squares.
-    ``accelerated`` extrapolates where steps shrink evenly (`_extrapolated`); ``terms`` are further costs. With
-    ``normals_min`` above 0 the solve leaves out shifts along which the surfaces do not determine the pose
-    (`observability.unobserved_shifts`, for ``gicp``); they are in ``unobserved`` of the result.
-    A step after which the same pairs fit worse is taken back and damped (Levenberg–Marquardt). Stops when a step turns
-    by less than ``rotation_epsilon_rad`` and moves the middle by less than ``translation_epsilon_m``, the criterion of
-    small_gicp. Checks nothing; `register` does.
+    Parameters
+    ----------
+    error: ``point``, ``plane`` or ``gicp``.
+    free: columns ``(6, k)`` that span the free twists about the mean of the source (`free_directions`).
+    max_correspondence_m: maximum distance of a pair, metres.
+    source_covariance: ``(N, 6)`` upper triangles in m², for ``gicp``.
+    robust_scale: scale of the Geman-McClure weights, in metres, for ``gicp`` in standard deviations.
+    rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration, as in small_gicp.
+    accelerated: extrapolate steps that shrink at a constant rate (`_extrapolated`).
+    terms: additional costs.
+    normals_min: if above 0, ``gicp`` leaves out translations that the surfaces do not determine
+        (`observability.unobserved_shifts`).
+
+    A step that raises the loss of the same pairs is rejected, and the next one is damped (Levenberg–Marquardt).
     """
     source = np.ascontiguousarray(source, dtype=np.float64)
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
-    middle, length_m = middle_and_length(source)
-    problem = _Problem(source, covariance, target, error, float(robust_scale), terms, middle)
+    mean, length_m = mean_and_length(source)
+    problem = _Problem(source, covariance, target, error, float(robust_scale), terms, mean)
     basis = scaled_basis(free, length_m)
-    limit, least = float(max_correspondence_m), pairs_needed(error, free)
+    limit, inliers_min = float(max_correspondence_m), pairs_needed(error, free)
     pairs = target.pairs(source, limit)
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
     reason, converged, iterations, damping = "iterations exhausted", False, 0, 0.0
-    metric, before, unobserved = np.array([length_m] * 3 + [1.0] * 3), None, np.zeros((0, 3))
+    metric, previous_step, unobserved = np.array([length_m] * 3 + [1.0] * 3), None, np.zeros((0, 3))
     while iterations < iterations_max:
         iterations += 1
         pairs.update(T)
@@ -124,7 +128,7 @@ def align(
             unobserved = unobserved_shifts(target.covariance, pairs.match, normals_min)
             basis = scaled_basis(without_shifts(free, unobserved), length_m)
         here = problem.linearise(T, pairs.match, limit)
-        if here.inliers < least:
+        if here.inliers < inliers_min:
             reason = "too few pairs"
             break
         if best is not None and _suspect(here, best[1]) and problem.worse(T, *best, limit):
@@ -138,7 +142,7 @@ def align(
             reason = "singular"
             break
         if accelerated:
-            step, before = _extrapolated(step, before, metric)
+            step, previous_step = _extrapolated(step, previous_step, metric)
         T = exp_about(here.centre, step) @ T
         if np.linalg.norm(step[:3]) < rotation_epsilon_rad and np.linalg.norm(step[3:]) < translation_epsilon_m:
             reason, converged = "converged", True
@@ -148,39 +152,45 @@ def align(
 
 
 def prior_term(information: Array, T_init: Array, source: Array) -> Term:
-    """½ ‖(turn from T_init, shift of the source's middle)‖² in the metric of the prior ``information (6, 6)``: pulls
-    the pose to ``T_init (4, 4)`` in directions that the pairs of ``source (N, 3)`` hardly constrain."""
-    middle, _ = middle_and_length(source)
+    """Prior that the pose is ``T_init (4, 4)``, with ``information (6, 6)``: ½ rᵀ information r.
+
+    The residual r is the rotation vector from ``T_init`` and the translation of the mean of ``source (N, 3)``. The
+    prior dominates in directions that the pairs hardly constrain.
+    """
+    mean, _ = mean_and_length(source)
 
     def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-        turned = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T, assume_valid=True).as_rotvec()
-        apart = np.append(turned, centre - T_init[:3, :3] @ middle - T_init[:3, 3])
-        return information, information @ apart, 0.5 * float(apart @ information @ apart)
+        rotation = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T, assume_valid=True).as_rotvec()
+        residual = np.append(rotation, centre - T_init[:3, :3] @ mean - T_init[:3, 3])
+        return information, information @ residual, 0.5 * float(residual @ information @ residual)
 
     return term
 
 
-def middle_and_length(points: Array) -> tuple[Array, float]:
-    """Mean ``(3,)`` of points ``(N, 3)`` and their root mean square distance to it, m; 1 where they coincide."""
-    columns = [np.ascontiguousarray(column) for column in points.T]  # means of columns in rows take seven times as long
-    middle = np.array([column.mean() for column in columns])
-    return middle, math.sqrt(sum(column.var() for column in columns)) or 1.0
+def mean_and_length(points: Array) -> tuple[Array, float]:
+    """Mean ``(3,)`` of points ``(N, 3)`` and their root mean square distance to it, metres; 1 if all coincide."""
+    columns = [np.ascontiguousarray(column) for column in points.T]  # seven times faster than strided columns
+    mean = np.array([column.mean() for column in columns])
+    return mean, math.sqrt(sum(column.var() for column in columns)) or 1.0
 
 
 def scaled_basis(free: Array, length_m: float) -> Array:
-    """Columns ``(6, k)`` that span the free directions, orthonormal where turns count ``length_m`` times."""
+    """Columns ``(6, k)`` that span ``free (6, k)``, orthonormal with rotations weighted by ``length_m``."""
     scale = np.array([length_m] * 3 + [1.0] * 3)
     return np.linalg.qr(scale[:, None] * free)[0] / scale[:, None]
 
 
 def pairs_needed(error: str, free: Array) -> int:
-    """The fewest pairs that can determine the free directions ``(6, k)``: a plane gives one number each; a point fixes
-    the position, a second one yaw, and a third one the turn about the line through both."""
+    """Minimum number of pairs that determine the free directions ``(6, k)``.
+
+    A pair of a plane gives one equation. One pair of points gives the position, a second one yaw, a third one the
+    rotation about the line through both.
+    """
     return free.shape[1] if error == "plane" else min(1 + int(np.linalg.matrix_rank(free[:3])), 3)
 
 
 def exp_about(centre: Array, xi: Array) -> Array:
-    """The motion ``(4, 4)`` of a twist ``(ω, v)``: turn by ω about ``centre (3,)``, then move by v."""
+    """Rigid motion ``(4, 4)`` of a twist ``(ω, v)``: rotate by ω about ``centre (3,)``, then translate by v."""
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_rotvec(xi[:3]).as_matrix()
     motion[:3, 3] = centre - motion[:3, :3] @ centre + xi[3:]
@@ -188,43 +198,44 @@ def exp_about(centre: Array, xi: Array) -> Array:
 
 
 def _suspect(here: Normal, before: Normal) -> bool:
-    """Whether a step may have made things worse: the loss of a pair has risen, or pairs were lost."""
-    rose = here.loss > before.loss and here.loss * before.inliers > before.loss * here.inliers
-    return rose or here.inliers < 0.9 * before.inliers
+    """Whether a step may be worse: the total and the mean loss rose, or a tenth of the pairs was lost."""
+    loss_rose = here.loss > before.loss and here.loss * before.inliers > before.loss * here.inliers
+    return loss_rose or here.inliers < 0.9 * before.inliers
 
 
 def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
-    """Solution ``(6,)`` of the damped normal equations in the constrained directions; None if there are none."""
+    """Solution ``(6,)`` of the damped normal equations in the observed directions; None if there are none."""
     A = basis.T @ normal.H @ basis
     if not np.isfinite(A).all():
         return None
     value, vector = np.linalg.eigh(A)
-    seen = value > BLIND * value[-1]
+    observed = value > EIGENVALUE_RATIO_MIN * value[-1]
     if not value[-1] > 0:
         return None
-    along = vector[:, seen].T @ (basis.T @ normal.b)
-    return -basis @ (vector[:, seen] @ (along / (value[seen] + damping * value[-1])))
+    rhs = vector[:, observed].T @ (basis.T @ normal.b)
+    return -basis @ (vector[:, observed] @ (rhs / (value[observed] + damping * value[-1])))
 
 
 def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Array, Array | None]:
-    """The step ``(6,)`` lengthened towards the limit of the iteration, and the step to compare the next one with.
+    """The step ``(6,)`` extrapolated to the limit of the iteration, and the step to compare the next one with.
 
-    Pairs that change and robust weights make it converge linearly: each step is r times the one before, so all steps to
-    come add up to 1/(1 − r) of this one. That is taken where two steps point the same way, and at most five-fold, every
-    other step. After Besl and McKay, "A method for registration of 3-D shapes", PAMI 14 (1992), section IV.C; Aitken.
+    New pairs and robust weights make the iteration converge linearly: each step is r times the one before, so this step
+    and all later ones add up to 1/(1 − r) of it. If two steps have similar directions, the second is multiplied by
+    that, at most by five. After Besl and McKay, "A method for registration of 3-D shapes", PAMI 14 (1992), section
+    IV.C, and Aitken.
     """
     if before is None:
         return step, step
-    now, last = metric * step, metric * before
-    along = float(now @ last)
-    if not along > 0.9 * np.linalg.norm(now) * np.linalg.norm(last):
+    scaled, previous = metric * step, metric * before
+    product = float(scaled @ previous)
+    if not product > 0.9 * np.linalg.norm(scaled) * np.linalg.norm(previous):
         return step, step
-    return step / (1.0 - min(along / float(last @ last), 0.8)), None
+    return step / (1.0 - min(product / float(previous @ previous), 0.8)), None
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """The parts of a registration that are the same at every step."""
+    """The constant inputs of a registration."""
 
     source: Array
     covariance: Array
@@ -232,16 +243,16 @@ class _Problem:
     error: str
     robust_scale: float
     terms: Sequence[Term]
-    middle: Array
+    mean: Array
 
-    def linearise(self, T: Array, match: IntArray, limit: float, turn: Array | None = None) -> Normal:
-        """Normal equations at T; ``turn`` is the rotation of the source's covariances, T's own by default."""
+    def linearise(self, T: Array, match: IntArray, limit: float, rotation: Array | None = None) -> Normal:
+        """Normal equations at T. ``rotation`` is that of the source covariances, by default T's."""
         H, b = np.zeros((6, 6)), np.zeros(6)
-        centre = T[:3, :3] @ self.middle + T[:3, 3]
+        centre = T[:3, :3] @ self.mean + T[:3, 3]
         t = self.target
         loss, inliers = kernels.linearise(
             ERRORS[self.error], self.source, self.covariance, t.point, t.normal, t.covariance, match, T,
-            T[:3, :3] if turn is None else turn, centre, limit, self.robust_scale, H, b,
+            T[:3, :3] if rotation is None else rotation, centre, limit, self.robust_scale, H, b,
         )  # fmt: skip
         for term in self.terms:
             H_term, b_term, loss_term = term(T, centre)
@@ -251,8 +262,8 @@ class _Problem:
         return Normal(H, b, centre, loss, inliers)
 
     def worse(self, T: Array, T_best: Array, best: Normal, match: IntArray, limit: float) -> bool:
-        """Whether the pairs of the best pose fit less well at T: new pairs alone may raise the loss, too."""
-        paired = match.copy()
-        moved = self.source @ T_best[:3, :3].T + T_best[:3, 3]
-        paired[((moved - self.target.point[match]) ** 2).sum(axis=1) > limit**2] = -1
-        return self.linearise(T, paired, math.inf, T_best[:3, :3]).loss > best.loss * (1 + 1e-9)
+        """Whether the pairs of the best pose have a higher loss at T. New pairs alone may raise the loss, too."""
+        best_match = match.copy()
+        transformed = self.source @ T_best[:3, :3].T + T_best[:3, 3]
+        best_match[((transformed - self.target.point[match]) ** 2).sum(axis=1) > limit**2] = -1
+        return self.linearise(T, best_match, math.inf, T_best[:3, :3]).loss > best.loss * (1 + 1e-9)

@@ -1,4 +1,4 @@
-"""Registration target: an indexed cloud, and the search for correspondences in it, again only where needed."""
+"""Registration target: an indexed cloud, and the cached search for correspondences in it."""
 
 import math
 from collections.abc import Callable
@@ -14,16 +14,16 @@ from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
 from steelnb.types import Array, IntArray
 
-KEPT = 3
-"""Neighbours of each source point that are kept from one step to the next."""
+CACHED = 3
+"""Number of neighbours of each source point that are cached between iterations."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Correspondences of N source points as the pose changes.
+    """Correspondences of N source points.
 
-    ``match (N,)`` holds positions in the target's points, −1 for none within the limit; ``update(T_target_source)``
-    refills it.
+    ``match (N,)`` holds indices of target points, −1 if none is within the limit. ``update(T_target_source)`` refills
+    it for a new pose.
     """
 
     match: IntArray
@@ -34,8 +34,8 @@ class Pairs:
 class Target:
     """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 
-    Normals serve the error ``plane``, covariances ``gicp``; those not needed may be of length zero. ``filled``
-    computes covariances as pairs need them.
+    The error ``plane`` needs the normals, ``gicp`` the covariances; those not needed have length zero. ``filled``
+    computes the covariances on demand.
     """
 
     tree: KdTree
@@ -45,13 +45,13 @@ class Target:
 
     @classmethod
     def with_planes(cls, tree: KdTree, neighbours: int) -> "Target":
-        """Covariances of GICP, from the nearest ``neighbours`` points around each."""
+        """With GICP's covariances from the nearest ``neighbours`` points of each point."""
         planes = PlaneCovariances.of(tree, neighbours)
         return cls(tree, covariance=planes.value, filled=planes)
 
     @classmethod
     def of_voxels(cls, tree: KdTree, shapes: VoxelShapes) -> "Target":
-        """The shapes of voxels, in the order of the tree, as covariances."""
+        """With the ``shapes`` of voxels, in the order of the tree, as covariances."""
         return cls(tree, covariance=shapes.value, filled=shapes)
 
     @property
@@ -60,9 +60,9 @@ class Target:
         return self.tree.point
 
     def pairs(self, source: Array, limit_m: float) -> Pairs:
-        """Nearest point of each source point ``(N, 3)``: exact, and searched again only where it may have changed."""
+        """Nearest neighbours of source points ``(N, 3)`` within ``limit_m``: exact, but searched only when needed."""
         n = len(source)
-        match, state = np.full(n, -1), (np.full((n, KEPT), -1), np.full(n, -1.0), np.zeros((n, 3)))
+        match, state = np.full(n, -1), (np.full((n, CACHED), -1), np.full(n, -1.0), np.zeros((n, 3)))
 
         def update(T: Array) -> None:
             correspond_points(self.tree, source, T, limit_m, match, *state)
@@ -73,10 +73,10 @@ class Target:
 
 
 def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
-    """Index a cloud ``(M, 3)`` in metres, with normals and covariances only where the error needs them.
+    """Index a cloud ``(M, 3)`` in metres, with the normals or covariances that the error needs.
 
-    ``error`` is ``point``, ``plane`` or ``gicp``; ``neighbours`` points around each give its normal or covariance.
-    Raises `InputError`.
+    ``error`` is ``point``, ``plane`` or ``gicp``. Normals and covariances are estimated from the nearest ``neighbours``
+    points. Raises `InputError`.
     """
     tree = build_kdtree(finite(points, "target"))
     if error == "gicp":
@@ -96,49 +96,51 @@ def finite(points: Array, name: str) -> Array:
 
 
 @njit(cache=True)
-def correspond_points(tree, source, T, limit, match, near, beyond, searched_from):
-    """Nearest target point of each source point under T, exactly, searching only where it may have changed.
+def correspond_points(tree, source, T, limit, match, neighbours, others_min, searched_from):
+    """Write the index in the tree of the nearest target point of each source point under T to ``match (N,)``.
 
-    ``match (N,)`` becomes its position in the tree, or −1 where there is none within the limit. ``near (N, K)`` holds
-    the K nearest when last searched, padded with −1; all others were at least ``beyond (N,)`` away from
-    ``searched_from (N, 3)``. A point that has moved by m since keeps the nearest of its K while that is nearer than
-    beyond − m (after Greenspan and Godin, 3DIM 2001). A negative ``beyond`` asks for a search. Returns the number of
-    searches.
+    It is −1 if none is within ``limit``. Returns the number of searches. The result is exact, but a point is searched
+    for only if its nearest neighbour may have changed, after Greenspan and Godin, 3DIM 2001. ``neighbours (N, K)``
+    caches the K nearest of the last search, padded with −1. All other points were at least ``others_min (N,)`` away
+    from ``searched_from (N, 3)``. If the point has moved by m since, the nearest of the K is still the nearest of all
+    while it is closer than others_min − m. A negative ``others_min`` forces a search.
     """
-    node_of, reach, distance = np.empty(64, np.int64), np.empty((64, 4)), np.empty(near.shape[1])
-    k_most, searches = near.shape[1], 0
+    node_of, node_distance, distance = np.empty(64, np.int64), np.empty((64, 4)), np.empty(neighbours.shape[1])
+    k_most, searches = neighbours.shape[1], 0
     point = tree.point
-    farthest = limit * 1.05 + 1e-12  # a little further, so that points beyond the limit need no search at every step
+    search_max = limit * 1.05 + 1e-12  # slightly beyond, so that points without a pair are not searched for every time
     for i in range(len(source)):
         x, y, z = source[i, 0], source[i, 1], source[i, 2]
         qx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
         qy = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
         qz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        within = farthest * farthest
-        if beyond[i] >= 0.0:
-            best, least, most, count = -1, np.inf, 0.0, 0
+        search_limit = search_max * search_max
+        if others_min[i] >= 0.0:
+            best, cached_min, cached_max, count = -1, np.inf, 0.0, 0
             for c in range(k_most):
-                k = near[i, c]
+                k = neighbours[i, c]
                 if k < 0:
                     break
                 dx, dy, dz = point[k, 0] - qx, point[k, 1] - qy, point[k, 2] - qz
                 d = dx * dx + dy * dy + dz * dz
                 count += 1
-                most = max(most, d)
-                if d < least:
-                    best, least = k, d
+                cached_max = max(cached_max, d)
+                if d < cached_min:
+                    best, cached_min = k, d
             dx, dy, dz = qx - searched_from[i, 0], qy - searched_from[i, 1], qz - searched_from[i, 2]
-            safe = beyond[i] - math.sqrt(dx * dx + dy * dy + dz * dz)
-            if safe > 0.0 and (least < safe * safe or safe > limit):
-                match[i] = best if least <= limit * limit else -1
+            unchanged_within = others_min[i] - math.sqrt(dx * dx + dy * dy + dz * dz)
+            if unchanged_within > 0.0 and (
+                cached_min < unchanged_within * unchanged_within or unchanged_within > limit
+            ):
+                match[i] = best if cached_min <= limit * limit else -1
                 continue
             if count == k_most:
-                within = min(within, most * (1.0 + 1e-9) + 1e-300)
-        count = nearest_k(tree, qx, qy, qz, k_most, within, near[i], distance, node_of, reach)
+                search_limit = min(search_limit, cached_max * (1.0 + 1e-9) + 1e-300)
+        count = nearest_k(tree, qx, qy, qz, k_most, search_limit, neighbours[i], distance, node_of, node_distance)
         for c in range(count, k_most):
-            near[i, c] = -1
-        match[i] = near[i, 0] if count > 0 and distance[0] <= limit * limit else -1
-        beyond[i] = math.sqrt(distance[k_most - 1]) if count == k_most else farthest
+            neighbours[i, c] = -1
+        match[i] = neighbours[i, 0] if count > 0 and distance[0] <= limit * limit else -1
+        others_min[i] = math.sqrt(distance[k_most - 1]) if count == k_most else search_max
         searched_from[i, 0], searched_from[i, 1], searched_from[i, 2] = qx, qy, qz
         searches += 1
     return searches

@@ -1,11 +1,11 @@
-"""Clouds that the tests of registration share."""
+"""Clouds and poses shared by the tests of registration."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 
 def corner(n, seed, noise_m=0.0):
-    """Points of a corner of three walls with a ball and a bar in it, about 4 m wide: every direction is constrained."""
+    """Points on three walls of a corner, a ball and a bar, about 4 m wide. They constrain all six directions."""
     rng = np.random.default_rng(seed)
     u, v = rng.uniform(0, 4, (2, n))
     zero = np.zeros(n)
@@ -21,7 +21,7 @@ def corner(n, seed, noise_m=0.0):
 
 
 def motion(turn_deg, shift_m, dof="se3", seed=0):
-    """A rigid motion by an angle and a length, of which only what the degrees of freedom allow."""
+    """Rigid motion by an angle and a length, restricted to the degrees of freedom."""
     rng = np.random.default_rng(seed)
     axis, shift = rng.normal(size=(2, 3))
     axis = {"se3": axis, "xyz_yaw": np.array([0, 0, 1.0]), "xyz": np.zeros(3)}[dof]
@@ -32,12 +32,12 @@ def motion(turn_deg, shift_m, dof="se3", seed=0):
     return T
 
 
-def moved(points, T):
+def transformed(points, T):
     return points @ T[:3, :3].T + T[:3, 3]
 
 
-def apart(T_one, T_two, centre=(2, 2, 2)):
-    """(shift of a point in the middle of the scene in metres, turn in degrees) between two poses."""
+def pose_error(T_one, T_two, centre=(2, 2, 2)):
+    """(distance of the centre of the scene in metres, angle in degrees) between two poses."""
     centre = np.append(centre, 1)
     turn = Rotation.from_matrix(T_one[:3, :3].T @ T_two[:3, :3]).magnitude()
     return np.linalg.norm((np.linalg.inv(T_one) @ centre - np.linalg.inv(T_two) @ centre)[:3]), np.degrees(turn)

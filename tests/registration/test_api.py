@@ -4,15 +4,15 @@ import pytest
 from steelnb.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.registration import make_target, register
-from tests.registration.scenes import apart, corner, motion, moved
+from tests.registration.scenes import corner, motion, pose_error, transformed
 
 
-def test_invalid_returns_and_images_are_taken():
+def test_images_and_invalid_returns_are_accepted():
     points = corner(1200, 4)
     image = points.reshape(30, 40, 3).copy()
     image[3, 5, 1], image[7, 7, 0] = np.nan, np.inf
-    result = register(image, moved(points, motion(1, 0.05)), "icp")
-    assert np.less(apart(result.T_target_source, motion(1, 0.05)), (1e-3, 0.02)).all()
+    result = register(image, transformed(points, motion(1, 0.05)), "icp")
+    assert np.less(pose_error(result.T_target_source, motion(1, 0.05)), (1e-3, 0.02)).all()
     assert result.inliers == 1198
 
 
@@ -50,7 +50,7 @@ def test_clouds_without_overlap_do_not_converge():
         ({"target": make_target(corner(50, 1), "point")}, InputError, "prepared for another error"),
     ],
 )
-def test_bad_input_is_refused_in_one_line(change, fault, message):
+def test_invalid_input_is_named_in_the_error(change, fault, message):
     given = {"source": corner(50, 1), "target": corner(50, 1), **change}
     with pytest.raises(fault, match=message) as caught:
         register(**given)

@@ -25,7 +25,7 @@ def unobserved(covariance):
 
 
 @given(st.integers(0, 10**6))
-def test_along_a_wall_both_directions_are_unobserved_whatever_way_it_faces(seed):
+def test_both_directions_along_a_wall_are_unobserved(seed):
     normal = Rotation.random(random_state=seed).as_matrix()[0]
     found = unobserved(plates(normal))
     assert found.shape == (2, 3)
@@ -34,7 +34,7 @@ def test_along_a_wall_both_directions_are_unobserved_whatever_way_it_faces(seed)
 
 
 @given(st.integers(0, 10**6))
-def test_between_two_walls_it_is_the_edge_and_in_a_corner_nothing(seed):
+def test_the_edge_of_two_walls_is_unobserved_and_a_corner_is_observed(seed):
     axes = Rotation.random(random_state=seed).as_matrix()
     edge = unobserved(plates(axes[:2]))
     assert edge.shape == (1, 3)
@@ -42,13 +42,13 @@ def test_between_two_walls_it_is_the_edge_and_in_a_corner_nothing(seed):
     assert unobserved(plates(axes)).shape == (0, 3)
 
 
-@pytest.mark.parametrize(("share", "left"), [(0.02, 1), (0.2, 0)])
-def test_a_few_points_of_another_direction_do_not_make_it_observed_but_a_fifth_does(share, left):
+@pytest.mark.parametrize(("share", "remaining"), [(0.02, 1), (0.2, 0)])
+def test_a_fifth_of_the_points_makes_a_direction_observed_but_a_few_do_not(share, remaining):
     few = plates([[0, 0, 1.0]], count=round(1000 * share))
-    assert len(unobserved(np.concatenate([plates([[1.0, 0, 0], [0, 1.0, 0]], count=500), few]))) == left
+    assert len(unobserved(np.concatenate([plates([[1.0, 0, 0], [0, 1.0, 0]], count=500), few]))) == remaining
 
 
-def test_points_without_a_pair_and_no_pairs_at_all():
+def test_points_without_a_pair_are_ignored():
     covariance = np.concatenate([plates([1.0, 0, 0]), plates([[0, 1.0, 0], [0, 0, 1.0]])])
     only_the_wall = np.where(np.arange(150) < 50, np.arange(150), -1)
     assert len(unobserved_shifts(covariance, only_the_wall, SHARE)) == 2
@@ -56,10 +56,10 @@ def test_points_without_a_pair_and_no_pairs_at_all():
 
 
 @pytest.mark.parametrize("dof", ["xyz", "xyz_yaw", "se3"])
-def test_what_is_left_of_the_free_directions_has_no_shift_along_them_and_all_turns(dof):
+def test_without_shifts_removes_the_translations_and_keeps_the_rotations(dof):
     free, along = free_directions(dof), np.array([[0.6, 0.8, 0.0]])
-    left = without_shifts(free, along)
-    assert left.shape == (6, free.shape[1] - 1)
-    np.testing.assert_allclose(along @ left[3:], 0, atol=1e-12)
-    assert np.linalg.matrix_rank(left[:3], tol=1e-9) == np.linalg.matrix_rank(free[:3])
+    remaining = without_shifts(free, along)
+    assert remaining.shape == (6, free.shape[1] - 1)
+    np.testing.assert_allclose(along @ remaining[3:], 0, atol=1e-12)
+    assert np.linalg.matrix_rank(remaining[:3], tol=1e-9) == np.linalg.matrix_rank(free[:3])
     assert without_shifts(free, np.zeros((0, 3))) is free

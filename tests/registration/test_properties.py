@@ -1,5 +1,4 @@
-"""Properties of `register` on random scenes: of every error, degree of freedom and kind of target, with and without
-robust weights."""
+"""Properties of `register` on random scenes, for all errors, degrees of freedom and kinds of target."""
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.points import VoxelMap
 from steelnb.registration import make_target, register
-from tests.registration.scenes import apart, corner, motion, moved
+from tests.registration.scenes import corner, motion, pose_error, transformed
 
 METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 REASONS = {"converged", "iterations exhausted", "too few pairs", "singular"}
@@ -27,7 +26,7 @@ def as_target(points, kind, method):
 
 
 def rigid(seed, shift_m):
-    """A random rigid motion: any rotation, and a shift of that size."""
+    """Random rigid motion with a translation of the given length."""
     T = motion(0, shift_m, seed=seed)
     T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     return T
@@ -37,10 +36,10 @@ def rigid(seed, shift_m):
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=4, deadline=None)
 @given(kind=st.sampled_from(["cloud", "prepared", "map"]), seed=SEEDS)
-def test_the_pose_is_found_forward_inverse_and_from_perturbed_starts(method, dof, kind, seed):
+def test_the_pose_its_inverse_and_the_pose_from_a_perturbed_start_are_found(method, dof, kind, seed):
     here, T_true = corner(3000, seed), motion(3, 0.08, dof, seed)
-    there = moved(here, T_true)
-    # The very same points are found to the solver's tolerance; means of voxels are other points than the source's.
+    there = transformed(here, T_true)
+    # Identical points are matched to the tolerance of the solver; voxel means differ from the source points.
     shift_m, turn_deg = (1e-3, 0.02) if kind != "map" else (0.012, 0.2)
     options = {"method": method, "dof": dof, "max_correspondence_m": 0.5}
     start = motion(4, 0.1, dof, seed + 1) @ T_true
@@ -51,22 +50,22 @@ def test_the_pose_is_found_forward_inverse_and_from_perturbed_starts(method, dof
     ]
     for result, T in runs:
         assert result.converged, result.reason
-        assert np.less(apart(result.T_target_source, T), (shift_m, turn_deg)).all()
-    # The start is further away than the tolerance by far.
-    assert apart(start, T_true)[0] > 4 * shift_m or apart(start, T_true)[1] > 4 * turn_deg
+        assert np.less(pose_error(result.T_target_source, T), (shift_m, turn_deg)).all()
+    # The perturbation is well above the tolerance.
+    assert pose_error(start, T_true)[0] > 4 * shift_m or pose_error(start, T_true)[1] > 4 * turn_deg
 
 
 @pytest.mark.parametrize("method", ["icp", "plane", "gicp"])
 @settings(max_examples=8, deadline=None)
 @given(seed=SEEDS, shift_m=st.sampled_from([0.0, 3.0, 100.0, 1e4]), robust=st.booleans())
-def test_a_rigid_motion_of_both_clouds_moves_the_answer_along(method, seed, shift_m, robust):
+def test_rigid_motions_of_both_clouds_transform_the_result(method, seed, shift_m, robust):
     here, there = corner(800, seed), corner(900, seed + 1, 0.005)
     T_init, A, B = motion(2, 0.05, seed=seed), rigid(seed + 2, shift_m), rigid(seed + 3, shift_m)
     scale = {"icp": 0.05, "plane": 0.03, "gicp": 2.0}[method]
     options = {"max_correspondence_m": 0.5, "robust_scale": scale if robust else np.inf}
     plain = register(here, there, method, T_init=T_init, **options)
     T_moved = B @ T_init @ np.linalg.inv(A)
-    both = register(moved(here, A), moved(there, B), method, T_init=T_moved, **options)
+    both = register(transformed(here, A), transformed(there, B), method, T_init=T_moved, **options)
     np.testing.assert_allclose(np.linalg.inv(B) @ both.T_target_source @ A, plain.T_target_source, atol=1e-6)
     assert (both.iterations, both.inliers) == (plain.iterations, plain.inliers)
 
@@ -74,7 +73,7 @@ def test_a_rigid_motion_of_both_clouds_moves_the_answer_along(method, seed, shif
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS)
-def test_neither_the_order_of_the_points_nor_target_points_out_of_reach_change_the_pose(method, seed):
+def test_the_pose_does_not_depend_on_the_order_of_points_or_on_far_target_points(method, seed):
     rng = np.random.default_rng(seed)
     here, there = corner(800, seed), corner(900, seed + 1, 0.005)
     far = there.mean(axis=0) + 50 * np.sign(rng.normal(size=(100, 3))) + rng.normal(size=(100, 3))
@@ -89,8 +88,8 @@ def test_neither_the_order_of_the_points_nor_target_points_out_of_reach_change_t
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS, dof=st.sampled_from(["xyz", "xyz_yaw"]))
-def test_a_restricted_solve_keeps_the_rest_of_the_start(method, seed, dof):
-    # The start is tilted against the truth; yaw is about any given gravity.
+def test_a_restricted_solve_keeps_the_other_directions_of_the_start(method, seed, dof):
+    # The start is tilted, and the axis of yaw is arbitrary.
     points, tilt = corner(1500, seed), motion(2, 0.03, "se3", seed)
     gravity = np.random.default_rng(seed).normal(size=3)
     result = register(points, points, method, dof, T_init=tilt, max_correspondence_m=0.5, gravity=gravity)
@@ -104,24 +103,24 @@ def test_a_restricted_solve_keeps_the_rest_of_the_start(method, seed, dof):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_yaw_is_about_the_gravity_that_is_given(method):
+def test_yaw_is_about_the_given_gravity(method):
     points, T_true = corner(2000, 2), motion(0, 0.05)
     T_true[:3, :3] = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
     options = {"dof": "xyz_yaw", "max_correspondence_m": 0.5}
-    right = register(points, moved(points, T_true), method, gravity=[0, -7, 0], **options)
-    wrong = register(points, moved(points, T_true), method, **options)
-    assert np.less(apart(right.T_target_source, T_true), (0.012, 0.2)).all()
-    assert apart(wrong.T_target_source, T_true)[1] > 1
+    right = register(points, transformed(points, T_true), method, gravity=[0, -7, 0], **options)
+    wrong = register(points, transformed(points, T_true), method, **options)
+    assert np.less(pose_error(right.T_target_source, T_true), (0.012, 0.2)).all()
+    assert pose_error(wrong.T_target_source, T_true)[1] > 1
 
 
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS, share=st.floats(0.15, 0.3))
-def test_robust_weights_resist_points_that_belong_to_nothing(seed, share):
+def test_robust_weights_reject_outliers(seed, share):
     here = corner(3000, seed)
-    stray = here[: int(share * 3000)] + np.array([0.25, 0.1, 0.2])  # part of the scan shifted to one side
+    stray = here[: int(share * 3000)] + np.array([0.25, 0.1, 0.2])  # a shifted copy of part of the scan
     source = np.random.default_rng(seed).permutation(np.concatenate([here, stray]))
     plain_m, robust_m = (
-        apart(register(source, here, "icp", robust_scale=scale).T_target_source, np.eye(4))[0]
+        pose_error(register(source, here, "icp", robust_scale=scale).T_target_source, np.eye(4))[0]
         for scale in (np.inf, 0.03)
     )
     assert plain_m > 0.008
@@ -145,7 +144,7 @@ def test_degenerate_clouds_give_a_rigid_pose_and_a_reason(method, shape, seed, d
     assert result.converged == (result.reason == "converged")
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
     assert np.linalg.det(T[:3, :3]) > 0.9
-    # No direction that the points leave open is moved along: on a plane, a point keeps its place but for its height.
+    # The solver does not move in unconstrained directions: on a plane, only the height changes.
     if shape == "plane" and method == "plane":
-        drift = moved(points, T) - moved(points, T_init)
+        drift = transformed(points, T) - transformed(points, T_init)
         assert np.abs(drift[:, :2]).max() < 0.05 * np.abs(drift[:, 2]).max() + 1e-6

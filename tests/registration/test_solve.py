@@ -11,7 +11,7 @@ from steelnb.registration import Target, align, make_target, prior_term, registe
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration import target as target_module
 from tests import naive
-from tests.registration.scenes import apart, corner, motion, moved
+from tests.registration.scenes import corner, motion, pose_error, transformed
 
 ERRORS = ("point", "plane", "gicp")
 SCALE = {"point": 0.05, "plane": 0.03, "gicp": 2.0}
@@ -19,7 +19,7 @@ NONE = np.zeros((0, 6))
 
 
 class Problem:
-    """A small registration under way, and its terms by kernel and by slow twin."""
+    """A small registration problem, with its terms by the kernel and by the slow twin."""
 
     def __init__(self, error, robust):
         self.error, self.scale = error, SCALE[error] if robust else math.inf
@@ -27,7 +27,7 @@ class Problem:
         self.target = make_target(corner(220, 2), error)
         self.C_source = regularised(neighbour_covariances(self.source)) if error == "gicp" else NONE
         self.T = motion(4, 0.05)
-        self.match = naive.pairs(moved(self.source, self.T), self.target.point, 0.6)
+        self.match = naive.pairs(transformed(self.source, self.T), self.target.point, 0.6)
         if self.target.filled:
             self.target.filled.fill(np.arange(len(self.target.point)))
         self.centre = np.array([0.3, -0.2, 0.5])
@@ -50,18 +50,18 @@ class Problem:
         )  # fmt: skip
 
     def loss(self, xi):
-        """Loss at the pose moved by a twist about the centre, from the definition."""
-        turn = Rotation.from_rotvec(xi[:3]).as_matrix()
+        """Loss by its definition, at the pose after a twist about the centre."""
+        R = Rotation.from_rotvec(xi[:3]).as_matrix()
         T = np.eye(4)
-        T[:3, :3] = turn @ self.T[:3, :3]
-        T[:3, 3] = turn @ (self.T[:3, 3] - self.centre) + self.centre + xi[3:]
+        T[:3, :3] = R @ self.T[:3, :3]
+        T[:3, 3] = R @ (self.T[:3, 3] - self.centre) + self.centre + xi[3:]
         return sum(naive.robust(float((root @ e) @ (root @ e)), self.scale) for e, root, _ in self.terms(T))
 
 
 @pytest.mark.kernels
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("error", ERRORS)
-def test_loss_and_gradient_are_those_of_the_definition(error, robust):
+def test_loss_and_gradient_equal_the_definition(error, robust):
     problem = Problem(error, robust)
     loss, inliers, _, b = problem.fast(problem.T)
     assert inliers == (problem.match >= 0).sum() > 100
@@ -74,7 +74,7 @@ def test_loss_and_gradient_are_those_of_the_definition(error, robust):
 @pytest.mark.kernels
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("error", ERRORS)
-def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error, robust):
+def test_the_hessian_equals_weighted_numerical_jacobians(error, robust):
     problem = Problem(error, robust)
     *_, H, _ = problem.fast(problem.T)
     H_slow = np.zeros((6, 6))
@@ -95,39 +95,39 @@ def test_the_hessian_is_gauss_newtons_by_numerical_jacobians_with_weights(error,
     np.testing.assert_allclose(H, H_slow, atol=1e-5 * np.abs(H_slow).max())
 
 
-def test_pairs_kept_from_step_to_step_are_those_of_a_new_search_at_every_step(monkeypatch):
-    source, cloud = corner(1500, 1), moved(corner(1500, 2), motion(5, 0.2))
+def test_cached_pairs_equal_those_of_a_new_search(monkeypatch):
+    source, cloud = corner(1500, 1), transformed(corner(1500, 2), motion(5, 0.2))
     target, limit = make_target(cloud, "point"), 0.12
     searches = []
 
-    def checked(tree, points, T, reach, match, *state):
-        searches.append(correspond(tree, points, T, reach, match, *state))
-        np.testing.assert_array_equal(match, naive.pairs(moved(points, T), tree.point, reach))
+    def checked(tree, points, T, limit, match, *state):
+        searches.append(correspond(tree, points, T, limit, match, *state))
+        np.testing.assert_array_equal(match, naive.pairs(transformed(points, T), tree.point, limit))
 
     correspond = target_module.correspond_points
     monkeypatch.setattr(target_module, "correspond_points", checked)
     result = align(source, target, "point", np.eye(6), np.eye(4), limit)
     assert result.iterations > 8
     assert searches[0] == 1500
-    assert 0 < min(searches) < 150  # and most searches were spared
+    assert 0 < min(searches) < 150  # most searches were saved
 
 
 @pytest.mark.kernels
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000), limit=st.floats(0.02, 0.4))
-def test_pairs_stay_exact_when_the_pose_jumps_to_and_fro(seed, limit):
+def test_cached_pairs_are_exact_after_jumps_of_the_pose(seed, limit):
     rng = np.random.default_rng(seed)
     source, target = corner(60, seed), make_target(corner(90, seed + 1), "point")
     pairs = target.pairs(source, limit)
     for size in rng.choice([1e-12, 1e-3, 0.03, 0.2, 5.0], 15):
         T = motion(20 * size, size, seed=int(rng.integers(1000)))
         pairs.update(T)
-        np.testing.assert_array_equal(pairs.match, naive.pairs(moved(source, T), target.point, limit))
+        np.testing.assert_array_equal(pairs.match, naive.pairs(transformed(source, T), target.point, limit))
 
 
-def test_the_solver_ends_at_the_closed_form_of_its_own_pairs():
+def test_the_solver_converges_to_the_closed_form_of_its_pairs():
     here = corner(300, 1)
-    there = moved(here, motion(2, 0.05)) + 0.02 * np.random.default_rng(2).normal(size=here.shape)
+    there = transformed(here, motion(2, 0.05)) + 0.02 * np.random.default_rng(2).normal(size=here.shape)
     target = make_target(there, "point")
     result = align(here, target, "point", np.eye(6), np.eye(4), 0.5, None, math.inf, 100, 1e-12, 1e-12)
     pairs = target.pairs(here, 0.5)
@@ -135,12 +135,12 @@ def test_the_solver_ends_at_the_closed_form_of_its_own_pairs():
     p, q = here[pairs.match >= 0], target.point[pairs.match[pairs.match >= 0]]
     rotation, _ = Rotation.align_vectors(q - q.mean(axis=0), p - p.mean(axis=0))  # Kabsch
     np.testing.assert_allclose(result.T_target_source[:3, :3], rotation.as_matrix(), atol=1e-7)
-    np.testing.assert_allclose(moved(p, result.T_target_source).mean(axis=0), q.mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(transformed(p, result.T_target_source).mean(axis=0), q.mean(axis=0), atol=1e-8)
 
 
-def test_a_step_after_which_the_same_pairs_fit_worse_is_taken_back(monkeypatch):
-    # A dozen points against planes, far off: Gauss–Newton's steps overshoot, and it often wanders for ever.
-    here, target, judged = corner(12, 7), make_target(corner(48, 6), "plane"), []
+def test_a_step_that_raises_the_loss_of_the_same_pairs_is_rejected(monkeypatch):
+    # A dozen points far from their planes: steps of Gauss–Newton overshoot, and it often does not converge.
+    here, target, decisions = corner(12, 7), make_target(corner(48, 6), "plane"), []
 
     def converged():
         starts = [motion(40, 0.5, seed=k) for k in range(40)]
@@ -148,25 +148,25 @@ def test_a_step_after_which_the_same_pairs_fit_worse_is_taken_back(monkeypatch):
 
     def worse(problem, T, T_best, best, match, limit):
         before, after = (loss_of_pairs(here, target, match, T_best, pose, limit) for pose in (T_best, T))
-        judged.append((really_worse(problem, T, T_best, best, match, limit), after > before))
-        return judged[-1][0]
+        decisions.append((really_worse(problem, T, T_best, best, match, limit), after > before))
+        return decisions[-1][0]
 
     really_worse = solve._Problem.worse
     monkeypatch.setattr(solve._Problem, "worse", worse)
     damped = converged()
-    assert 50 < sum(answer for answer, _ in judged) < len(judged) - 50
-    assert all(answer == truth for answer, truth in judged)
+    assert 50 < sum(answer for answer, _ in decisions) < len(decisions) - 50
+    assert all(answer == truth for answer, truth in decisions)
     monkeypatch.setattr(solve._Problem, "worse", lambda *_: False)
     assert damped > converged() + 3
 
 
 def loss_of_pairs(points, target, match, T_pairs, T, limit):
-    kept = np.linalg.norm(moved(points, T_pairs) - target.point[match], axis=1) <= limit
-    e = (moved(points, T) - target.point[match]) * target.normal[match]
+    kept = np.linalg.norm(transformed(points, T_pairs) - target.point[match], axis=1) <= limit
+    e = (transformed(points, T) - target.point[match]) * target.normal[match]
     return 0.5 * (e.sum(axis=1)[kept & (match >= 0)] ** 2).sum()
 
 
-def test_nothing_moves_where_the_pairs_say_nothing():
+def test_unconstrained_directions_keep_the_start():
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-3, 3, (1000, 2)), np.zeros(1000)])
     start = motion(0, 0.0)
@@ -175,24 +175,24 @@ def test_nothing_moves_where_the_pairs_say_nothing():
     np.testing.assert_allclose(result.T_target_source[:3, 3], [0.02, -0.03, 0], atol=1e-6)
 
 
-def test_a_prior_holds_the_open_directions_and_yields_in_the_others():
+def test_a_prior_determines_only_the_unconstrained_directions():
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-3, 3, (1000, 2)), np.zeros(1000)]) + np.array([50.0, 0, 0])
     start = motion(1, 0.0, seed=3)
     start[:3, 3] = [0.02, -0.03, 0.05]
-    information = np.diag([0.3**-2.0] * 3 + [0.8**-2.0] * 3)  # a pair's standard deviation being 1 m
+    information = np.diag([0.3**-2.0] * 3 + [0.8**-2.0] * 3)  # a pair has a standard deviation of 1 m
     target = make_target(floor, "plane")
     result = align(floor, target, "plane", np.eye(6), start, 2.0, terms=[prior_term(information, start, floor)])
     prior, middle = (
-        moved(floor.mean(axis=0)[None], start)[0],
-        moved(floor.mean(axis=0)[None], result.T_target_source)[0],
+        transformed(floor.mean(axis=0)[None], start)[0],
+        transformed(floor.mean(axis=0)[None], result.T_target_source)[0],
     )
-    np.testing.assert_allclose(middle[:2], prior[:2], atol=2e-3)  # the middle of the scan stays where the prior has it
+    np.testing.assert_allclose(middle[:2], prior[:2], atol=2e-3)
     assert abs(middle[2]) < 2e-3 < 0.5 < abs(prior[2])
 
 
 @pytest.mark.filterwarnings("error")
-def test_covariances_without_any_extent_are_singular_and_say_so():
+def test_zero_covariances_are_singular():
     points = corner(200, 1)
     target = make_target(points, "point")
     flat = Target(target.tree, target.normal, np.zeros((200, 6)))
@@ -202,7 +202,7 @@ def test_covariances_without_any_extent_are_singular_and_say_so():
 
 
 @pytest.mark.parametrize("error", ["point", "plane"])
-def test_extrapolated_steps_end_at_the_same_pose_in_fewer(error):
+def test_extrapolation_finds_the_same_pose_in_fewer_iterations(error):
     source, target = corner(3000, 1), make_target(corner(3000, 2), error)
     ends = [
         align(source, target, error, np.eye(6), motion(4, 0.15), 0.5, None, SCALE[error], 200, 1e-7,
@@ -211,7 +211,7 @@ def test_extrapolated_steps_end_at_the_same_pose_in_fewer(error):
     ]  # fmt: skip
     assert all(end.converged for end in ends)
     assert ends[1].iterations < ends[0].iterations
-    shift_m, turn_deg = apart(ends[0].T_target_source, ends[1].T_target_source)
+    shift_m, turn_deg = pose_error(ends[0].T_target_source, ends[1].T_target_source)
     assert shift_m < 1e-5
     assert turn_deg < 1e-3
 
@@ -221,9 +221,9 @@ def test_iterations_exhausted_is_not_converged():
     assert (result.converged, result.iterations, result.reason) == (False, 1, "iterations exhausted")
 
 
-def test_the_result_counts_its_pairs():
+def test_the_result_counts_the_inliers():
     source = corner(500, 1)
     source[:50] += 10.0
     result = register(source, corner(500, 1), "icp", max_correspondence_m=0.2)
     assert result.inliers == 450
-    assert apart(result.T_target_source, np.eye(4))[0] < 1e-6
+    assert pose_error(result.T_target_source, np.eye(4))[0] < 1e-6
