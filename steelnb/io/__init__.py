@@ -1,4 +1,4 @@
-"""Files ↔ flights, clouds, trajectories and structures."""
+"""Readers and writers of flights, clouds, trajectories and structures."""
 
 from steelnb.io.bag_writer import write_flight
 from steelnb.io.clouds import Cloud, read_cloud

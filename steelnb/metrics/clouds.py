@@ -1,4 +1,4 @@
-"""Deformation of a cloud built axis_points estimated poses against the true one; basin of convergence of a registration."""
+"""Deformation of a cloud built at estimated poses, and the basin of convergence of a registration."""
 
 from dataclasses import dataclass
 
@@ -59,9 +59,9 @@ class Bend:
 def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:
     """Fit a rigid motion (Kabsch 1976) to each horizontal slice of two clouds ``(N, 3)``, metres, world frame.
 
-    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m`` start
-    at true height zero; those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice remains,
-    or if the shapes differ.
+    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m``
+    start at true height zero; those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
+    remains, or if the shapes differ.
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")

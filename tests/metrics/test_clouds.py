@@ -1,4 +1,4 @@
-"""The bend of clouds whose motion is known, radii of made-up basins, and slips of made-up errors."""
+"""Bend of clouds with known motion, basin of convergence, and slip."""
 
 import numpy as np
 import pytest
@@ -9,16 +9,16 @@ from steelnb.metrics import basin_radius_m, bend, largest_slip
 
 @pytest.fixture
 def tower():
-    """5000 points in a tower 10 m high, 1.5 m wide; no slice is a plane or a line."""
+    """5000 points in a box 10 m high and 1.5 m wide."""
     rng = np.random.default_rng(3)
     return rng.uniform([-0.7, -0.7, 0.0], [0.8, 0.8, 10.0], (5000, 3))
 
 
-def moved(points, axis, degrees, offset):
+def transformed(points, axis, degrees, offset):
     return Rotation.from_rotvec(np.radians(degrees) * np.asarray(axis)).apply(points) + offset
 
 
-def test_a_cloud_over_itself_is_straight(tower):
+def test_a_cloud_has_no_bend_relative_to_itself(tower):
     fit = bend(tower, tower)
     assert fit.height_m == pytest.approx(np.arange(10) + 0.5)
     assert fit.count.sum() == len(tower)
@@ -26,8 +26,8 @@ def test_a_cloud_over_itself_is_straight(tower):
         assert value == pytest.approx(0, abs=1e-5), name
 
 
-def test_a_tilt_is_the_same_at_every_height_and_shifts_the_top(tower):
-    fit = bend(moved(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3]), tower)
+def test_a_tilt_is_equal_in_all_slices_and_shifts_the_top(tower):
+    fit = bend(transformed(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3]), tower)
     assert fit.tilt_deg == pytest.approx(np.full(10, 2.0))
     assert fit.yaw_deg == pytest.approx(np.zeros(10), abs=1e-9)
     assert fit.bend_deg == pytest.approx(0, abs=1e-5)
@@ -42,15 +42,15 @@ def test_a_tilt_is_the_same_at_every_height_and_shifts_the_top(tower):
     assert fit.offset_m(np.zeros(2)) == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_turn_about_the_vertical_is_no_tilt_and_leaves_the_axis_where_it_is(tower):
-    fit = bend(moved(tower, [0, 0, 1], -7.0, [0, 0, 0]), tower)
+def test_yaw_is_no_tilt_and_does_not_move_the_axis(tower):
+    fit = bend(transformed(tower, [0, 0, 1], -7.0, [0, 0, 0]), tower)
     assert fit.yaw_deg == pytest.approx(np.full(10, -7.0))
     assert fit.tilt_deg == pytest.approx(np.zeros(10), abs=1e-5)
     assert fit.offset_m(np.zeros(2)) == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(fit.offset_m(np.array([1.0, 0.0])), axis=1) == pytest.approx(2 * np.sin(np.radians(3.5)))
 
 
-def test_a_cloud_bent_with_height_has_the_bend_between_its_ends(tower):
+def test_the_bend_is_the_rotation_between_the_lowest_and_highest_slice(tower):
     angle = np.radians(0.5 * np.floor(tower[:, 2]))  # half a degree more with every slice
     built = Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0])).apply(tower)
     fit = bend(built, tower)
@@ -61,7 +61,7 @@ def test_a_cloud_bent_with_height_has_the_bend_between_its_ends(tower):
     assert numbers["offset_max_m"] == pytest.approx(2 * 9.5 * np.sin(np.radians(2.25)))
 
 
-def test_layers_side_by_side_are_blur_and_no_bend(tower):
+def test_doubled_surfaces_are_blur_and_no_bend(tower):
     doubled = np.concatenate([tower, tower])
     side = np.repeat([[0.1, 0, 0], [-0.1, 0, 0]], len(tower), axis=0)
     fit = bend(doubled + side, doubled)
@@ -70,13 +70,13 @@ def test_layers_side_by_side_are_blur_and_no_bend(tower):
     assert fit.offset_m(np.zeros(2)) == pytest.approx(0, abs=1e-6)
 
 
-def test_a_mirrored_cloud_is_fitted_by_a_rotation(tower):
+def test_a_mirrored_cloud_is_fitted_without_reflection(tower):
     fit = bend(tower * [1, -1, 1], tower)
     assert np.linalg.det(fit.T_built_true[:, :3, :3]) == pytest.approx(np.ones(10))
     assert (fit.blur_m > 0.1).all()
 
 
-def test_thin_slices_are_left_out_and_none_is_an_error(tower):
+def test_slices_of_few_points_are_dropped_and_no_slice_is_an_error(tower):
     points = np.concatenate([tower[tower[:, 2] < 5], tower[tower[:, 2] > 9][:10]])
     fit = bend(points, points)
     assert fit.height_m == pytest.approx(np.arange(5) + 0.5)
@@ -86,7 +86,7 @@ def test_thin_slices_are_left_out_and_none_is_an_error(tower):
         bend(points, points[1:])
 
 
-def test_the_radius_of_a_basin_ends_before_the_nearest_failure():
+def test_the_basin_ends_before_the_nearest_failure():
     offset = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0, -0.5], [0.6, 0, 0.8]])
     assert basin_radius_m(offset, np.array([True, True, False, True])) == pytest.approx(0.3)
     assert basin_radius_m(offset, np.array([True, True, True, True])) == pytest.approx(1.0)
@@ -94,7 +94,7 @@ def test_the_radius_of_a_basin_ends_before_the_nearest_failure():
     assert basin_radius_m(offset, np.array([False, True, True, True])) == 0
 
 
-def test_the_largest_slip_is_found_where_the_error_has_grown():
+def test_largest_slip_finds_the_scan_where_the_error_has_grown():
     error = np.concatenate([np.full(20, 0.05), np.linspace(0.05, 0.55, 6), np.full(20, 0.55)])
     scan, growth = largest_slip(error, 5)
     assert (scan, growth) == (24, pytest.approx(0.5)) or (scan, growth) == (25, pytest.approx(0.5))

@@ -19,7 +19,7 @@ def line(n, offset=0.0):
     return Trajectory(np.arange(n) * 0.2, T)
 
 
-def test_trajectory_errors_are_unaligned_and_at_the_stamps_of_the_estimate():
+def test_trajectory_errors_are_not_aligned_and_use_the_stamps_of_the_estimate():
     truth = line(101)
     offset = np.linspace(0, 0.5, 101)[::2]
     T = truth.T_world_drone[::2].copy()
@@ -34,7 +34,7 @@ def test_trajectory_errors_are_unaligned_and_at_the_stamps_of_the_estimate():
     np.testing.assert_allclose(position_error_m(estimate, truth), offset)
 
 
-def test_trajectory_errors_are_those_of_evo():
+def test_trajectory_errors_equal_evo():
     from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
     from evo.core.units import Unit
@@ -69,11 +69,11 @@ def test_the_error_of_a_shifted_trajectory_is_the_shift_in_any_frame(seed, size)
     noisy = Trajectory(truth.stamp_s, noisy)
     score = score_trajectory(noisy, truth)
     assert score["error_mean_m"] < score["ate_rmse_m"] < score["error_max_m"]
-    moved = [Trajectory(each.stamp_s, T @ each.T_world_drone) for each in (noisy, truth)]
-    assert score_trajectory(*moved) == pytest.approx(score)
+    transformed = [Trajectory(each.stamp_s, T @ each.T_world_drone) for each in (noisy, truth)]
+    assert score_trajectory(*transformed) == pytest.approx(score)
 
 
-def test_stamps_that_the_truth_does_not_have_are_refused():
+def test_an_estimate_at_other_stamps_than_the_truth_is_refused():
     estimate = Trajectory(np.array([0.0, 0.31]), line(2).T_world_drone)
     with pytest.raises(ValueError, match="stamps"):
         score_trajectory(estimate, line(10))
@@ -87,13 +87,13 @@ def segments(*bars):
     return Segments(bars[:, 0], bars[:, 1], np.full(len(bars), 50), np.full(len(bars), 0.01))
 
 
-def test_segment_scores_of_a_case_worked_by_hand():
+def test_segment_scores_of_a_case_computed_by_hand():
     tilt = math.tan(math.radians(2))
     found = segments(
         ([0.03, 0, 0], [0.03, 0, 1.5]),  # on member 0, 3 cm off
         ([0, 0.04, 1.5], [0, 0.04, 3]),  # on member 0 too: together 75 % of it
         ([2, 0, 0], [2 + tilt, 0, 1]),  # on member 1 with 2°, but only a quarter of it
-        ([0, 0.5, 2], [2, 0.5, 2]),  # half a metre off member 2
+        ([0, 0.5, 2], [2, 0.5, 2]),  # run a metre off member 2
     )
     score = score_segments(found, AXES)
     assert score.found.tolist() == [True, False, False]
@@ -110,11 +110,11 @@ def test_segment_scores_of_a_case_worked_by_hand():
     [(4.5, 1.6, 2.4, True), (5.5, 1.6, 2.4, False), (0, 3, 4.8, True), (0, 3, 5.4, False)],
 )
 def test_a_segment_is_right_up_to_five_degrees_and_with_half_its_length_on_the_member(tilt_deg, low, high, right):
-    half = (high - low) / 2 * math.tan(math.radians(tilt_deg))
-    assert score_segments(segments(([-half, 0, low], [half, 0, high])), AXES).right[0] == right
+    run = (high - low) / 2 * math.tan(math.radians(tilt_deg))
+    assert score_segments(segments(([-run, 0, low], [run, 0, high])), AXES).right[0] == right
 
 
-def test_of_two_members_side_by_side_the_nearer_is_meant():
+def test_a_segment_between_two_members_belongs_to_the_nearer():
     axes = np.array([([0, 0, 0], [0, 0, 2]), ([0.12, 0, 0], [0.12, 0, 2])], dtype=float)
     assert score_segments(segments(([0.08, 0, 0], [0.08, 0, 2])), axes).found.tolist() == [False, True]
 
@@ -129,7 +129,7 @@ def on_axes(axes):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_the_true_members_score_perfectly_in_any_frame_and_sense(seed):
+def test_the_true_members_score_perfectly_in_any_frame_and_orientation(seed):
     T = rigid(seed)
     truth = on_axes(TOWER.axes).transformed(T)
     score = score_segments(turned(truth, seed), np.stack([truth.start, truth.end], axis=1))
@@ -140,9 +140,9 @@ def test_the_true_members_score_perfectly_in_any_frame_and_sense(seed):
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 0.2))
-def test_shifted_members_are_right_up_to_ten_centimetres_and_have_their_shift_as_offset(seed, shift_m):
+def test_shifted_members_are_right_up_to_ten_centimetres(seed, shift_m):
     assume(abs(shift_m - 0.1) > 1e-9)  # where rounding decides
-    bars = random_bars(seed, 6, reach_m=30.0)  # too far apart to be taken for each other
+    bars = random_bars(seed, 6, reach_m=30.0)  # too far apart to be confused
     axes = np.stack([bars.start, bars.end], axis=1)
     aside = np.cross(bars.direction, np.random.default_rng(seed).normal(size=3))
     aside *= shift_m / np.linalg.norm(aside, axis=1)[:, None]
@@ -170,7 +170,7 @@ def test_more_segments_never_lower_recall(seed):
     assert score.recall == pytest.approx(found[-1][observed].mean())
 
 
-def test_an_empty_map_scores_nothing_found():
+def test_an_empty_map_has_recall_zero():
     score = score_segments(Segments.empty(), AXES)
     assert score.recall == 0.0
     assert math.isnan(score.precision)
@@ -192,7 +192,7 @@ def test_duplicates_lie_beside_a_longer_segment_of_the_same_member():
     np.testing.assert_allclose(score.angle_rad, 0, atol=1e-7)
 
 
-def test_what_is_hidden_need_not_be_found():
+def test_hidden_parts_need_not_be_found():
     found = segments(([0, 0, 0], [0, 0, 1.2]))
     seen = np.ones((3, 200), dtype=bool)
     assert not score_segments(found, AXES).found[0]
@@ -226,7 +226,7 @@ def test_the_axis_of_a_seen_member_runs_through_the_middle_of_its_surface():
 @pytest.mark.parametrize(
     ("each", "slices", "observed"), [(9, 11, False), (10, 10, True), (100, 5, False), (17, 6, True)]
 )
-def test_observed_takes_both_100_returns_and_30_cm(each, slices, observed):
+def test_observed_requires_100_returns_and_30_cm(each, slices, observed):
     visibility = Visibility((np.full(slices, each), np.append(np.full(slices, each), np.zeros(40, int))))
     assert visibility.observed().tolist() == [observed] * 2
     assert visibility.observed(each * slices + 1).tolist() == [False] * 2

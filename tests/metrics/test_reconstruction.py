@@ -36,10 +36,10 @@ def test_the_truth_is_perfect():
     assert [metrics[name] for name in zeros] == pytest.approx([0.0] * 5, abs=1e-6)
 
 
-def test_offsets_ends_and_joint_errors_are_what_they_were_made():
-    moved = AXES + np.array([0, 0.03, 0])
-    moved[0, 1, 2] -= 0.2  # the post ends 20 cm short
-    metrics = score_structure(made(moved, JOINTS + np.array([0, 0, 0.04])), truth()).metrics
+def test_offsets_ends_and_joint_errors_equal_the_applied_ones():
+    shifted = AXES + np.array([0, 0.03, 0])
+    shifted[0, 1, 2] -= 0.2  # the post ends 20 cm short
+    metrics = score_structure(made(shifted, JOINTS + np.array([0, 0, 0.04])), truth()).metrics
     assert metrics["offset_median_m"] == pytest.approx(0.03)
     assert metrics["end_median_m"] == pytest.approx(0.0, abs=1e-9)
     assert metrics["end_p90_m"] == pytest.approx(np.percentile([0, 0.2, 0, 0], 90))
@@ -57,7 +57,7 @@ def test_angles_beyond_five_degrees_do_not_match():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_the_score_does_not_depend_on_order_and_sense_of_bars_and_joints(seed):
+def test_the_score_does_not_depend_on_the_order_or_orientation_of_bars_and_joints(seed):
     rng = np.random.default_rng(seed)
     structure = made(AXES + rng.normal(scale=0.02, size=AXES.shape), JOINTS + rng.normal(scale=0.02, size=(4, 3)))
     bar, joint, s = rng.permutation(2), rng.permutation(4), turned(structure.segments, seed)
@@ -77,14 +77,14 @@ def test_duplicates_wrong_bars_and_pieces():
     assert score_structure(made(short), truth()).found.tolist() == [False, True]
 
 
-def test_only_what_was_observed_counts():
+def test_only_observed_members_and_joints_count():
     only_post = made(AXES[:1], JOINTS[:3], [(0, 0), (1, 0), (2, 0)])
     assert score_structure(only_post, truth()).metrics["recall"] == 0.5
     metrics = score_structure(only_post, truth((True, False), (True, False, True, False))).metrics
     assert (metrics["recall"], metrics["joint_recall"]) == (1.0, 1.0)
 
 
-def test_an_edge_past_a_joint_that_was_seen_is_wrong():
+def test_an_edge_that_skips_an_observed_joint_is_wrong():
     past = made(AXES[:1], JOINTS[[0, 2]], [(0, 0), (1, 0)])
     metrics = score_structure(past, truth()).metrics
     assert (metrics["edge_recall"], metrics["edge_precision"], metrics["joint_recall"]) == (0.0, 0.0, 0.5)
@@ -92,7 +92,7 @@ def test_an_edge_past_a_joint_that_was_seen_is_wrong():
     assert (metrics["edge_recall"], metrics["edge_precision"]) == (1.0, 1.0)
 
 
-def test_an_empty_structure_has_no_recall_and_no_precision():
+def test_an_empty_structure_has_recall_zero_and_no_precision():
     metrics = score_structure(Structure.empty(), truth()).metrics
     assert metrics["recall"] == metrics["joint_recall"] == metrics["edge_recall"] == 0.0
     assert np.isnan(metrics["precision"])
@@ -104,8 +104,8 @@ def test_the_centroid_of_a_thin_angle_is_a_quarter_of_its_flange_from_either_fac
     seen = Visibility(tuple(np.full(int(length / SLICE_M) + 1, 9) for length in lengths(tower)))
     found = reference(tower, seen)
     leg = next(m for m, member in enumerate(tower.members) if member.kind == "leg")
-    apart = np.linalg.norm(found.axes[leg] - tower.axes[leg], axis=1)
-    assert apart == pytest.approx(np.full(2, 0.025 * np.sqrt(2)), rel=2e-3)
+    shift_m = np.linalg.norm(found.axes[leg] - tower.axes[leg], axis=1)
+    assert shift_m == pytest.approx(np.full(2, 0.025 * np.sqrt(2)), rel=2e-3)
     assert np.linalg.norm(found.joints - tower.joints, axis=1).max() < 0.1
 
 
