@@ -1,4 +1,4 @@
-"""`Flight` → ROS 1 bag or MCAP file, by rosbags' writers, one scan in memory at a time."""
+"""Writer of a `Flight` to a ROS 1 bag or an MCAP file with rosbags, one scan in memory at a time."""
 
 import heapq
 import tempfile
@@ -18,14 +18,14 @@ from steelnb.io.trajectories import write_tum
 from steelnb.types import Array, Flight, Trajectory
 
 WORLD, BODY, SENSOR = "odom", "base_link", "tof"
-"""Frames. The poses drift, so the world is REP 105's odom."""
+"""Frame names. The world frame is odom of REP 105, since the poses drift."""
 TOPICS = {"/tf_static": TF[0], "/tf": TF[0], "/odom": ODOMETRY, "/imu": IMU, "/tof/points": CLOUD}
 Entry = tuple[int, int, str, Any]
-"""Nanoseconds, rank among those of the same stamp, topic, message."""
+"""Stamp in nanoseconds, rank among messages with the same stamp, topic, message."""
 
 
 def check_target(path: Path, overwrite: bool = False) -> None:
-    """Raise `InputError` for an ending other than .bag and .mcap, and `OutputError` for what exists."""
+    """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path exists."""
     if path.suffix.lower() not in (".bag", ".mcap"):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
     if path.is_dir() or (path.exists() and not overwrite):
@@ -40,11 +40,11 @@ def write_flight(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a flight as a drone's own nodes would record it, and the truth, if any, to ``STEM.truth.tum`` beside it.
+    """Write a flight to a ROS 1 bag (.bag) or an MCAP file (.mcap), as the nodes of a drone would record it.
 
-    Scans (PointCloud2, float32), drifting poses (Odometry and tf), the mount (tf_static) and the IMU, to a ROS 1 bag
-    (.bag) or an MCAP file (.mcap). ``on_progress`` gets the share done. Raises `InputError`, `OutputError`, and what
-    reading the scans raises; nothing half-written stays.
+    The file holds the scans (PointCloud2, float32), the drifting poses (Odometry and tf), the mount (tf_static) and the
+    IMU. The ``truth``, if given, goes to ``STEM.truth.tum`` beside it. ``on_progress`` is called with the fraction
+    written. Raises `InputError` and `OutputError`; no partial file is left on failure.
     """
     from rosbags import rosbag1, rosbag2
 
@@ -54,21 +54,21 @@ def write_flight(
     store = typestore(ros)
     serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr
     with new_folder(path.parent) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
-        single, inside = Path(scratch, "bag.bag"), Path(scratch, "bag")
+        bag_file, bag_folder = Path(scratch, "bag.bag"), Path(scratch, "bag")
         mcap: Any = {"version": 8, "storage_plugin": rosbag2.StoragePlugin.MCAP}
-        writer: Any = rosbag1.Writer(single) if ros == 1 else rosbag2.Writer(inside, **mcap)
+        writer: Any = rosbag1.Writer(bag_file) if ros == 1 else rosbag2.Writer(bag_folder, **mcap)
         with writer:
             topics = {topic: kind for topic, kind in TOPICS.items() if topic != "/imu" or flight.imu}
-            to = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+            connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
             for stamp_ns, _, topic, message in _entries(flight, Messages(ros), on_progress):
-                writer.write(to[topic], stamp_ns, serialize(message, TOPICS[topic]))
-        (single if ros == 1 else inside / "bag.mcap").rename(folder / path.name)
+                writer.write(connections[topic], stamp_ns, serialize(message, TOPICS[topic]))
+        (bag_file if ros == 1 else bag_folder / "bag.mcap").rename(folder / path.name)
         if truth is not None:
             write_tum(truth_path(folder / path.name), truth)
 
 
 def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], None]) -> Iterator[Entry]:
-    """All messages in the order of their stamps, made as they are asked for."""
+    """All messages sorted by stamp, created lazily."""
     prior, stamps = flight.prior, [_ns(stamp_s) for stamp_s in flight.prior.stamp_s.tolist()]
 
     def poses() -> Iterator[Entry]:
@@ -91,30 +91,30 @@ def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], No
 
 
 class Messages:
-    """The messages of ROS 1 or 2, which differ in their headers alone."""
+    """Constructors of ROS 1 or ROS 2 messages, which differ only in their headers."""
 
     def __init__(self, ros: int) -> None:
         self._sequence, self._store = (0,) if ros == 1 else (), typestore(ros)
 
     def transform(self, stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> Any:
-        """tf with one transform."""
+        """TFMessage with one transform."""
         kind = "geometry_msgs/msg/TransformStamped"
         return self.make(TF[0], [self.make(kind, self.header(stamp_ns, parent), child, _pose(T_parent_child))])
 
     def odometry(self, stamp_ns: int, T_world_drone: Array) -> Any:
         """Odometry without velocities."""
-        still, unknown = (0.0, 0.0, 0.0), np.zeros(36)
-        twist, pose = ((still, still), unknown), (_pose(T_world_drone), unknown)
+        zero, covariance = (0.0, 0.0, 0.0), np.zeros(36)
+        twist, pose = ((zero, zero), covariance), (_pose(T_world_drone), covariance)
         return self.make(ODOMETRY, self.header(stamp_ns, WORLD), BODY, pose, twist)
 
     def imu(self, stamp_ns: int, force: Array, rate: Array) -> Any:
-        """Specific force and angular rate; no orientation, which −1 in its covariance says."""
-        unknown, none, level = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), np.zeros(9), (0.0, 0.0, 0.0, 1.0)
-        readings = (tuple(rate.tolist()), none, tuple(force.tolist()), none)
-        return self.make(IMU, self.header(stamp_ns, BODY), level, unknown, *readings)
+        """Specific force and angular rate; −1 in the covariance of the orientation marks it as unknown."""
+        orientation, unknown, covariance = (0.0, 0.0, 0.0, 1.0), np.array([-1.0, *[0] * 8]), np.zeros(9)
+        readings = (tuple(rate.tolist()), covariance, tuple(force.tolist()), covariance)
+        return self.make(IMU, self.header(stamp_ns, BODY), orientation, unknown, *readings)
 
     def cloud(self, stamp_ns: int, points: Array) -> Any:
-        """PointCloud2 of float32 x, y, z without padding, organised where the points ``(H, W, 3)`` are."""
+        """PointCloud2 of float32 x, y, z without padding; organised for points ``(H, W, 3)``."""
         rows, columns = points.shape[:2] if points.ndim == 3 else (1, len(points))
         data = np.ascontiguousarray(points, dtype="<f4").reshape(-1).view(np.uint8)
         fields = [self.make("sensor_msgs/msg/PointField", axis, 4 * k, 7, 1) for k, axis in enumerate("xyz")]
@@ -122,11 +122,11 @@ class Messages:
         return self.make(CLOUD, header, rows, columns, fields, False, 12, 12 * columns, data, dense)
 
     def header(self, stamp_ns: int, frame: str) -> tuple:
-        """Values of a header, with a sequence number in ROS 1."""
+        """Field values of a header, which has a sequence number in ROS 1."""
         return (*self._sequence, divmod(stamp_ns, 10**9), frame)
 
     def make(self, kind: str, *values: Any) -> Any:
-        """A message of a type from the values of its fields; a tuple holds those of a message inside it."""
+        """A message of type ``kind`` from its field values; a tuple stands for a nested message."""
         fields = self._store.fielddefs[kind][1]
         pairs = zip(fields, values, strict=True)
         return self._store.types[kind](*(self.make(of, *v) if isinstance(v, tuple) else v for (_, (_, of)), v in pairs))
@@ -137,4 +137,4 @@ def _pose(T: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _ns(stamp_s: float) -> int:
-    return round(Decimal(stamp_s) * 10**9)  # a product of floating-point numbers would miss it by a hundred
+    return round(Decimal(stamp_s) * 10**9)  # a float product would be off by a hundred

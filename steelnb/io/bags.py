@@ -1,7 +1,7 @@
-"""ROS 1 bags, MCAP and sqlite files, ROS 2 folders → stamps, poses, mounts and inertial samples, and scans one by one.
+"""Reader of ROS 1 bags, MCAP and sqlite files and ROS 2 folders: stamps, poses, mounts, IMU, and scans one by one.
 
-ROS is not needed. rosbags' own readers and its standard types are used: `AnyReader` compiles the definitions that a bag
-brings along, and one that cannot be parsed keeps all others from being read.
+ROS is not needed. The readers and the standard types of rosbags are used rather than its `AnyReader`, which compiles
+the message definitions in the bag and fails if one of them cannot be parsed.
 """
 
 import functools
@@ -23,18 +23,18 @@ CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FLOATS = {7: "f4", 8: "f8"}
-"""PointField datatypes that coordinates may have."""
+"""Accepted PointField datatypes of coordinates."""
 DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""Type and unit in metres of the encodings of depth images (REP 118)."""
+"""Encodings of depth images (REP 118): type, and unit in metres."""
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-"""From x forward, y left, z up to a camera's axes: z forward, x right, y down (REP 103)."""
+"""Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
 WORLDS = ("odom", "world", "map")
-"""Frames of poses, the likelier first (REP 105): in odom, poses drift but do not jump, as a prior should."""
+"""Parent frames of poses, the preferred first (REP 105): poses in odom drift but do not jump."""
 
 
 @functools.cache
 def typestore(ros: int) -> Any:
-    """rosbags' definitions of the standard messages of ROS 1 or 2, tf among them."""
+    """Definitions of the standard messages of ROS 1 or 2 and of tf."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
@@ -45,14 +45,14 @@ def typestore(ros: int) -> Any:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: a file by its ending, a folder by its metadata."""
+    """Whether a path looks like a bag: a file by its suffix, a folder by its metadata."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (".bag", ".mcap", ".db3")
 
 
 class Bag:
-    """A bag that is opened anew for every pass. ``types``: the type of each topic that has messages.
+    """A bag, opened again for every pass. ``types`` holds the message type of each topic with messages.
 
-    `read` keeps the numbers of small messages, and of scans the stamps alone.
+    `read` stores the values of small messages, but only the stamps of scans.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,26 +66,27 @@ class Bag:
         self.skipped: Counter[str] = Counter()
         self.frame_of: dict[str, str] = {}
         self._cameras: dict[str, Array] = {}
-        self._mounts: dict[str, tuple[str, Array]] = {}
+        self._static: dict[str, tuple[str, Array]] = {}
         self._rows: dict[str, array[float]] = defaultdict(lambda: array("d"))
 
     def of_type(self, *kinds: str) -> list[str]:
-        """The topics of these types."""
+        """Topics of these message types."""
         return [topic for topic, kind in self.types.items() if kind in kinds]
 
-    def choose(self, role: str, named: str | None, fits: list[str]) -> str:
-        """The topic that is named, or the only one that fits. Raises `InputError`."""
-        if named in fits or (named is None and len(fits) == 1):
-            return named or fits[0]
-        asked = f"no topic {named!r}" if named else f"no {role}" if not fits else f"several topics of {role}"
-        has = [f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in sorted(self.types.items())]
-        raise InputError(f"{self.path}: {asked}; expected one of {role}, or its name, among {', '.join(has) or 'none'}")
+    def choose(self, role: str, name: str | None, candidates: list[str]) -> str:
+        """The candidate topic with that name, or the only candidate. Raises `InputError`."""
+        if name in candidates or (name is None and len(candidates) == 1):
+            return name or candidates[0]
+        found = f"no topic {name!r}" if name else f"no {role}" if not candidates else f"several topics of {role}"
+        topics = [f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in sorted(self.types.items())]
+        listed = ", ".join(topics) or "none"
+        raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {listed}")
 
     def messages(self, *topics: str) -> Iterator[tuple[str, Callable[[], Any]]]:
-        """Topic of each message, and a call that decodes it. Both raise `InputError` where the bag is damaged."""
+        """Topic and decoder of each message. Both raise `InputError` if the bag is damaged."""
         with reading(self.path, "a bag", folder=self.path.is_dir()), self._reader(self.path) as reader:
-            wanted = [each for each in reader.connections if each.topic in topics]
-            for connection, _, raw in reader.messages(wanted) if wanted else ():
+            selected = [each for each in reader.connections if each.topic in topics]
+            for connection, _, raw in reader.messages(selected) if selected else ():
                 yield connection.topic, partial(self._decoded, raw, connection.msgtype)
 
     def _decoded(self, raw: bytes, kind: str) -> Any:
@@ -93,22 +94,22 @@ class Bag:
             return self._decode(raw, kind)
 
     def read(self, *topics: str) -> None:
-        """Take in all messages of some topics. Raises `InputError` for one that cannot be decoded."""
+        """Store all messages of some topics. Raises `InputError` if one cannot be decoded."""
         for topic, decode in self.messages(*topics):
-            self._take(topic, self.types[topic], decode())
+            self._store(topic, self.types[topic], decode())
 
-    def _take(self, topic: str, kind: str, message: Any) -> None:
+    def _store(self, topic: str, kind: str, message: Any) -> None:
         if kind in TF:
             for each in message.transforms:
                 parent, child = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
                 pose = _numbers(each.transform.translation, each.transform.rotation)
                 if topic.endswith("tf_static"):
-                    self._mounts[child] = parent, pose_matrices(np.array([pose]))[0]
+                    self._static[child] = parent, pose_matrices(np.array([pose]))[0]
                 elif parent in WORLDS:
                     self.frame_of[f"tf {parent} → {child}"] = child
                     self._rows[f"tf {parent} → {child}"].extend((_stamp_s(each), *pose))
             return
-        if kind != POSE:  # which names the world's frame alone
+        if kind != POSE:  # a PoseStamped names only the world frame
             self.frame_of[topic] = getattr(message, "child_frame_id", message.header.frame_id).lstrip("/")
         if kind == CAMERA:
             self._cameras[topic] = np.array(getattr(message, "k", getattr(message, "K", None))).reshape(3, 3)
@@ -121,21 +122,21 @@ class Bag:
             self._rows[topic].extend(_numbers(pose.position, pose.orientation))
 
     def stamp_s(self, scans: str) -> Array:
-        """Stamps ``(N,)`` of the scans that were read."""
+        """Stamps ``(N,)`` of the scans."""
         return np.array(self._rows[scans])
 
     def poses_of_tf(self) -> str:
-        """Name of the transform by which a frame moves in the first of `WORLDS`. Raises `InputError` without one."""
+        """Name of a moving transform in the first of `WORLDS`. Raises `InputError` if there is none."""
         moving = [name for name in self.frame_of if name.startswith("tf ")]
         return min(moving, key=lambda name: WORLDS.index(name.split()[1])) if moving else self.choose("poses", None, [])
 
     def poses(self, name: str) -> Trajectory:
-        """The drone's poses of a topic or of tf."""
+        """Poses of the drone from a topic or from tf."""
         found = trajectory_of(self.path, np.array(self._rows[name]).reshape(-1, 8), self.skipped)
-        return Trajectory(found.stamp_s, found.T_world_drone @ _turn(self.frame_of.get(name, "")))
+        return Trajectory(found.stamp_s, found.T_world_drone @ _axes(self.frame_of.get(name, "")))
 
     def imu(self, topic: str, body: str) -> Imu:
-        """Inertial samples with rising stamps, turned to the axes of the drone where tf_static tells them."""
+        """Inertial samples with increasing stamps, in the axes of the drone if tf_static relates them."""
         rows = np.array(self._rows[topic]).reshape(-1, 7)
         rows = rows[np.isfinite(rows).all(axis=1)]
         rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
@@ -143,59 +144,63 @@ class Bag:
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
     def mount(self, body: str, frame: str, optical: bool) -> tuple[Array, str]:
-        """Pose ``(4, 4)`` in the drone of a ``frame``, whose readings were turned from a camera's axes where it is
-        ``optical``, and its source in words: tf_static, or the identity where that says nothing of the two."""
+        """``T_drone_frame (4, 4)`` by tf_static, or the identity if unknown, and its source in words.
+
+        With ``optical`` the points of the frame have been converted from optical axes.
+        """
         body = body or "base_link"
-        (T_root_body, root), (T_root_frame, root_too) = self._to_root(body), self._to_root(frame)
-        if root != root_too:
-            return np.eye(4), f"no tf_static from {body} to {frame or 'the sensor'}: taken as the same"
-        T_drone_frame = np.linalg.inv(_turn(body)) @ np.linalg.inv(T_root_body) @ T_root_frame
+        (T_root_body, body_root), (T_root_frame, frame_root) = self._to_root(body), self._to_root(frame)
+        if body_root != frame_root:
+            return np.eye(4), f"no tf_static from {body} to {frame or 'the sensor'}: identity assumed"
+        T_drone_frame = np.linalg.inv(_axes(body)) @ np.linalg.inv(T_root_body) @ T_root_frame
         return T_drone_frame @ (T_OPTICAL_SENSOR if optical else np.eye(4)), f"tf_static {body} → {frame}"
 
     def _to_root(self, frame: str) -> tuple[Array, str]:
-        """The pose of a frame in the root of its tree, and the name of the root."""
+        """``T_root_frame (4, 4)`` by tf_static, and the name of the root."""
         T_root_frame = np.eye(4)
-        for _ in self._mounts:  # the tree is no deeper
-            parent, T_parent_frame = self._mounts.get(frame, (frame, np.eye(4)))
+        for _ in self._static:  # bounds the depth of the tree
+            parent, T_parent_frame = self._static.get(frame, (frame, np.eye(4)))
             T_root_frame, frame = T_parent_frame @ T_root_frame, parent
         return T_root_frame, frame
 
     def to_points(self, scans: str) -> tuple[Callable[[Any], Array], bool]:
-        """What makes points ``(H, W, 3)`` or ``(N, 3)`` of a message, and whether they are turned from a camera's axes:
-        those of depth images, and of clouds in a frame with such a name. Raises `InputError`."""
+        """Converter of a message to points ``(H, W, 3)`` or ``(N, 3)``, and whether it converts from optical axes.
+
+        Depth images have optical axes, and clouds in a frame with an optical name. Raises `InputError`.
+        """
         if self.types[scans] == CLOUD:
-            optical = _turn(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
+            optical = _axes(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
             return (lambda message: from_optical(cloud_points(message))) if optical else cloud_points, optical
         folder = scans.rpartition("/")[0]
-        near = [topic for topic in self._cameras if topic.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
-        K = self._cameras[self.choose(f"CameraInfo of {scans}", None, near or list(self._cameras))]
+        nearby = [topic for topic in self._cameras if topic.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
+        K = self._cameras[self.choose(f"CameraInfo of {scans}", None, nearby or list(self._cameras))]
         return lambda message: from_optical(depth_points(message, K)), True
 
     def walk(self, topic: str, to_points: Callable[[Any], Array], number: IntArray) -> Iterator[Callable[[], Array]]:
-        """The scans with these rising numbers, each to be decoded by a call."""
-        wanted, last = set(number.tolist()), int(number.max(initial=-1))
+        """Decoders of the scans with these increasing numbers."""
+        selected, last = set(number.tolist()), int(number.max(initial=-1))
         for k, (_, decode) in enumerate(self.messages(topic)):
-            if k in wanted:
+            if k in selected:
                 yield partial(self._points, decode, to_points)
             if k >= last:
                 return
 
     def _points(self, decode: Callable[[], Any], to_points: Callable[[Any], Array]) -> Array:
         message = decode()
-        with damaged(self.path, "a bag of scans whose sizes fit"):
+        with damaged(self.path, "a bag of scans with consistent sizes"):
             return to_points(message)
 
     def depth_images(self) -> list[str]:
-        """Topics of images whose first one is a depth image."""
+        """Image topics whose first message is a depth image."""
         first = {topic: next(self.messages(topic))[1]() for topic in self.of_type(IMAGE)}
         return [topic for topic, image in first.items() if image.encoding in DEPTHS]
 
 
 def cloud_points(message: Any) -> Array:
-    """Points of a PointCloud2, ``(H, W, 3)`` where it is organised, else ``(N, 3)``; NaN rows where not finite.
+    """Points of a PointCloud2, metres: ``(H, W, 3)`` if it is organised, else ``(N, 3)``. Invalid points are NaN rows.
 
-    ``row_step`` of a single row is ignored: many drivers leave it at zero. Raises `InputError` for other fields, and
-    ValueError where the sizes do not fit.
+    ``row_step`` of a single row is ignored, since many drivers leave it at zero. Raises `InputError` for missing or
+    unsupported fields, and ValueError for inconsistent sizes.
     """
     height, width, step = message.height, message.width, message.point_step
     fields = {field.name: field for field in message.fields if field.datatype in FLOATS}
@@ -212,8 +217,10 @@ def cloud_points(message: Any) -> Array:
 
 
 def depth_points(image: Any, K: Array) -> Array:
-    """Points ``(H, W, 3)`` in a camera's axes of a depth image, NaN where there is no depth; ``K (3, 3)``: the camera's
-    matrix, without distortion. Raises ValueError where sizes do not fit."""
+    """Points ``(H, W, 3)`` of a depth image in optical axes, metres, NaN where there is no depth.
+
+    ``K (3, 3)`` is the camera matrix; there is no distortion. Raises ValueError for inconsistent sizes.
+    """
     name, unit_m = DEPTHS[image.encoding]
     kind, shape = np.dtype((">" if image.is_bigendian else "<") + name), (image.height, image.width)
     depth = np.ndarray(shape, kind, image.data, strides=(image.step, kind.itemsize)) * np.float64(unit_m)
@@ -224,12 +231,12 @@ def depth_points(image: Any, K: Array) -> Array:
 
 
 def from_optical(points: Array) -> Array:
-    """Points ``(..., 3)`` of a camera's axes with x forward, y left and z up."""
+    """Points ``(..., 3)`` of optical axes in axes x forward, y left, z up."""
     return np.stack([points[..., 2], -points[..., 0], -points[..., 1]], axis=-1)
 
 
-def _turn(frame: str) -> Array:
-    """From the drone's axes to those of a frame: a camera's by its name (REP 103), or the same."""
+def _axes(frame: str) -> Array:
+    """Rotation ``(4, 4)`` from the drone's axes to those of a frame: optical by its name (REP 103), else the same."""
     return T_OPTICAL_SENSOR if frame.endswith(("_optical_frame", "_optical")) else np.eye(4)
 
 
@@ -239,5 +246,5 @@ def _stamp_s(message: Any) -> float:
 
 
 def _numbers(*parts: Any) -> list[float]:
-    """The numbers of vectors and quaternions, one after the other."""
+    """Components of vectors and quaternions in one list."""
     return [float(getattr(part, axis)) for part in parts for axis in "xyzw" if hasattr(part, axis)]

@@ -1,4 +1,4 @@
-"""Files → `Flight`: bags, and folders of clouds with a trajectory. The truth is read apart."""
+"""Reader of recorded flights: bags, and folders of clouds with a trajectory. The truth is read separately."""
 
 import re
 from collections import Counter
@@ -16,7 +16,7 @@ from steelnb.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 
 TRUE = ("groundtruth.tum", "groundtruth.txt")
 Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
-"""The scans with these rising numbers, each to be decoded by a call."""
+"""Iterator over the decoders of the scans with these increasing numbers."""
 
 
 def read_flight(
@@ -26,18 +26,18 @@ def read_flight(
     poses: str | None = None,
     T_drone_sensor: Array | None = None,
 ) -> Flight:
-    """Open a recorded flight; its scans are read one at a time as they are iterated over.
+    """Open a recorded flight. Its scans are read one at a time during iteration.
 
     Parameters
     ----------
     path : a ROS 1 bag, an MCAP or sqlite file, a ROS 2 folder, or a folder of clouds (PLY, PCD, LAS, LAZ, NPY, XYZ) in
         the sensor frame with a trajectory of the drone (TUM).
-    scans : topic or sub-folder of the scans; by default the only one of a fitting type.
+    scans : topic or sub-folder of the scans; by default the only one of a suitable type.
     poses : topic or trajectory file of the drone's drifting poses; by default the only one, or tf.
-    T_drone_sensor : mount of the sensor ``(4, 4)``; by default by tf_static, else the identity.
+    T_drone_sensor : pose ``(4, 4)`` of the sensor; by default that of tf_static, or the identity if unknown.
 
-    Returns a `Flight` whose ``prior`` is interpolated at the scans, whose ``facts`` name topics and mount, and whose
-    ``skipped`` counts what was left out. Raises `InputError`.
+    Returns a `Flight`. Its ``prior`` is interpolated at the stamps of the scans, its ``facts`` name the topics and the
+    mount, and ``skipped`` counts dropped scans and poses. Raises `InputError`.
     """
     path = Path(path)
     stamp_s, walk, prior, mount, facts, imu, skipped = _opener(path)(path, scans, poses)
@@ -49,37 +49,38 @@ def read_flight(
     skipped["scan without a pose near"] += int((~covered).sum())
     if not covered.any():
         seconds = [f"{each[0]:.3f} to {each[-1]:.3f} s" for each in (stamp_s, prior.stamp_s)]
-        raise InputError(f"{path}: no pose at any scan: scans at {seconds[0]}, poses at {seconds[1]}")
+        raise InputError(f"{path}: no scan has a pose: scans at {seconds[0]}, poses at {seconds[1]}")
     number = number[covered]
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
-    left_out = {reason: count for reason, count in skipped.items() if count}
-    return Flight(Scans(walk, number, poses_at.stamp_s), poses_at, mount, imu, path.resolve().name, facts, left_out)
+    skipped_counts = {reason: count for reason, count in skipped.items() if count}
+    found = Scans(walk, number, poses_at.stamp_s)
+    return Flight(found, poses_at, mount, imu, path.resolve().name, facts, skipped_counts)
 
 
 def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | None:
-    """The true poses of the drone beside a recorded flight, for judging alone; None where there are none.
+    """True poses of the drone for evaluation, or None if unknown.
 
     ``truth`` names a trajectory file; by default ``STEM.truth.tum`` beside the recording, or ``groundtruth.tum`` in a
     folder of clouds. Raises `InputError`.
     """
     path = Path(path)
     if truth is None:
-        known = [truth_path(path), *(path / name for name in TRUE)]
-        return next((read_trajectory(file) for file in known if file.is_file()), None)
+        candidates = [truth_path(path), *(path / name for name in TRUE)]
+        return next((read_trajectory(file) for file in candidates if file.is_file()), None)
     return read_trajectory(_named_file(path, truth))
 
 
 def truth_path(path: Path) -> Path:
-    """Where the truth of a recording lies: X.truth.tum for X.bag and for the folder X."""
+    """Path of the truth of a recording: X.truth.tum for X.bag and for the folder X."""
     path = path.resolve()
     return path.with_name(f"{path.stem if is_bag(path) and not path.is_dir() else path.name}.truth.tum")
 
 
 class Scans(Sequence[Scan]):
-    """Scans in files: iterating reads them anew, one in memory at a time; an int or a slice reads those alone.
+    """Scans in files. Every iteration reads them again, one in memory at a time; indexing reads only those selected.
 
-    ``stamp_s (K,)`` rises. A scan that cannot be read has no points, and `Scan.fault` says why. Points at (0, 0, 0), by
-    which many drivers mark no return, are NaN.
+    ``stamp_s (K,)`` increases. A scan that cannot be read has no points, and `Scan.fault` says why. Points at (0, 0, 0)
+    become NaN, since many drivers write zeros for no return.
     """
 
     def __init__(self, walk: Walk, number: IntArray, stamp_s: Array) -> None:
@@ -99,7 +100,7 @@ class Scans(Sequence[Scan]):
 def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
     try:
         points = decode()
-    except InputError as fault:  # a damaged message or file costs one scan
+    except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
     zero = (points == 0).all(axis=-1)
     if zero.any():
@@ -110,7 +111,7 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
 
 
 _Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Counter[str]]
-"""Stamps of all scans, the scans, the drone's poses, the mount, facts, the IMU, and what was skipped."""
+"""Stamps of all scans, the scans, poses of the drone, mount, facts, IMU, and counts of what was skipped."""
 
 
 def _opener(path: Path) -> Callable[[Path, str | None, str | None], _Parts]:
@@ -123,55 +124,57 @@ def _opener(path: Path) -> Callable[[Path, str | None, str | None], _Parts]:
 
 def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
     bag = Bag(path)
-    clouds, moving, inertial = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
-    seen = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
-    in_file = poses is not None and poses not in bag.types and Path(poses).is_file()
-    possible = bag.of_type(ODOMETRY, POSE)
-    by_topic = [] if in_file or not (possible or poses or not moving) else [bag.choose("poses", poses, possible)]
-    bag.read(seen, *by_topic, *moving, *inertial, *([] if clouds else bag.of_type(CAMERA)))
-    source = str(poses) if in_file else by_topic[0] if by_topic else bag.poses_of_tf()
-    prior = read_trajectory(source, bag.skipped) if in_file else bag.poses(source)
-    body, (to_points, optical) = bag.frame_of.get(source, ""), bag.to_points(seen)
-    mount, mounted = bag.mount(body, bag.frame_of.get(seen, ""), optical)
-    facts = {"scans": f"{seen} ({bag.types[seen].rpartition('/')[2]})", "poses": source, "mount": mounted}
-    facts |= {"imu": inertial[0]} if inertial else {}
-    imu = bag.imu(inertial[0], body) if inertial else None
-    return bag.stamp_s(seen), partial(bag.walk, seen, to_points), prior, mount, facts, imu, bag.skipped
+    clouds, tf_topics, imu_topics = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
+    scan_topic = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
+    is_pose_file = poses is not None and poses not in bag.types and Path(poses).is_file()
+    pose_topics = bag.of_type(ODOMETRY, POSE)
+    uses_tf = not poses and not pose_topics and tf_topics
+    chosen = [] if is_pose_file or uses_tf else [bag.choose("poses", poses, pose_topics)]
+    bag.read(scan_topic, *chosen, *tf_topics, *imu_topics, *([] if clouds else bag.of_type(CAMERA)))
+    source = str(poses) if is_pose_file else chosen[0] if chosen else bag.poses_of_tf()
+    prior = read_trajectory(source, bag.skipped) if is_pose_file else bag.poses(source)
+    body, (to_points, optical) = bag.frame_of.get(source, ""), bag.to_points(scan_topic)
+    mount, mount_source = bag.mount(body, bag.frame_of.get(scan_topic, ""), optical)
+    kind = bag.types[scan_topic].rpartition("/")[2]
+    facts = {"scans": f"{scan_topic} ({kind})", "poses": source, "mount": mount_source}
+    facts |= {"imu": imu_topics[0]} if imu_topics else {}
+    imu = bag.imu(imu_topics[0], body) if imu_topics else None
+    return bag.stamp_s(scan_topic), partial(bag.walk, scan_topic, to_points), prior, mount, facts, imu, bag.skipped
 
 
 def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
-    """A folder of clouds: its files by the numbers in their names, 9 before 10.
+    """Open a folder of clouds, sorted by the numbers in their names, 9 before 10.
 
-    Stamps are in the names, as seconds with a decimal point or as whole nanoseconds; else they are those of the poses,
-    of which there must be as many.
+    Stamps are read from the names, as seconds with a decimal point or as whole nanoseconds. Otherwise they are those of
+    the poses, of which there must be as many.
     """
     folder, skipped = path / scans if scans else path, Counter[str]()
     files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in READERS and file.suffix.lower() != ".txt"]
     if not files:
-        raise InputError(f"{folder}: no clouds in it; expected files that end with {', '.join(READERS)}")
+        raise InputError(f"{folder}: no clouds in it; expected files with suffix {', '.join(READERS)}")
     files.sort(key=lambda file: ([float(number) for number in re.findall(r"\d+(?:\.\d+)?", file.stem)], file.stem))
-    texts = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
-    found = [_named_file(path, poses)] if poses else [file for file in texts if file.name not in TRUE]
+    trajectories = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
+    found = [_named_file(path, poses)] if poses else [file for file in trajectories if file.name not in TRUE]
     if len(found) != 1:
         listed = ", ".join(file.name for file in found) or "no trajectory"
-        raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of the poses'")
+        raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of one")
     prior = read_trajectory(found[0], skipped)
-    words = [(re.findall(r"\d+(?:\.\d+)?", file.stem) or [""])[-1] for file in files]
+    stamps_in_names = [(re.findall(r"\d+(?:\.\d+)?", file.stem) or [""])[-1] for file in files]
     stamp_s = prior.stamp_s
-    if all("." in word or len(word) >= 16 for word in words):
-        stamp_s = np.array([float(word) if "." in word else int(word) / 10**9 for word in words])
+    if all("." in text or len(text) >= 16 for text in stamps_in_names):
+        stamp_s = np.array([float(text) if "." in text else int(text) / 10**9 for text in stamps_in_names])
     elif len(prior) != len(files):
         raise InputError(
             f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {found[0].name}; "
-            "expected as many poses, or stamps"
+            "expected one pose per cloud, or stamps in the names"
         )
-    facts = {"scans": f"{len(files)} files", "poses": found[0].name, "mount": "taken as the drone's own frame"}
+    facts = {"scans": f"{len(files)} files", "poses": found[0].name, "mount": "identity assumed"}
     walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
     return stamp_s, walk, prior, np.eye(4), facts, None, skipped
 
 
 def _named_file(path: Path, name: str) -> Path:
-    """A file that a user names, from here or from the folder. Raises `InputError`."""
+    """A file by its name, relative to the working directory or to ``path``. Raises `InputError`."""
     for file in (Path(name), path / name):
         if file.is_file():
             return file

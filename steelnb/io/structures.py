@@ -1,4 +1,4 @@
-"""Bars → ``segments.csv`` and ``structure.json``, in metres and in the world frame with z up."""
+"""Writers of ``segments.csv`` and ``structure.json``, in metres and in the world frame with z up."""
 
 import json
 from collections.abc import Mapping
@@ -17,9 +17,9 @@ COLUMNS = (
 
 
 def write_segments(segments: Segments, path: Path | str, sigma_m: Array | None = None) -> None:
-    """Write a row for each segment, to a tenth of a millimetre.
+    """Write one CSV row per segment, metres, rounded to 0.1 mm.
 
-    ``sigma_m (M, 2)``, standard deviations across the axis at start and end, are two more columns, in millimetres.
+    ``sigma_m (M, 2)``, the standard deviations across the axis at start and end, add two columns in millimetres.
     """
     rows = np.column_stack([segments.start, segments.end, segments.length, segments.count, segments.radius])
     table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"count": int})
@@ -29,17 +29,18 @@ def write_segments(segments: Segments, path: Path | str, sigma_m: Array | None =
 
 
 def write_structure(structure: Structure, path: Path | str, about: Mapping[str, Any] | None = None) -> None:
-    """Write bars, joints and which joint ties which bars as JSON with all digits, one line each; null: not known.
+    """Write bars, joints and the ties between them as JSON with all digits, one per line; null if unknown.
 
-    ``about`` says where the structure comes from.
+    ``about`` is stored as the origin of the structure.
     """
-    s, nothing = structure.segments, [None] * len(structure)
-    opening, tube = _known(structure.opening) or nothing, nothing if structure.tube is None else structure.tube
+    s, unknown = structure.segments, [None] * len(structure)
+    opening = _null_if_nan(structure.opening) or unknown
+    tube = unknown if structure.tube is None else structure.tube
     section = ["round" if is_tube else "angle" if to else None for is_tube, to in zip(tube, opening, strict=True)]
     bars = {
-        "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _known(structure.width_m),
-        "sigma_m": _known(structure.sigma_m), "sightings": structure.sightings.tolist(), "points": s.count.tolist(),
-        "radius_m": s.radius.tolist(), "opening": opening, "section": section,
+        "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _null_if_nan(structure.width_m),
+        "sigma_m": _null_if_nan(structure.sigma_m), "sightings": structure.sightings.tolist(),
+        "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": opening, "section": section,
     }  # fmt: skip
     head = {
         "format": "steelnb structure", "version": 5, "units": {"length": "metre"},
@@ -48,7 +49,7 @@ def write_structure(structure: Structure, path: Path | str, about: Mapping[str, 
     }  # fmt: skip
     lists = {
         "bars": [dict(zip(bars, row, strict=True)) for row in zip(*bars.values(), strict=True)],
-        "joints": [{"position_m": at} for at in structure.joint.tolist()],
+        "joints": [{"position_m": position} for position in structure.joint.tolist()],
         "ties": [{"joint": joint, "bar": bar} for joint, bar in structure.tie.tolist()],
     }
     parts = [f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in head.items()]
@@ -58,6 +59,6 @@ def write_structure(structure: Structure, path: Path | str, about: Mapping[str, 
     Path(path).write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
 
 
-def _known(values: Array | None) -> list[Any]:
-    """Numbers or rows of numbers, None for those that are not known."""
+def _null_if_nan(values: Array | None) -> list[Any]:
+    """Numbers or rows of numbers as a list, with None for those that are not finite."""
     return [] if values is None else [value if np.isfinite(value).all() else None for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""Trajectories in TUM's format, and poses between those that were recorded."""
+"""Trajectories in the TUM format, and their interpolation."""
 
 from collections import Counter
 from pathlib import Path
@@ -12,41 +12,40 @@ from steelnb.files import reading
 from steelnb.types import Array, Trajectory
 
 GAP_MAX_S = 0.5, 2.0
-"""Poses further apart than this are not interpolated between, since a drone turns and stops within it. The second
-number is for poses that come slowly."""
+"""Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
 
 
 def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Trajectory:
-    """Read lines of ``stamp x y z qx qy qz qw``, seconds and metres; lines that begin with ``#`` are comments.
+    """Read a TUM file: lines of ``stamp x y z qx qy qz qw``, seconds and metres; ``#`` starts a comment.
 
-    ``skipped`` counts the poses that were left out. Raises `InputError`.
+    Dropped poses are counted in ``skipped``. Raises `InputError`.
     """
     with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw)"):
         rows = np.loadtxt(path, ndmin=2)
         if rows.shape[1] != 8:
-            raise ValueError(f"{rows.shape[1]} numbers a line")
+            raise ValueError(f"{rows.shape[1]} numbers per line")
     return trajectory_of(path, rows, Counter() if skipped is None else skipped)
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
-    """Write ``stamp x y z qx qy qz qw`` with all digits."""
+    """Write a TUM file: ``stamp x y z qx qy qz qw`` with all digits."""
     xyzw = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]).as_quat(canonical=True)
     np.savetxt(path, np.column_stack([trajectory.stamp_s, trajectory.position, xyzw]))
 
 
 def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Trajectory:
-    """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw of any length.
+    """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw, not necessarily unit.
 
-    Left out and counted: numbers that are not finite, quaternions of length zero, repeated stamps. Raises `InputError`
-    where no pose is left.
+    Rows with numbers that are not finite, zero quaternions and repeated stamps are dropped and counted in ``skipped``.
+    Raises `InputError` if no pose remains.
     """
     largest = np.abs(rows[:, 4:]).max(axis=1, initial=0.0)
-    good = np.flatnonzero(np.isfinite(rows).all(axis=1) & (largest > 1e-6))
-    _, first = np.unique(rows[good, 0], return_index=True)
-    chosen = good[first]
-    skipped["pose that is not finite, has no direction or another's stamp"] += len(rows) - len(chosen)
+    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & (largest > 1e-6))
+    _, first = np.unique(rows[valid, 0], return_index=True)
+    chosen = valid[first]
+    skipped["pose that is not finite, has a zero quaternion or a repeated stamp"] += len(rows) - len(chosen)
     if not len(chosen):
-        raise InputError(f"{path}: {len(rows)} poses, none of use; expected finite numbers and unit quaternions")
+        raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions")
     T = pose_matrices(np.column_stack([rows[chosen, 1:4], rows[chosen, 4:] / largest[chosen, None]]))
     return Trajectory(rows[chosen, 0], T)
 
@@ -59,18 +58,22 @@ def pose_matrices(rows: Array) -> Array:
 
 
 def interpolate(trajectory: Trajectory, stamp_s: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and where ``(K,)`` they are known: in gaps up to two usual intervals,
-    within the limits of `GAP_MAX_S`.
+    """Poses ``(K, 4, 4)`` at ``stamp_s (K,)``, and whether each is covered ``(K,)``.
 
-    Positions linearly, rotations by slerp; exactly the recorded pose at its own stamp.
+    Positions are interpolated linearly, rotations by slerp. A recorded stamp gives exactly the recorded pose. Gaps of
+    up to two median intervals, within the bounds of `GAP_MAX_S`, are covered.
     """
-    own = trajectory.stamp_s
-    gap_max_s = np.clip(2 * np.median(np.diff(own)), *GAP_MAX_S) if len(own) > 1 else GAP_MAX_S[0]
-    # Stamps that went through text or integers may miss by rounding.
-    after = np.clip(np.searchsorted(own, stamp_s - 1e-6), 0, len(own) - 1)
-    exact = np.abs(own[after] - stamp_s) < 1e-6
+    recorded_s = trajectory.stamp_s
+    gap_max_s = np.clip(2 * np.median(np.diff(recorded_s)), *GAP_MAX_S) if len(recorded_s) > 1 else GAP_MAX_S[0]
+    # Stamps converted to text or integers may differ by rounding.
+    after = np.clip(np.searchsorted(recorded_s, stamp_s - 1e-6), 0, len(recorded_s) - 1)
+    exact = np.abs(recorded_s[after] - stamp_s) < 1e-6
     before = np.where(exact, after, np.maximum(after - 1, 0))
-    covered = exact | ((own[before] <= stamp_s) & (stamp_s <= own[after]) & (own[after] - own[before] <= gap_max_s))
-    result = trajectory.between(stamp_s) if len(own) > 1 else np.tile(np.eye(4), (len(stamp_s), 1, 1))
+    covered = exact | (
+        (recorded_s[before] <= stamp_s)
+        & (stamp_s <= recorded_s[after])
+        & (recorded_s[after] - recorded_s[before] <= gap_max_s)
+    )
+    result = trajectory.between(stamp_s) if len(recorded_s) > 1 else np.tile(np.eye(4), (len(stamp_s), 1, 1))
     result[exact] = trajectory.T_world_drone[after[exact]]
     return result, covered

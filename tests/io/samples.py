@@ -1,4 +1,4 @@
-"""Flights in memory, and bags of any messages written by rosbags."""
+"""Flights in memory, and bags written by rosbags."""
 
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ def poses(count: int, step_s: float = 0.2, begin_s: float = 0.0, seed: int = 0) 
 
 
 def made_up(count: int = 6, rows: int = 5, columns: int = 7, begin_s: float = 0.0) -> Flight:
-    """Organised scans of single precision with one NaN, random poses, a mount, and an IMU at 50 Hz."""
+    """Organised float32 scans with one NaN, random poses, a mount, and an IMU at 50 Hz."""
     rng = np.random.default_rng(1)
     prior = poses(count, begin_s=begin_s)
     scans = []
@@ -44,7 +44,7 @@ def made_up(count: int = 6, rows: int = 5, columns: int = 7, begin_s: float = 0.
 
 
 class Bagged:
-    """A bag in the making; messages are received at their stamps unless rows say otherwise."""
+    """A bag under construction. Messages are received at their stamps."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.make, self.rows = path, Messages(1 if path.suffix == ".bag" else 2), []
@@ -88,7 +88,7 @@ class Bagged:
         return self
 
     def write(self, in_order: bool = True, little_endian: bool = True) -> Path:
-        """Write by rosbags; `bytes` are written as they are, and unsorted rows are received 0.1 s apart."""
+        """Write with rosbags. `bytes` are written unchanged. Unsorted rows are received 0.1 s apart."""
         from rosbags import rosbag1, rosbag2
 
         one = self.path.suffix == ".bag"

@@ -1,4 +1,4 @@
-"""`write_flight`: what is written is read back the same, by us and by rosbags, and nothing half-written stays."""
+"""`write_flight`: round trips through our reader and that of rosbags, and failures."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_a_flight_reads_back_the_same(tmp_path, name, begin_s):
     np.testing.assert_allclose(read_truth(tmp_path / name).T_world_drone, truth.T_world_drone, atol=1e-12)
 
 
-def test_rosbags_own_reader_finds_every_message(tmp_path):
+def test_rosbags_reads_every_message(tmp_path):
     from rosbags.highlevel import AnyReader
 
     write_flight(tmp_path / "a.bag", made_up())
@@ -37,7 +37,7 @@ def test_rosbags_own_reader_finds_every_message(tmp_path):
         }  # fmt: skip
 
 
-def test_an_error_between_leaves_nothing(tmp_path):
+def test_a_failure_leaves_no_file(tmp_path):
     def full(share: float) -> None:
         if share > 0.5:
             raise OSError(28, "No space left on device")
@@ -47,7 +47,7 @@ def test_an_error_between_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_is_kept_unless_told_otherwise(tmp_path):
+def test_existing_files_are_kept_unless_overwrite_is_set(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_text("kept")
     with pytest.raises(OutputError, match=r"a.mcap: exists already; expected a new name, or --force"):

@@ -1,4 +1,4 @@
-"""Flights from bags of every kind: which topics, what is left out and why, and what is refused in one line."""
+"""Flights from bags of all formats: choice of topics, dropped scans, and errors."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_scans_and_poses_are_found_by_type(bag, kind):
     assert flight.skipped == {}
 
 
-def test_scans_are_picked_by_number_slice_and_mask(tmp_path):
+def test_scans_are_indexed_by_number_slice_and_mask(tmp_path):
     bag = Bagged(tmp_path / "a.mcap").odometry()
     for k, stamp in enumerate(STAMPS):
         bag.clouds(stamps=[stamp], points=POINTS + k)
@@ -38,12 +38,12 @@ def test_scans_are_picked_by_number_slice_and_mask(tmp_path):
     assert len(scans[np.array([True, False, True, False, False])]) == 2
 
 
-def test_messages_of_the_other_byte_order(tmp_path):
+def test_big_endian_messages_are_read(tmp_path):
     flight = read_flight(Bagged(tmp_path / "a.mcap").clouds().odometry().write(little_endian=False))
     np.testing.assert_array_equal(flight.scans[4].points, POINTS)
 
 
-def test_several_topics_that_fit_are_listed_and_one_can_be_named(tmp_path):
+def test_several_candidate_topics_are_listed_and_one_can_be_chosen(tmp_path):
     path = Bagged(tmp_path / "a.bag").clouds().clouds("/other").odometry().odometry("/gps", poses(5, seed=2)).write()
     with pytest.raises(InputError, match=r"several topics of clouds.*/other \(PointCloud2\), /points"):
         read_flight(path)
@@ -55,7 +55,7 @@ def test_several_topics_that_fit_are_listed_and_one_can_be_named(tmp_path):
     np.testing.assert_allclose(flight.prior.T_world_drone, poses(5, seed=2).T_world_drone, atol=1e-12)
 
 
-def test_no_clouds_no_poses_and_no_pose_at_a_scan(bag):
+def test_a_bag_without_clouds_or_poses_is_refused(bag):
     path = bag.odometry().write()
     with pytest.raises(InputError, match=r"no clouds \(PointCloud2 or depth images\).*/odom \(Odometry\)"):
         read_flight(path)
@@ -63,29 +63,29 @@ def test_no_clouds_no_poses_and_no_pose_at_a_scan(bag):
     with pytest.raises(InputError, match=r"no poses.*/points \(PointCloud2\)"):
         read_flight(other)
     late = Bagged(path.with_stem("c")).clouds().odometry(trajectory=poses(5, begin_s=100.0)).write()
-    with pytest.raises(InputError, match=r"no pose at any scan: scans at 0.000 to 0.800 s, poses at 100.000"):
+    with pytest.raises(InputError, match=r"no scan has a pose: scans at 0.000 to 0.800 s, poses at 100.000"):
         read_flight(late)
 
 
-def test_poses_come_from_a_file_that_is_named(bag, tmp_path):
+def test_poses_are_read_from_a_given_file(bag, tmp_path):
     write_tum(tmp_path / "poses.tum", poses(5, seed=7))
     flight = read_flight(bag.clouds().write(), poses=str(tmp_path / "poses.tum"))
     np.testing.assert_allclose(flight.prior.T_world_drone, poses(5, seed=7).T_world_drone, atol=1e-12)
 
 
-def test_poses_are_interpolated_and_gaps_leave_scans_out(tmp_path):
+def test_poses_are_interpolated_and_scans_in_gaps_are_dropped(tmp_path):
     trajectory = poses(3, step_s=0.4)
     flight = read_flight(Bagged(tmp_path / "a.bag").clouds().odometry(trajectory=trajectory).write())
     np.testing.assert_allclose(flight.prior.position[1], trajectory.position[:2].mean(axis=0))
-    apart = poses(2, step_s=0.8)
-    apart.stamp_s[1] = 2.5
-    flight = read_flight(Bagged(tmp_path / "b.bag").clouds().odometry(trajectory=apart).write())
+    unrelated = poses(2, step_s=0.8)
+    unrelated.stamp_s[1] = 2.5
+    flight = read_flight(Bagged(tmp_path / "b.bag").clouds().odometry(trajectory=unrelated).write())
     assert len(flight) == 1
     assert flight.skipped == {"scan without a pose near": 4}
 
 
 @pytest.mark.parametrize(("period_s", "scans"), [(0.5, 5), (1.9, 5), (2.1, 0)])
-def test_slow_poses_are_interpolated_between_unless_too_slow(tmp_path, period_s, scans):
+def test_slow_poses_are_interpolated_up_to_the_maximum_gap(tmp_path, period_s, scans):
     trajectory = poses(5, step_s=period_s, begin_s=-0.1)
     path = (
         Bagged(tmp_path / "a.mcap")
@@ -95,11 +95,11 @@ def test_slow_poses_are_interpolated_between_unless_too_slow(tmp_path, period_s,
     if scans:
         assert len(read_flight(path.write())) == scans
     else:
-        with pytest.raises(InputError, match=r"no pose at any scan"):
+        with pytest.raises(InputError, match=r"no scan has a pose"):
             read_flight(path.write())
 
 
-def test_the_mount_is_that_of_tf_static_unless_one_is_given(bag):
+def test_the_mount_is_read_from_tf_static_unless_given(bag):
     arm = T_of((1, 0, 0), (0, 0, 1))
     path = bag.clouds().odometry().tf("base_link", "arm", arm).tf("arm", "tof", MOUNT).write()
     flight = read_flight(path)
@@ -110,16 +110,16 @@ def test_the_mount_is_that_of_tf_static_unless_one_is_given(bag):
     assert given.facts["mount"] == "as given"
 
 
-def test_a_body_and_a_sensor_on_two_branches_are_joined_and_strangers_are_not(tmp_path):
+def test_the_mount_is_found_across_branches_of_tf_static(tmp_path):
     bag = Bagged(tmp_path / "a.mcap").clouds().odometry(child="camera").tf("base_link", "camera", MOUNT)
     joined = read_flight(bag.tf("base_link", "tof", T_of((1, 2, 3))).write())
     np.testing.assert_allclose(joined.T_drone_sensor, np.linalg.inv(MOUNT) @ T_of((1, 2, 3)), atol=1e-12)
-    apart = read_flight(Bagged(tmp_path / "b.mcap").clouds().odometry().tf("map", "tof", MOUNT).write())
-    np.testing.assert_array_equal(apart.T_drone_sensor, np.eye(4))
-    assert "taken as the same" in apart.facts["mount"]
+    unrelated = read_flight(Bagged(tmp_path / "b.mcap").clouds().odometry().tf("map", "tof", MOUNT).write())
+    np.testing.assert_array_equal(unrelated.T_drone_sensor, np.eye(4))
+    assert "identity assumed" in unrelated.facts["mount"]
 
 
-def test_poses_come_from_tf_where_no_topic_has_them(bag):
+def test_poses_are_read_from_tf_if_there_is_no_topic(bag):
     bag.clouds().tf("base_link", "tof", MOUNT)
     for stamp, T in zip(STAMPS, poses(5).T_world_drone, strict=True):
         bag.tf("map", "odom", T_of((stamp, 0, 0)), stamp, "/tf").tf("odom", "base_link", T, stamp, "/tf")
@@ -129,7 +129,7 @@ def test_poses_come_from_tf_where_no_topic_has_them(bag):
     assert flight.facts["poses"] == "tf odom → base_link"
 
 
-def test_a_camera_frame_is_turned_to_the_axes_of_the_drone(bag):
+def test_optical_axes_are_converted_to_those_of_the_drone(bag):
     path = bag.clouds(frame="tof_optical_frame").odometry().tf("base_link", "tof_optical_frame", MOUNT).write()
     flight = read_flight(path)
     points = flight.scans[0].points
@@ -138,7 +138,7 @@ def test_a_camera_frame_is_turned_to_the_axes_of_the_drone(bag):
 
 
 @pytest.mark.parametrize(("encoding", "kind", "unit"), [("16UC1", "<u2", 1000), ("32FC1", "<f4", 1)])
-def test_depth_images_are_scans_where_there_are_no_clouds(bag, encoding, kind, unit):
+def test_depth_images_are_scans_if_there_are_no_clouds(bag, encoding, kind, unit):
     depth_m = np.array([[1.0, 2.0, 0.0], [3.0, 4.0, 5.0]])
     path = bag.images("/depth/image", (depth_m * unit).astype(kind), encoding).camera(fx=2.0).odometry().write()
     points = read_flight(path).scans[0].points
@@ -148,7 +148,7 @@ def test_depth_images_are_scans_where_there_are_no_clouds(bag, encoding, kind, u
     np.testing.assert_allclose(points[1, 2], [5.0, -2.5, -0.625])
 
 
-def test_depth_images_need_a_camera_info_and_other_images_are_no_scans(tmp_path):
+def test_depth_images_need_a_camera_info(tmp_path):
     depth = np.ones((2, 3), "<u2")
     with pytest.raises(InputError, match=r"no CameraInfo of /depth/image"):
         read_flight(Bagged(tmp_path / "a.bag").images("/depth/image", depth, "16UC1").odometry().write())
@@ -157,14 +157,14 @@ def test_depth_images_need_a_camera_info_and_other_images_are_no_scans(tmp_path)
         read_flight(grey)
 
 
-def test_stamps_that_repeat_or_run_backwards_are_left_out(tmp_path):
+def test_scans_with_repeated_or_decreasing_stamps_are_dropped(tmp_path):
     bag = Bagged(tmp_path / "a.bag").clouds(stamps=[0.0, 0.2, 0.2, 0.1, 0.4, 0.8]).odometry()
     flight = read_flight(bag.write(in_order=False))
     np.testing.assert_array_equal(flight.prior.stamp_s, [0.0, 0.2, 0.4, 0.8])
     assert flight.skipped == {"scan whose stamp does not rise": 2}
 
 
-def test_bad_scans_say_why_and_stay_in_step(tmp_path):
+def test_invalid_scans_have_a_fault_and_keep_their_place(tmp_path):
     bag = Bagged(tmp_path / "a.mcap").odometry()
     for k, stamp in enumerate(STAMPS):
         bag.clouds(stamps=[stamp], points=np.full((4, 5, 3), np.nan) if k == 1 else POINTS + k)
@@ -187,7 +187,7 @@ def test_points_at_the_sensor_are_no_return(tmp_path):
     assert np.isfinite(scan.points).sum() == points.size - 3
 
 
-def test_inertial_samples_are_turned_to_the_drone(bag):
+def test_inertial_samples_are_rotated_to_the_axes_of_the_drone(bag):
     flight = made_up()
     for stamp_s, force, rate in zip(
         flight.imu.stamp_s, flight.imu.specific_force, flight.imu.angular_rate, strict=True
@@ -201,7 +201,7 @@ def test_inertial_samples_are_turned_to_the_drone(bag):
 
 
 @pytest.mark.parametrize("kind", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"])
-def test_a_message_cut_short_is_told_in_one_line(tmp_path, kind):
+def test_a_truncated_message_is_refused(tmp_path, kind):
     bag = Bagged(tmp_path / "a.mcap").odometry()
     bag.rows.append(("/odom" if kind == ODOMETRY else "/scans", kind, 0.3, b"\0\1\0\0abc"))
     if kind == ODOMETRY:
@@ -210,18 +210,18 @@ def test_a_message_cut_short_is_told_in_one_line(tmp_path, kind):
         read_flight(bag.write())
 
 
-def test_what_is_no_recording_is_refused(tmp_path):
+def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("nothing")
     (tmp_path / "junk.mcap").write_bytes(b"junk")
     (tmp_path / "folder.bag").mkdir()
-    whole = Bagged(tmp_path / "whole.bag").clouds().odometry().write()
-    (tmp_path / "half.bag").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    for name, words in {
+    complete = Bagged(tmp_path / "complete.bag").clouds().odometry().write()
+    (tmp_path / "half.bag").write_bytes(complete.read_bytes()[: complete.stat().st_size // 2])
+    for name, message in {
         "nothing.bag": "does not exist",
         "a.txt": "ending '.txt'; expected .bag, .mcap, .db3 or a folder",
         "junk.mcap": "not a bag",
         "half.bag": "not a bag",
         "folder.bag": "no clouds in it",
     }.items():
-        with pytest.raises(InputError, match=rf"{name}: .*{words}"):
+        with pytest.raises(InputError, match=rf"{name}: .*{message}"):
             read_flight(tmp_path / name)

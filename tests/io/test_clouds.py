@@ -1,4 +1,4 @@
-"""Clouds of every format give their points exactly, and half of one is refused; folders of them are flights."""
+"""Reading clouds of every format, and folders of them as flights."""
 
 from pathlib import Path
 
@@ -39,20 +39,20 @@ def save(path: Path, points: np.ndarray = POINTS) -> Path:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_gives_the_points_exactly_and_half_a_file_is_refused(name: str, tmp_path: Path) -> None:
+def test_every_format_is_read_exactly_and_truncated_files_are_refused(name: str, tmp_path: Path) -> None:
     path = save(tmp_path / name)
-    # LAS rounds to its scale, and a text holds nine digits.
+    # LAS is rounded to its scale, text to nine digits.
     rounded = {".las": 5e-7, ".laz": 5e-7, ".xyz": 1e-8, ".csv": 1e-8}
     exact = rounded.get(path.suffix, 1e-7 if path.stem == "text" else 0.0)
     np.testing.assert_allclose(read_points(path), POINTS, rtol=0, atol=exact)
-    if path.suffix not in (".xyz", ".csv"):  # whose lines promise no number
+    if path.suffix not in (".xyz", ".csv"):  # these have no header with the number of points
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
         with pytest.raises(InputError, match=rf"{path.name}: not a {path.suffix[1:].upper()} file of points: "):
             read_points(path)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "message"),
     [
         ("a.ply", b"", "not a PLY file of points"),
         ("a.pcd", b"nonsense", "not a PCD file of points"),
@@ -64,9 +64,9 @@ def test_every_format_gives_the_points_exactly_and_half_a_file_is_refused(name: 
         ("a.txt", b"1 2 3\n1 2 3\nnan 1 2\n", "1 distinct finite points of 3; expected at least two"),
     ],
 )
-def test_bad_files_are_refused_in_one_line(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+def test_invalid_files_are_named_in_the_error(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=rf"{name}: .*{words}") as refused:
+    with pytest.raises(InputError, match=rf"{name}: .*{message}") as refused:
         read_cloud(tmp_path / name)
     assert "\n" not in str(refused.value)
 
@@ -79,7 +79,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
         read_cloud(tmp_path / "folder.ply")
 
 
-def test_invalid_points_and_repeats_are_dropped_and_map_coordinates_shifted(tmp_path: Path) -> None:
+def test_invalid_and_duplicate_points_are_dropped_and_map_coordinates_shifted(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.concatenate([POINTS, POINTS[:5], [[np.nan, 0, 0], [0, np.inf, 0]]]))
     cloud = read_cloud(tmp_path / "a.npy")
     assert (len(cloud), cloud.duplicates, cloud.invalid) == (len(POINTS), 5, 2)
@@ -90,11 +90,13 @@ def test_invalid_points_and_repeats_are_dropped_and_map_coordinates_shifted(tmp_
     np.testing.assert_allclose(far.points, POINTS, atol=1e-6)
 
 
-def test_a_cloud_in_millimetres_is_told_and_a_large_one_in_metres_read(tmp_path: Path) -> None:
+def test_a_cloud_in_millimetres_is_refused_and_a_large_one_in_metres_is_read(tmp_path: Path) -> None:
     np.save(tmp_path / "tower.npy", 1000 * POINTS)
-    with pytest.raises(InputError, match=r"tower.npy: points .* apart over .*: it looks like millimetres; expected"):
+    with pytest.raises(InputError, match=r"tower.npy: a spacing of .* over .* looks like millimetres; expected"):
         read_cloud(tmp_path / "tower.npy")
-    line = np.random.default_rng(1).uniform(0, [2000, 1, 1], (20_000, 3))  # of a power line: 2 km, points 0.2 m apart
+    line = np.random.default_rng(1).uniform(
+        0, [2000, 1, 1], (20_000, 3)
+    )  # a power line of 2 km with points 0.2 m apart
     np.save(tmp_path / "line.npy", line)
     assert len(read_cloud(tmp_path / "line.npy")) == 20_000
 
@@ -111,14 +113,14 @@ def test_scans_keep_their_rows_and_their_invalid_points(tmp_path: Path) -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Ten clouds, each moved by its number, and as many poses."""
+    """Ten clouds, shifted by their numbers, and ten poses."""
     for k in range(10, 0, -1):
         np.save(tmp_path / f"scan{k}.npy", POINTS + k)
     write_tum(tmp_path / "trajectory.tum", poses(10))
     return tmp_path
 
 
-def test_a_folder_of_clouds_is_a_flight_in_the_order_of_its_numbers(folder: Path) -> None:
+def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) -> None:
     write_tum(folder / "groundtruth.tum", poses(10, seed=5))
     flight = read_flight(folder)
     np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
@@ -129,7 +131,7 @@ def test_a_folder_of_clouds_is_a_flight_in_the_order_of_its_numbers(folder: Path
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 1_700_000_000.0])
-def test_stamps_are_in_the_names_where_poses_are_more(folder: Path, begin_s: float) -> None:
+def test_stamps_are_read_from_the_names(folder: Path, begin_s: float) -> None:
     for k in range(1, 11):
         stamp_s = begin_s + 0.2 * (k - 1)
         name = f"{round(stamp_s * 1e9):019d}" if begin_s else f"scan_{stamp_s:.3f}"
@@ -147,7 +149,7 @@ def test_a_broken_file_is_a_scan_with_a_fault(folder: Path) -> None:
     assert "scan3.npy: not a NPY file of points" in faults[2]
 
 
-def test_folders_that_are_no_flight_are_refused(folder: Path) -> None:
+def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> None:
     write_tum(folder / "other.tum", poses(3))
     with pytest.raises(InputError, match=r"other.tum, trajectory.tum; expected one TUM file"):
         read_flight(folder)
@@ -159,7 +161,7 @@ def test_folders_that_are_no_flight_are_refused(folder: Path) -> None:
         read_flight(folder, scans="sub")
 
 
-def test_a_trajectory_reads_back_the_same_and_evo_reads_it(tmp_path: Path) -> None:
+def test_a_written_trajectory_is_read_by_us_and_by_evo(tmp_path: Path) -> None:
     from evo.tools.file_interface import read_tum_trajectory_file
 
     written = poses(20, begin_s=1_700_000_000.0)
@@ -170,13 +172,17 @@ def test_a_trajectory_reads_back_the_same_and_evo_reads_it(tmp_path: Path) -> No
     np.testing.assert_allclose(read_tum_trajectory_file(str(tmp_path / "a.tum")).poses_se3, written.T_world_drone)
 
 
-def test_poses_of_no_use_are_left_out_and_files_of_none_refused(tmp_path: Path) -> None:
+def test_invalid_poses_are_dropped_and_files_without_valid_poses_refused(tmp_path: Path) -> None:
     lines = ["# stamp x y z qx qy qz qw", "2 1 0 0 0 0 0 2", "1 0 0 0 0 0 0 1", "1 5 0 0 0 0 0 1", "3 nan 0 0 0 0 0 1"]
     (tmp_path / "a.tum").write_text("\n".join([*lines, "4 0 0 0 0 0 0 0"]))
     read = read_trajectory(tmp_path / "a.tum")
     np.testing.assert_array_equal(read.stamp_s, [1.0, 2.0])
     np.testing.assert_array_equal(read.position[:, 0], [0.0, 1.0])
-    for content, words in (("4 0 0 0 0 0 0 0", "1 poses, none of use"), ("1 2 3", "3 numbers a line"), ("a b", "TUM")):
+    for content, message in (
+        ("4 0 0 0 0 0 0 0", "1 poses, none valid"),
+        ("1 2 3", "3 numbers per line"),
+        ("a b", "TUM"),
+    ):
         (tmp_path / "b.tum").write_text(content)
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(InputError, match=message):
             read_trajectory(tmp_path / "b.tum")

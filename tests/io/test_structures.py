@@ -1,4 +1,4 @@
-"""``segments.csv`` and ``structure.json`` hold what they are given."""
+"""Contents of ``segments.csv`` and ``structure.json``."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ START, END = np.array([[0.0, 0, 0], [0, 0, 4]]), np.array([[0.0, 0, 4], [3, 0, 4
 SEGMENTS = Segments(START, END, np.array([900, 400]), np.array([0.02, 0.0123456]))
 
 
-def test_segments_have_a_row_each(tmp_path: Path) -> None:
+def test_each_segment_has_a_row(tmp_path: Path) -> None:
     write_segments(SEGMENTS, tmp_path / "a.csv", np.array([[0.001, 0.002], [0.003, 0.004]]))
     table = pd.read_csv(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.filter(regex="^start"), START)
@@ -22,7 +22,7 @@ def test_segments_have_a_row_each(tmp_path: Path) -> None:
     assert table["sigma_end_mm"].tolist() == [2.0, 4.0]
 
 
-def test_a_structure_keeps_every_digit_and_what_is_not_known_is_null(tmp_path: Path) -> None:
+def test_a_structure_keeps_all_digits_and_unknown_values_are_null(tmp_path: Path) -> None:
     width, opening = np.array([0.1 + 0.2, np.nan]), np.array([[0.6, 0.8, 0.0], [np.nan] * 3])
     joint, tie = np.array([[0.0, 0, 4]]), np.array([[0, 0], [0, 1]])
     sigma = np.array([0.001, np.nan])
