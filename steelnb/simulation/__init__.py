@@ -1,4 +1,4 @@
-"""Settings → `Tower`, true flight, scans: the part of the Webots simulation of the report."""
+"""Settings → `Tower`, true flight, scans: the role of the report's Webots simulation."""
 
 from steelnb.simulation.cameras import FORWARD, TRACKING, Camera, CameraModel, photograph
 from steelnb.simulation.flight import Command, Pilot, fly

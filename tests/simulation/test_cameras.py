@@ -9,7 +9,7 @@ from steelnb.images import project
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, TRACKING, Camera, build_tower, cameras, photograph
 from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.texture import SIZE, _look_up, make_texture
+from steelnb.simulation.texture import SIZE, _sample_tile, make_texture
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
@@ -125,10 +125,10 @@ def test_far_textures_are_their_mean_and_near_ones_are_not():
     pyramid = make_texture(TOWER).pyramid
     tile = pyramid[: SIZE * SIZE].reshape(SIZE, SIZE)
     places = np.random.default_rng(1).uniform(0, 3 * SIZE, (100, 2))
-    near, far = ([_look_up(pyramid, u, v, patch) for u, v in places] for patch in (1.0, 0.9 * SIZE))
+    near, far = ([_sample_tile(pyramid, u, v, patch) for u, v in places] for patch in (1.0, 0.9 * SIZE))
     assert np.std(near) > 0.5
     np.testing.assert_allclose(far, tile.mean(), atol=0.1)
-    assert _look_up(pyramid, 17.5, 33.5, 1.0) == pytest.approx(tile[33, 17])
+    assert _sample_tile(pyramid, 17.5, 33.5, 1.0) == pytest.approx(tile[33, 17])
 
 
 def test_no_image_is_taken_unless_asked_for():

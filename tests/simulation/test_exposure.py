@@ -12,10 +12,10 @@ from steelnb.simulation.exposure import (
     MIDDLE,
     MOMENTS,
     WIGGLE_PERIOD_M,
-    Camera,
+    Calibration,
     Faults,
-    _mix,
-    draw_camera,
+    _mix_phasors,
+    draw_calibration,
     expose,
 )
 from steelnb.simulation.scene import cast_rays, make_scene, rays
@@ -27,7 +27,7 @@ from tests import naive
 SMALL = TofSettings(
     columns=24, rows=20, fov_horizontal_rad=0.4, fov_vertical_rad=0.3, range_max_m=8.0, sigma_floor_m=0.0
 )
-PERFECT = Camera(0.0, 1.0, 0.0)
+PERFECT = Calibration(0.0, 1.0, 0.0)
 HERE = np.eye(4)
 HERE[2, 3] = 5.0
 TOWER = build_tower()
@@ -101,15 +101,15 @@ def test_the_kernel_that_mixes_phasors_does_as_its_slow_twin():
     range_m[random.random((9, 40)) < 0.3] = np.inf
     range_m[:, 3] = np.inf
     light = (random.uniform(0, 1, range_m.shape) / range_m**2).astype(np.float32)
-    detour = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
-    detour_light = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
-    mixed, as_far_as = np.empty(40), np.empty(40)
-    _mix(range_m, light, detour, detour_light, mixed, as_far_as)
+    multipath_m = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
+    multipath_amplitude = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
+    mixed, equivalent = np.empty(40), np.empty(40)
+    _mix_phasors(range_m, light, multipath_m, multipath_amplitude, mixed, equivalent)
     expected = np.array(
-        [naive.mixed(*column) for column in zip(range_m.T, light.T, detour.T, detour_light.T, strict=True)]
+        [naive.mixed(*column) for column in zip(range_m.T, light.T, multipath_m.T, multipath_amplitude.T, strict=True)]
     )
     np.testing.assert_allclose(mixed, expected[:, 0], rtol=1e-5)
-    np.testing.assert_allclose(as_far_as, expected[:, 1], rtol=1e-5)
+    np.testing.assert_allclose(equivalent, expected[:, 1], rtol=1e-5)
     assert np.isinf(mixed[3])
 
 
@@ -129,7 +129,7 @@ def test_mixed_pixels_lie_between_two_depths_and_only_at_their_edge():
     apart = 2 * np.pi * 1.5 / 7.5
     share = np.angle(3 / 2**2 + 6 / 3.5**2 * np.exp(1j * apart)) / apart
     np.testing.assert_allclose(((mixed.range_m - near) / (far - near))[edge], share, atol=0.01)
-    assert (mixed.as_far_as_m[edge] > near[edge]).all()
+    assert (mixed.equivalent_range_m[edge] > near[edge]).all()
 
 
 def test_a_wider_footprint_mixes_more_pixels():
@@ -212,7 +212,7 @@ def test_poses_between_others_are_halfway_and_stay_within_the_flight():
 
 def test_offset_scale_and_wiggling_of_a_camera_are_found_by_regression():
     faults = Faults(wiggle_m=0.006, offset_sigma_m=0.01, scale_sigma=0.004)
-    camera = draw_camera(faults, rng.stream(5, "tof-camera"))
+    camera = draw_calibration(faults, rng.stream(5, "tof-camera"))
     scene = walls(wall(3.0, -1.2, 6.0, lean=2.0))
     tof = SMALL.replace(columns=200, fov_horizontal_rad=1.2)
     exact, measured = (seen(scene, each, tof, camera=c).range_m for each, c in ((Faults(), PERFECT), (faults, camera)))
@@ -229,10 +229,10 @@ def test_offset_scale_and_wiggling_of_a_camera_are_found_by_regression():
 
 def test_cameras_have_the_spread_of_their_kind_and_a_seed_has_one():
     faults = Faults(offset_sigma_m=0.01, scale_sigma=0.004)
-    cameras = np.array([draw_camera(faults, rng.stream(seed, "tof-camera")) for seed in range(400)])
+    cameras = np.array([draw_calibration(faults, rng.stream(seed, "tof-camera")) for seed in range(400)])
     np.testing.assert_allclose(cameras[:, :2].std(axis=0), [0.01, 0.004], rtol=0.12)
     np.testing.assert_allclose(cameras[:, :2].mean(axis=0), [0, 1], atol=0.002)
-    assert draw_camera(faults, rng.stream(3, "tof-camera")) == Camera(*cameras[3])
+    assert draw_calibration(faults, rng.stream(3, "tof-camera")) == Calibration(*cameras[3])
 
 
 def noisy(scene, faults, tof, times=60):
@@ -240,7 +240,7 @@ def noisy(scene, faults, tof, times=60):
     images = []
     for k in range(times):
         one = seen(scene, faults, tof, seed=k)
-        images.append(measured_ranges(one.range_m, tof, rng.stream(k, "noise"), faults, one.as_far_as_m))
+        images.append(measured_ranges(one.range_m, tof, rng.stream(k, "noise"), faults, one.equivalent_range_m))
     return np.array(images), one.exact_m
 
 

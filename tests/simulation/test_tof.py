@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.scene import _distance, _measure, cast_bundle, cast_rays, make_scene, rays
+from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
@@ -60,7 +60,7 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names
     found = []
     for named in [(1, 1), (2, 4)]:
         hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32), np.empty(2, np.int64)
-        missed = _measure(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
+        missed = _resolve_hits(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
         assert not len(missed)
         found.append(hits)
     for one, other in zip(*found, strict=True):
@@ -78,7 +78,7 @@ def test_a_ray_that_passes_beside_a_triangle_has_not_hit_it_and_goes_on_behind_i
     along[:, 3] = 1
     along[:, 1:3] = [(0.5, 4.5), (1 + 5e-6, 4.5), (1 + 1.5e-5, 4.5), (1.5, 4.5)]
     hits = np.empty(4, np.float32), np.empty(4, np.int64), np.empty((4, 3), np.float32), np.empty(4, np.int64)
-    assert _measure(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
+    assert _resolve_hits(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
     np.testing.assert_array_equal(cast_bundle(scene, along).range_m, [2, 2, 4, 4])
 
 
