@@ -119,7 +119,7 @@ def test_a_tower_that_cannot_stand_is_refused():
         ({"trajectory": "zigzag"}, "'zigzag' with 2 waypoints"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0),)}, "at least two"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 5.0), (0.0, 2.5, 2.0, 0.0, 20.0))}, "0 seconds to the first"),
-        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 0.0, 0.0))}, "more to each other one"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 0.0, 0.0))}, "more to all others"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, -2.0, 0.0, 20.0))}, r"waypoints.1.2 = -2.0"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 20.0))}, "waypoints.1"),
     ],

@@ -1,7 +1,7 @@
-"""Frozen settings, one class for each module that has any, and presets in TOML files. Unknown keys are refused.
+"""Frozen settings, one class per module, and presets in TOML files. Unknown keys are errors.
 
-Four choices matter to a newcomer: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and
-the method. Lengths are metres, angles radians, times seconds; the unit is in the name.
+Start with four of them: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and the
+method. Lengths are in metres, angles in radians, times in seconds; the unit is in the name.
 """
 
 from typing import get_args
