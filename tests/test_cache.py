@@ -135,14 +135,14 @@ def test_code_and_presets_are_sources_and_reports_are_not(tmp_path, monkeypatch)
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
-    before = cache.digest_sources(), cache.digest_sources(apart=())
+    before = cache.digest_sources(), cache.digest_sources(excluded=())
     (tmp_path / "hough" / "__pycache__").mkdir()
     (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
-    assert (cache.digest_sources(), cache.digest_sources(apart=())) == before
+    assert (cache.digest_sources(), cache.digest_sources(excluded=())) == before
     for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("report/style.py", False)):
         (tmp_path / name).write_text("a = 2\n")
         assert (cache.digest_sources() != before[0]) is counts
-        assert cache.digest_sources(apart=()) != before[1]
+        assert cache.digest_sources(excluded=()) != before[1]
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "LIBRARIES", ())
     assert cache.digest_sources() != before[0]
