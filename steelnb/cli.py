@@ -98,15 +98,15 @@ def run(
         from steelnb.report.recording import opened_lines, run_recording
         from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 
-        given: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
-        given["overrides"] |= {"smooth": True} if smooth else {}
-        recording_settings(odometry, **given)  # raises for bad options before a file is opened
+        options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
+        options["overrides"] |= {"smooth": True} if smooth else {}
+        recording_settings(odometry, **options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
         progress.stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
         true = read_truth(recording, truth=truth)
-        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **given)
+        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
         report = run_recording(flight, target, settings, structure, true, progress.share, progress.stage)
     print("\n".join(report.summary))
@@ -136,9 +136,9 @@ def record(
         from steelnb.io.recordings import truth_path
         from steelnb.settings import ExperimentSettings
 
-        given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
-        given |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
-        settings = ExperimentSettings.preset(**given)
+        options: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
+        options |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
+        settings = ExperimentSettings.preset(**options)
         check_target(file, force)
         progress.stage("flying")
         flight, truth = experiment.simulate(settings, progress.share)

@@ -185,17 +185,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("study", type=Path, metavar="STUDY.toml")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", required=True)
     parser.add_argument("-j", "--jobs", type=int, default=-1, help="flights at once; default: one per core")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        table = run_all(read_grids(given.study), given.jobs)
-        write_runs(given.output, table)
+        table = run_all(read_grids(options.study), options.jobs)
+        write_runs(options.output, table)
     except (SteelnbError, OSError) as fault:
         print("error:", " ".join(str(fault).split()), file=sys.stderr)
         return 2
     failed = table[table["status"] == "failed"]
     for run in failed.itertuples():
         print(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", file=sys.stderr)
-    print(f"{given.output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
+    print(f"{options.output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
     return int(len(failed) > 0)
 
 

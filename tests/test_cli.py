@@ -79,7 +79,7 @@ BAD = (
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD, ids=lambda value: " ".join(value) if len(value) < 6 else None)
-def test_bad_input_is_one_line_exit_2_and_nothing_left(
+def test_bad_input_is_one_line_exit_2_and_writes_nothing(
     here: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
     before = sorted(here.rglob("*"))
@@ -112,7 +112,7 @@ def test_without_a_correction_the_poses_are_the_prior_s(here: Path) -> None:
     )  # fmt: skip
 
 
-def test_a_folder_of_clouds_is_corrected_as_its_bag(here: Path, corrected: Path, tmp_path: Path) -> None:
+def test_a_folder_of_clouds_gives_the_same_result_as_its_bag(here: Path, corrected: Path, tmp_path: Path) -> None:
     flight = read_flight(here / "a.mcap")
     for k, scan in enumerate(flight.scans):
         np.save(tmp_path / f"{k}.npy", scan.points)

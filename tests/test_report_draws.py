@@ -42,7 +42,7 @@ def test_the_drift_is_the_report_s(plot):
         assert np.abs(shown - drawn).mean() < 0.02
 
 
-def test_draws_are_those_of_numpy_s_old_generator_in_the_original_s_order():
+def test_draws_equal_the_original_s_generator_and_order():
     generator = np.random.RandomState(42)  # as `numpy.random` itself after `numpy.random.seed(42)`
     walk, place, heading = [np.zeros(3)], np.zeros(3), 0.0
     for _ in range(50):

@@ -50,5 +50,5 @@ __all__ = [
     "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings", "PlannerGoal",
     "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
-    "method_names", "parse_parameter", "read_report_plots", "read_tables", "read_toml", "sensor_names",
+    "parse_parameter", "read_report_plots", "read_tables", "read_toml",
 ]  # fmt: skip

@@ -26,10 +26,10 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
-def _checked_seed(given: Any) -> rng.Seed:
+def _checked_seed(value: Any) -> rng.Seed:
     """Accept a seed. Pydantic's own message about a union has several lines."""
-    if given == "report" or (type(given) is int and 0 <= given < 2**63):
-        return given  # type: ignore[no-any-return]
+    if value == "report" or (type(value) is int and 0 <= value < 2**63):
+        return value  # type: ignore[no-any-return]
     raise ValueError("expected a whole number from 0 to 2**63 - 1, or 'report'")
 
 
@@ -59,10 +59,10 @@ def table(kind: type[Settings]) -> BeforeValidator:
     """Validator of a field that holds settings of a ``kind`` or None: it also accepts a dict, and false for None, as
     TOML has no None."""
 
-    def read(given: Any) -> Any:
-        if given is False:
+    def read(value: Any) -> Any:
+        if value is False:
             return None
-        return kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
+        return kind(**{str(k): v for k, v in value.items()}) if type(value) is dict else value
 
     return BeforeValidator(read)
 

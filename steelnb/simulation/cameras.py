@@ -160,26 +160,27 @@ def _edges(range_m: Floats, member: IntArray) -> NDArray[np.bool_]:
     return edge
 
 
+@dataclass(eq=False)
 class _Images(Sequence[GreyImage]):
     """The images of `photograph`, rendered on access."""
 
-    def __init__(
-        self, tower: Tower, trajectory: Trajectory, model: CameraModel, seed: rng.Seed, stamp_s: Array
-    ) -> None:
-        self._tower, self._trajectory, self._model, self._seed = tower, trajectory, model, seed
-        self._stamp_s = stamp_s
+    tower: Tower
+    trajectory: Trajectory
+    model: CameraModel
+    seed: rng.Seed
+    stamp_s: Array
 
     @functools.cached_property
-    def _camera(self) -> Camera:
-        return Camera(self._tower, self._model)
+    def camera(self) -> Camera:
+        return Camera(self.tower, self.model)
 
     def __len__(self) -> int:
-        return len(self._stamp_s)
+        return len(self.stamp_s)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
         if isinstance(index, slice):
             return [self[k] for k in range(len(self))[index]]
         k = range(len(self))[index]
-        noise, stamp_s, camera = rng.stream(self._seed, "camera", k), float(self._stamp_s[k]), self._camera
-        T_world_drone = self._trajectory.between(stamp_s + camera.moments_s)
-        return camera.exposed(camera.render(T_world_drone @ self._model.T_drone_camera).grey, noise)
+        noise = rng.stream(self.seed, "camera", k)
+        T_world_drone = self.trajectory.between(float(self.stamp_s[k]) + self.camera.moments_s)
+        return self.camera.exposed(self.camera.render(T_world_drone @ self.model.T_drone_camera).grey, noise)

@@ -47,19 +47,15 @@ def orthonormal_flanges(axis: Array, first: Array, second: Array) -> tuple[Vecto
     return tuple(first.tolist()), tuple(second.tolist())
 
 
-def mesh_members(
-    joints: Array, members: Sequence[Member], sides: int = SIDES, closed: bool = True
-) -> tuple[Array, IntArray, IntArray]:
-    """Prisms with the outlines of the sections: vertices ``(V, 3)``, triangles ``(T, 3)`` and their members ``(T,)``.
-
-    The vertices of a member are consecutive, those at its first joint first. ``closed``: round rods have end caps.
-    """
+def mesh_members(joints: Array, members: Sequence[Member]) -> tuple[Array, IntArray, IntArray]:
+    """Closed prisms with the outlines of the sections: vertices ``(V, 3)``, triangles ``(T, 3)`` and the member of each
+    ``(T,)``. The vertices of a member are consecutive, those at its first joint first."""
     vertices, triangles, count = [], [], 0
     for member in members:
         outline, prism = _angle(*member.section_m), _ANGLE_PRISM
         start, end = joints[[member.joints[0], member.joints[-1]]]
         if member.section == "round":
-            outline, prism = _circle(member.section_m[0] / 2, sides), _round_prism(sides, closed)
+            outline, prism = _circle(member.section_m[0] / 2), _ROUND_PRISM
             if np.cross(member.flange_a, member.flange_b) @ (end - start) < 0:
                 prism = prism[:, ::-1]
         offset = outline @ np.array([member.flange_a, member.flange_b])
@@ -80,15 +76,21 @@ _ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i
 """Triangles of a closed prism with an L-shaped outline: corners 0–5 at the start, 6–11 at the end."""
 
 
-def _circle(radius_m: float, sides: int) -> Array:
-    """A regular polygon of the same area as the circle."""
-    angle, reach = 2 * np.pi * np.arange(sides) / sides, np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
+def _circle(radius_m: float) -> Array:
+    """A regular polygon with the area of the circle."""
+    angle, reach = 2 * np.pi * np.arange(SIDES) / SIDES, np.sqrt(2 * np.pi / (SIDES * np.sin(2 * np.pi / SIDES)))
     return np.asarray(radius_m * reach * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _round_prism(sides: int, closed: bool) -> IntArray:
-    low = np.arange(sides)
-    high = (low + 1) % sides
-    wall = [np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)]
+def _round_prism() -> IntArray:
+    low = np.arange(SIDES)
+    high = (low + 1) % SIDES
     end = np.stack([np.zeros_like(low[2:]), low[1:-1], low[2:]], 1)
-    return np.concatenate([*wall, end[:, ::-1], sides + end] if closed else wall)
+    return np.concatenate([
+        np.stack([low, high, low + SIDES], 1), np.stack([high, high + SIDES, low + SIDES], 1),
+        end[:, ::-1], SIDES + end,
+    ])  # fmt: skip
+
+
+_ROUND_PRISM = _round_prism()
+"""The same with the outline of `_circle`."""

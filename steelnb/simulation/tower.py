@@ -157,16 +157,3 @@ def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
     for bay in (1, 2):
         build.add("arm", [points[-1, 0][bay], points[1, 0][bay]], side * np.array([-1.0, 0, 0]), up)
         build.add("arm", [points[-1, 0][bay - 1], points[1, 0][bay]], side * np.array([1.0, 0, 0]), up)
-
-
-def build_tubes(axes: Array, radius_m: float, sides: int = 48) -> Tower:
-    """Round tubes along ``axes (M, 2, 3)``, metres, world frame: open prisms whose polygon of ``sides`` has the area of
-    the circle."""
-    axes, members = np.asarray(axes, dtype=np.float64), []
-    for k, (start, end) in enumerate(axes):
-        first = unit(np.cross(end - start, np.eye(3)[np.argmin(np.abs(end - start))]))
-        second = np.cross(unit(end - start), first)
-        flanges = tuple(first.tolist()), tuple(second.tolist())
-        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *flanges, "round"))
-    joints = axes.reshape(-1, 3)
-    return Tower(joints, tuple(members), *mesh_members(joints, members, sides, closed=False), TowerSettings())

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.settings import FlightSettings, TofSettings
+from steelnb.settings import FlightSettings
 from steelnb.simulation.exposure import MOMENTS
 from steelnb.simulation.paths import heading, minimum_jerk, path
 from steelnb.simulation.sections import GROUND
 from steelnb.simulation.tof import TofCamera, measured_ranges
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
+
+FLOOR_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -26,26 +28,19 @@ class View:
     across: Array
 
 
-class Viewer:
-    """Takes single scans of a tower. The faults of the sensor are those of seed 0."""
-
-    def __init__(self, tower: Tower, tof: TofSettings) -> None:
-        self.tower, self.tof = tower, tof
-        self._camera = TofCamera(tower, tof, seed=0)
-
-    def view(self, T_world_sensor: Array, noise: np.random.Generator, floor_m: float = 0.3) -> View:
-        """One scan from a pose ``(4, 4)`` at rest, without the ground and all points measured below ``floor_m``."""
-        exposure = self._camera.expose(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)
-        measured = measured_ranges(exposure.range_m, self.tof, noise, self._camera.faults, exposure.equivalent_range_m)
-        returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
-        member = exposure.member[returned]
-        rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
-        direction = self._camera.ray[returned] @ rotation.T
-        points = measured[returned][:, None].astype(np.float64) * direction + position
-        surface = exposure.exact_m[returned][:, None].astype(np.float64) * direction + position
-        kept = (member != GROUND) & (points[:, 2] >= floor_m)
-        level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
-        return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
+def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generator) -> View:
+    """One scan from a pose ``(4, 4)`` at rest, without the ground and all points measured below `FLOOR_M`."""
+    exposure = camera.expose(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)
+    measured = measured_ranges(exposure.range_m, camera.settings, noise, camera.faults, exposure.equivalent_range_m)
+    returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
+    member = exposure.member[returned]
+    rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]
+    direction = camera.ray[returned] @ rotation.T
+    points = measured[returned][:, None].astype(np.float64) * direction + position
+    surface = exposure.exact_m[returned][:, None].astype(np.float64) * direction + position
+    kept = (member != GROUND) & (points[:, 2] >= FLOOR_M)
+    level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
+    return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
 
 
 def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:
