@@ -1,4 +1,4 @@
-"""What comes from the disk is what was computed, to the bit."""
+"""Cached results are the same bits as computed ones."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -24,7 +24,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of `experiment`'s functions that computed something, in order."""
+    """The names of the functions of `experiment` that were called, in order."""
     found: list[str] = []
     for name in ("fly", "run_odometry"):
         call = getattr(experiment, name)
@@ -33,7 +33,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def leaves(value: object) -> list:
-    """Arrays and plain values in a dataclass and what it holds, in order; not the times that were measured."""
+    """All arrays and plain values in a nested dataclass, in order, without measured times."""
     if is_dataclass(value):
         names = [each.name for each in fields(value) if each.name not in ("seconds", "update_s")]
         return [leaf for name in names for leaf in leaves(getattr(value, name))]

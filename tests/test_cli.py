@@ -19,7 +19,7 @@ from tests.lattice import lattice, scanned
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of three seconds, its truth, and clouds whole and half."""
+    """A bag of three seconds, its truth, and complete and truncated clouds."""
     folder = tmp_path_factory.mktemp("recorded")
     small = [f"--set={each}" for each in ("tof.columns=90", "tof.rows=120")]
     assert cli.main(["record", str(folder / "a.mcap"), "--duration", "3", *small]) == 0
@@ -39,7 +39,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def corrected(recorded: Path) -> Path:
-    """What ``run`` leaves of the bag."""
+    """The output of ``run`` for the bag."""
     assert cli.main(["run", str(recorded / "a.mcap"), "-o", str(recorded / "out")]) == 0
     return recorded / "out"
 

@@ -1,4 +1,4 @@
-"""Flights that react to what the odometry believes."""
+"""Flights that are steered by the odometry's estimate."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_the_drone_follows_the_planner_s_velocities(around):
         forward, left, up = decision.velocity
         asked.append([np.cos(yaw) * forward - np.sin(yaw) * left, np.sin(yaw) * forward + np.cos(yaw) * left, up])
         flown.append(speed[round(stamp_s / 0.008)])
-    # The controller takes a few tenths of a second, and there are gusts.
+    # The controller has a delay of a few tenths of a second, and there are gusts.
     assert np.sqrt((np.subtract(asked, flown) ** 2).sum(axis=1).mean()) < 0.35
 
 

@@ -24,7 +24,7 @@ def pose(x: float, y: float, z: float, yaw: float) -> np.ndarray:
 
 
 def column(x: float, y: float, half_m: float = 0.0) -> np.ndarray:
-    """Points of four uprights, 10 m high, at the corners of a square about a place; of one where it has no width."""
+    """Points of four uprights, 10 m high, at the corners of a square; of one upright if ``half_m`` is 0."""
     z = np.arange(0.3, 10.0, 0.05)
     corners = [(-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m)] if half_m else [(0, 0)]
     sides = [(0.03 * dx, 0.03 * dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
@@ -54,7 +54,7 @@ def visible(steel: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 def fly(planner: Planner, steel: np.ndarray, T: np.ndarray, seconds: float, blind=lambda stamp_s: False):
-    """A drone that does at once what it is told: its poses ``(K, 4, 4)`` and the decisions."""
+    """A drone that follows each command immediately: its poses ``(K, 4, 4)`` and the decisions."""
     poses, decisions = [], []
     for k in range(round(seconds / PERIOD_S)):
         if k % 2 == 0:
@@ -112,7 +112,7 @@ def test_it_does_not_hit_mapped_obstacles(seed):
     decide = planner.decide
 
     def watched(stamp_s, T):
-        """The distances to what is mapped now, before this decision and after it."""
+        """Record the distances to the mapped points, before this decision and after it."""
         known, decision = planner.map.means(), decide(stamp_s, T)
         then = T[:3, 3] + T[:3, :3] @ decision.velocity * PERIOD_S
         nearest.append([np.linalg.norm(known - at, axis=1).min(initial=np.inf) for at in (T[:3, 3], then)])
@@ -121,7 +121,7 @@ def test_it_does_not_hit_mapped_obstacles(seed):
     planner.decide = watched
     fly(planner, steel, start, 20.0)
     before, after = np.array(nearest).T
-    # What comes into sight nearer than the clearance is at least not approached.
+    # An obstacle that appears within the clearance is not approached further.
     assert (after > np.minimum(CLEARANCE_M - 0.05, before - 0.02)).all()
 
 

@@ -13,7 +13,7 @@ CURVES = pd.read_csv(Path(__file__).parents[1] / "notebooks" / "report-curves.cs
 
 
 def shown_and_drawn(plot):
-    """The drift that a plot of the report shows, metres, and ours at the same samples."""
+    """The drift in a plot of the report, metres, and the simulated drift at the same samples."""
     chosen = CURVES[
         (CURVES["figure"] == plot.figure)
         & (CURVES["trajectory"] == plot.trajectory)

@@ -1,4 +1,4 @@
-"""Tables of short runs: what they hold, resuming, failures, and a Dask cluster."""
+"""Tables of short runs: their contents, resuming, failures, and a Dask cluster."""
 
 import subprocess
 import sys
@@ -45,7 +45,7 @@ def numbers(table: pd.DataFrame) -> pd.DataFrame:
 
 @pytest.fixture
 def made(monkeypatch):
-    """The runs that were computed, not read."""
+    """The runs that were computed, not read from the cache."""
     found = []
     monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(row.case_of(s)), row.make_row(s, flown))[1])
     return found

@@ -104,7 +104,7 @@ def test_a_file_without_weights_is_refused(tmp_path):
 
 
 def test_a_point_fills_its_pixel_of_the_levelled_camera():
-    """A point on the centre of a pixel fills that one; one between four is shared by them."""
+    """A point at the centre of a pixel fills that pixel; a point between four pixels is distributed over them."""
     y, z = TAN_HALF_WIDTH * (1 - 2 * 10.5 / COLUMNS), TAN_HALF_HEIGHT * (1 - 2 * 20.5 / ROWS)
     turn = Rotation.from_euler("xyz", (0.2, -0.3, 0.1)).as_matrix()
     point = np.array([[2.0, 2 * y, 2 * z], [np.nan] * 3]) @ turn

@@ -43,7 +43,7 @@ def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the
 
 
 def test_a_wall_constrains_only_the_direction_of_its_normal():
-    """Planes say nothing along themselves: there the pose stays where the prior has it."""
+    """In the directions within the plane, the pose remains the prior's."""
     ray = np.ones((40, 60, 3))
     ray[..., 1], ray[..., 2] = np.meshgrid(np.linspace(0.6, -0.6, 60), np.linspace(0.4, -0.4, 40))
     noise, prior = np.random.default_rng(1), np.tile(np.eye(4), (6, 1, 1))
@@ -59,7 +59,7 @@ def test_a_wall_constrains_only_the_direction_of_its_normal():
 
 
 def test_clouds_of_a_spinning_lidar_are_sorted_into_their_lines():
-    """A room seen by sixteen lasers from two places, its points in any order."""
+    """A room seen by sixteen lasers from two positions, its points in random order."""
     noise = np.random.default_rng(1)
     elevation, azimuth = np.meshgrid(np.radians(np.arange(-15, 16, 2.0)), np.radians(np.arange(0, 360, 0.5)))
     ray = np.stack(

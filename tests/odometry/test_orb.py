@@ -51,7 +51,7 @@ def test_roll_and_pitch_remain_the_prior_s(loops_with_images, estimate):
 
 
 def test_a_tilted_prior_is_corrected(loops_with_images):
-    """Roll and pitch, off by 1° from the second scan on, are found where they are said to be uncertain."""
+    """With ``tilt_sigma_rad``, roll and pitch errors of 1° from the second scan on are corrected."""
     settings, flight, truth = loops_with_images
     prior = flight.first(8).prior
     off = Rotation.from_rotvec(np.radians([1.0, -1.0, 0.0])).as_matrix()
@@ -109,7 +109,7 @@ def test_the_same_images_give_the_same_estimate(loops_with_images, estimate):
 
 
 def wall(edge_m=None):
-    """Points of a wall 2 m ahead that leans, the right half of it ``edge_m`` further away."""
+    """Points of an inclined wall 2 m ahead; its right half is ``edge_m`` farther away."""
     ray = rays(TOF)
     depth = 2.0 / (1.0 - 0.15 * ray[..., 1] / ray[..., 0])
     if edge_m:
@@ -164,7 +164,7 @@ def test_a_match_has_the_nearest_descriptor_among_near_features():
 
 
 def sightings(T_world_drone, T_drone_camera, outliers=0.0, seed=6):
-    """Landmarks before a camera as it sees them, half with depth, some with the place of another."""
+    """Observations of landmarks, half of them with depth, some with the position of another landmark."""
     random = np.random.default_rng(seed)
     T = T_world_drone @ T_drone_camera
     point = random.uniform([1.0, -0.8, -0.6], [4.0, 0.8, 0.6], (120, 3)) * [1, 1.5, 1.5]
@@ -241,7 +241,7 @@ def test_a_landmark_is_expected_only_from_a_similar_direction():
 
 
 def test_features_of_all_levels_have_consistent_positions():
-    """Symmetric about its middle, an image has the features of each level symmetric about it, too."""
+    """The features of each level of a symmetric image are symmetric, too."""
     random = np.random.default_rng(8)
     quarter = np.kron(random.integers(0, 2, (40, 53)), np.full((4, 4), 200.0)).astype(np.uint8)[:160, :211]
     quarter = import_opencv().blur(quarter, (3, 3))

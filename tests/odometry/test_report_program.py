@@ -43,7 +43,7 @@ def clouds(method="report-gicp", *switched, T_drone_sensor=None):
 
 
 def told(odometry, step, **other):
-    """Let an odometry find one step whatever it sees."""
+    """Make an odometry find the given step for every scan."""
     fields = {"converged": True, "iterations": 1, "inliers": 100, **other}
     odometry.registered = lambda points: Aligned(step, **fields)
 
@@ -152,7 +152,7 @@ def test_other_traits_find_the_pose_too(switched):
 
 
 def test_icp_stops_at_a_step_below_the_root_of_epsilon():
-    # PCL compares epsilon with the square of the step: 1e-3 is content with 3 cm, which one step leaves here.
+    # PCL compares epsilon with the squared step, so 1e-3 accepts the 3 cm that remain here after one step.
     target = Target(build_kdtree(corner(seed=1)))
     source = corner(seed=1) + np.array([0.025, 0.0, 0.0])
     once, more = icp_as_pcl(source, target, 0.5, 150, 1e-3), icp_as_pcl(source, target, 0.5, 150, 1e-9)
@@ -179,7 +179,7 @@ def test_iterations_that_run_out_count_as_converged_and_too_few_pairs_do_not(sol
 
 @pytest.fixture
 def paired():
-    """Points, their partners, and metrics of planes, as a GICP has them; single precision."""
+    """Points, their correspondences and the metrics of planes of a GICP, in single precision."""
     rng = np.random.default_rng(4)
     source, covariance = corner(400, seed=3), regularised(neighbour_covariances(corner(400, seed=3)))
     moved = source @ pose(turn=(0.02, -0.01, 0.03))[:3, :3].T + [0.03, 0.01, -0.02] + rng.normal(0, 0.005, source.shape)
@@ -215,7 +215,7 @@ BARS = np.array(
 
 @pytest.fixture
 def segments(monkeypatch):
-    """An odometry whose Hough transform finds `BARS` in every scan, moved by what its ``seen_at`` says."""
+    """An odometry whose Hough transform finds `BARS`, translated by ``seen_at``, in every scan."""
 
     def make(*switched):
         overrides = {"report_segments.switched": switched}

@@ -24,7 +24,7 @@ def pose(x=-3.2, y=0.2, z=5.0, yaw=0.0, pitch=0.0):
 
 
 def moving(velocity=(0.0, 0.4, 0.0), yaw_rate=0.0):
-    """Two seconds before a face of the tower."""
+    """Two seconds in front of a face of the tower."""
     stamp_s = 0.008 * np.arange(251)
     T = np.array([pose(y=-0.4 + velocity[1] * t, z=5.0 + velocity[2] * t, yaw=yaw_rate * t) for t in stamp_s])
     return Trajectory(stamp_s, T)
@@ -73,7 +73,7 @@ def test_images_depend_on_the_seed_and_not_on_the_order_of_access():
 
 
 def test_a_texture_moves_with_its_member():
-    """Patches on steel are found again within a pixel of where depth and motion put them."""
+    """Patches on steel are found within a pixel of the position predicted by depth and motion."""
     settings = FORWARD
     T = pose(x=-2.6), pose(x=-2.55, y=0.26, z=5.03, yaw=0.05)
     first, second = render(settings, *T)

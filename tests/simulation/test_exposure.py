@@ -34,7 +34,7 @@ TOWER = build_tower()
 
 
 def walls(*corners):
-    """A scene of rectangles, each given by a corner and the two beside it."""
+    """A scene of rectangles, each given by a corner and the two adjacent ones."""
     vertices, triangles = [], []
     for a, b, c in np.array(corners, dtype=float):
         n = len(vertices)
@@ -49,7 +49,7 @@ def walls(*corners):
 
 
 def wall(x, y_from=-6.0, y_to=6.0, lean=0.0):
-    """A wall across the view; ``lean`` is the slope of its x over y."""
+    """A wall perpendicular to the view; ``lean`` is the slope of x over y."""
     return ((x + lean * y_from, y_from, 0), (x + lean * y_to, y_to, 0), (x + lean * y_from, y_from, 10))
 
 
@@ -189,7 +189,7 @@ def test_motion_blurs_edges_but_not_a_plane_along_it():
 
 
 def test_exposures_are_centred_on_the_stamps():
-    """Towards a wall at 2 m/s: the middle of the exposure counts, not its beginning or end."""
+    """Towards a wall at 2 m/s: the range is that in the middle of the exposure."""
     trajectory = moving(np.array([2.0, 0.0, 0.0]))
     tower = SimpleNamespace(
         vertices=np.array([(4.0, -6, 0), (4, 6, 0), (4, 6, 10), (4, -6, 10)]),

@@ -46,7 +46,7 @@ def width_at(z):
 
 
 def joint_at(tower, x, y, z, near=NEAR_M):
-    """The joint at a place relative to the middle of the tower."""
+    """The joint at a position relative to the middle of the tower."""
     distance = np.linalg.norm(tower.joints - CENTRE - [x, y, z], axis=1)
     assert distance.min() <= near, (x, y, z, distance.min())
     return int(distance.argmin())
@@ -65,7 +65,7 @@ def is_member(tower, start, end, kind, near=NEAR_M):
 
 
 def hit(scene, position, direction):
-    """What a ray from a place relative to the middle of the tower hits: its range, and the member."""
+    """Range and member of the hit of a ray from a position relative to the middle of the tower."""
     ray = np.concatenate([CENTRE + position, direction]).astype(np.float32)
     found = cast_bundle(scene, ray[None])
     return float(found.range_m[0]), int(found.member[0])

@@ -26,7 +26,7 @@ def flight():
 
 
 class Perturbed:
-    """A mesh whose distances are off by some units in the last place, as on a processor of another vendor."""
+    """A mesh whose distances differ by some units in the last place, as on a processor of another vendor."""
 
     def __init__(self, scene, ulps):
         self._mesh, self._ulps = scene.mesh, ulps
@@ -69,7 +69,7 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_propo
 
 
 def test_a_ray_that_misses_a_proposed_triangle_continues_behind_it():
-    """A wall at x = 2, which Embree takes for a little larger than it is, and a larger one at x = 4."""
+    """A wall at x = 2, which is enlarged for Embree, and a larger wall at x = 4."""
     near, far = ([(x, -y, 5 - y), (x, y, 5 - y), (x, y, 5 + y), (x, -y, 5 + y)] for x, y in ((2, 1), (4, 3)))
     triangles = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)])
     tower = replace(TOWER, vertices=np.array([*near, *far], float), triangles=triangles, triangle_member=[0, 0, 1, 1])
@@ -126,7 +126,7 @@ def test_exact_returns_lie_on_the_structure_or_the_ground(flight):
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.3, 20), st.floats(-math.pi, math.pi), st.floats(0.2, 1.5), st.floats(-0.5, 0.5))
 def test_ranges_to_the_ground_are_exact(height, yaw, pitch, roll):
-    """Beside the tower, looking down: range = height over the fall of the ray, and no return above the horizon."""
+    """Beside the tower: range = height / −z of the ray, and no return above the horizon."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     T[:3, 3] = [30, 0, height]
@@ -145,7 +145,7 @@ def test_ranges_to_the_ground_are_exact(height, yaw, pitch, roll):
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
 def test_a_ray_hits_the_reported_member(seed):
-    """Aimed at a point on a member from 2 m away: hit there, or before by another one."""
+    """A ray aimed at a point on a member from 2 m away hits it there, or another member before."""
     rng = np.random.default_rng(seed)
     m = int(rng.integers(len(TOWER.members)))
     begin, end = TOWER.axes[m]
