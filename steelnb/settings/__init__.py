@@ -33,7 +33,6 @@ from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
     Noise,
-    PlannerGoal,
     TofFault,
     TofSettings,
     TowerSettings,
@@ -47,7 +46,7 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings", "PlannerGoal",
+    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings",
     "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
     "parse_parameter", "read_report_plots", "read_tables", "read_toml",

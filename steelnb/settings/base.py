@@ -20,14 +20,12 @@ DURATION_MAX_S = 14_400.0
 """Four hours, since a flight's poses and IMU samples are held in memory."""
 Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
-"""Tables of studies hold seeds in 64 bits."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
 def _checked_seed(value: Any) -> rng.Seed:
-    """Accept a seed. Pydantic's own message about a union has several lines."""
+    """Accept a seed of at most 63 bits, as in the tables of studies. Pydantic's own message has several lines."""
     if value == "report" or (type(value) is int and 0 <= value < 2**63):
         return value  # type: ignore[no-any-return]
     raise ValueError("expected a whole number from 0 to 2**63 - 1, or 'report'")

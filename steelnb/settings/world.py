@@ -82,9 +82,6 @@ class TowerSettings(Settings):
         return cls.preset(preset_table("flights", "trajectory", trajectory)["tower"])
 
 
-PlannerGoal = Literal["face", "around"]
-
-
 class FlightSettings(Settings):
     """A simulated flight.
 
@@ -105,7 +102,7 @@ class FlightSettings(Settings):
     levels: Annotated[int, Field(ge=2, le=100)] = 12
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
-    goal: PlannerGoal = "around"
+    goal: Literal["face", "around"] = "around"
     waypoints: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")

@@ -148,8 +148,10 @@ def expose(
         second = cast_bundle(scene, onward)
         range_2_m = np.where(second.member != GROUND, second.range_m, np.float32(np.inf))
         share = faults.multipath * faults.reflectivity**2
-        _multipath(bundle.reshape(-1, 6), hit.range_m.ravel(), near, onward, range_2_m, second.normal,
-                share, multipath_m.ravel(), multipath_amplitude.ravel())  # fmt: skip
+        _multipath(
+            bundle.reshape(-1, 6), hit.range_m.ravel(), near, onward, range_2_m, second.normal, share,
+            multipath_m.ravel(), multipath_amplitude.ravel(),
+        )  # fmt: skip
     mixed, equivalent = np.empty(len(plane)), np.empty(len(plane))
     _mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
     with np.errstate(invalid="ignore"):  # ranges are infinite without light
