@@ -1,7 +1,7 @@
-"""What was computed once is kept on disk by joblib: flights, estimates and rows of runs.
+"""A cache on disk, by joblib, for flights, estimates and rows of runs.
 
-Keys are settings as JSON, the data that an estimator was given, and `SOURCES`. Several processes may read and write at
-once; what cannot be read is computed again.
+Keys are settings as JSON, the input data of an estimator, and `SOURCES`. Several processes may use the cache at once.
+Entries that cannot be read are computed again.
 """
 
 import contextlib
@@ -17,48 +17,49 @@ if TYPE_CHECKING:
     from joblib import Memory
 
 CACHE_VARIABLE = "STEELNB_CACHE"
-"""Names the folder; the workflow sets it to ``.cache`` of the project, and without it nothing is kept."""
+"""Environment variable with the cache's folder; the workflow sets it to the project's ``.cache``. Without it nothing is
+cached."""
 BYTES_MAX = 2_000_000_000
-"""Beyond it, what was used longest ago goes when a process first uses the folder."""
+"""Above this size, the least recently used entries are deleted when a process first uses the folder."""
 PACKAGE = Path(__file__).resolve().parent
-APART = ("report", "cli.py", "__main__.py")
-"""Parts of the package that change no number."""
+EXCLUDED = ("report", "cli.py", "__main__.py")
+"""Parts of the package that do not affect results."""
 LIBRARIES = (
     "imufusion", "kiss-icp", "numba", "numpy", "open3d", "open3d-cpu", "opencv-python-headless", "pybullet", "scipy",
     "small-gicp",
 )  # fmt: skip
-"""Libraries that compute."""
+"""Libraries that affect results."""
 
 T = TypeVar("T")
 
 
-def digest_sources(apart: tuple[str, ...] = APART) -> str:
-    """SHA-256 of the files of the package except those ``apart``, and of the installed versions of `LIBRARIES`."""
-    found = hashlib.sha256()
+def digest_sources(excluded: tuple[str, ...] = EXCLUDED) -> str:
+    """SHA-256 of the package's files except ``excluded`` ones, and of the installed versions of `LIBRARIES`."""
+    digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*")):
         name = path.relative_to(PACKAGE)
-        if path.is_file() and name.parts[0] not in apart and "__pycache__" not in name.parts:
-            found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+        if path.is_file() and name.parts[0] not in excluded and "__pycache__" not in name.parts:
+            digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     for library in LIBRARIES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found.update(f"{library} {importlib.metadata.version(library)}\n".encode())
-    return found.hexdigest()
+            digest.update(f"{library} {importlib.metadata.version(library)}\n".encode())
+    return digest.hexdigest()
 
 
 SOURCES = digest_sources()
-"""As they were when this process loaded them: an edit while it runs changes nothing here."""
+"""Computed when this process starts, so later edits do not change it."""
 
 
-def kept(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
-    """What ``make`` gives: read from ``folder``, by default the one that `CACHE_VARIABLE` names, if it is there, else
-    made and kept. What raises is not kept. joblib hashes the ``key``, arrays by their content."""
+def cached(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
+    """The result of ``make``, cached in ``folder`` (default: the folder in `CACHE_VARIABLE`). Exceptions are not
+    cached. joblib hashes the ``key``, arrays by their content."""
     folder = folder or os.environ.get(CACHE_VARIABLE)
     if not folder:
         return make()
-    return _memory(folder).cache(_made, ignore=["make"])(make, key, SOURCES)
+    return _memory(folder).cache(_call, ignore=["make"])(make, key, SOURCES)
 
 
-def _made(make: Callable[[], T], key: tuple[object, ...], sources: str) -> T:
+def _call(make: Callable[[], T], key: tuple[object, ...], sources: str) -> T:
     return make()
 
 

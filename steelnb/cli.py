@@ -1,4 +1,4 @@
-"""The command line: thin commands, and one line for each error. Nothing heavy is imported before a command runs."""
+"""The command line: thin commands, and one line per error. Heavy imports wait until a command runs."""
 
 import signal
 import sys
@@ -17,39 +17,39 @@ from steelnb.files import check_folder
 EXIT_CODES = """\b
 Exit codes:
   0    done
-  2    bad input, told in one line; nothing was written
+  2    bad input, reported in one line; nothing was written
   130  interrupted (Ctrl-C)
 """
 PRESETS = Path(__file__).parent / "presets"
 METHODS, TRAJECTORIES = (
     tuple(tomllib.loads((PRESETS / f"{name}.toml").read_text(encoding="utf-8"))) for name in ("methods", "flights")
 )
-"""The names in `steelnb.settings`, which takes too long to load for a help text."""
+"""The same names as in `steelnb.settings`, which takes too long to import for a help text."""
 
-# Plain help: rich's shows <bool> at every flag, and wraps examples.
+# Plain help, as rich shows <bool> at every flag and wraps examples.
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EXIT_CODES)
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="TABLE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what an earlier call wrote.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite the output of an earlier call.")]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and give the exit code; errors of the user's go to stderr as one line each."""
+    """Run the command line and return the exit code. User errors go to stderr, in one line each."""
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # so that hidden folders are removed
     try:
         code = app(arguments or sys.argv[1:] or ["--help"], prog_name="steelnb", standalone_mode=False)
     except (SteelnbError, typer.TyperException) as fault:
-        said = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
-        print("steelnb: error:", " ".join(said.split())[:1000], file=sys.stderr)
+        message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
+        print("steelnb: error:", " ".join(message.split())[:1000], file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         code = 130
     return int(code or 0)
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(is_set: bool) -> None:
+    if is_set:
         print(f"steelnb {steelnb.__version__}")
         raise typer.Exit
 
@@ -65,48 +65,50 @@ def _options(
 
 @app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run scans/ --mount 0.06,0,0,0,0,0 -o out")
 def run(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder, or one of clouds.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder or a folder of clouds.")
+    ],
     odometry: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}.")] = "best",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_run here.")
     ] = None,
     scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")] = None,
     poses: Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")] = None,
-    truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for judging alone.")] = None,
+    truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for evaluation only.")] = None,
     mount: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Of the sensor on the drone, metres and degrees. Default: by tf_static, else all zero.",
+            help="Pose of the sensor on the drone, metres and degrees. Default: from tf_static, else zero.",
         ),
     ] = None,
     range_max: Annotated[
-        float | None, typer.Option(help="Metres that the sensor sees. Default: from the first scans.")
+        float | None, typer.Option(help="Range of the sensor, metres. Default: from the first scans.")
     ] = None,
-    smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars together at the end.")] = False,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars jointly at the end.")] = False,
     changed: Set = None,
     force: Force = False,
 ) -> None:
-    """Take the drift out of a recorded flight.
+    """Correct the drift of a recorded flight.
 
-    Corrected poses, bars, structure, a table and figures go to a new folder; one that holds files is refused.
+    Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
     """
-    with _progress() as shown:
+    with _progress() as progress:
         from steelnb.io import read_flight, read_truth
         from steelnb.report.recording import opened_lines, run_recording
         from steelnb.report.recording_settings import Scene, recording_settings, settings_line
 
-        given: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
-        given["overrides"] |= {"smooth": True} if smooth else {}
-        recording_settings(odometry, **given)  # what is given wrongly is refused before a file is opened
+        options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
+        options["overrides"] |= {"smooth": True} if smooth else {}
+        recording_settings(odometry, **options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
-        shown.stage(f"opening {recording.name}")
+        progress.stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
         true = read_truth(recording, truth=truth)
-        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **given)
+        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
-        report = run_recording(flight, target, settings, structure, true, shown.share, shown.stage)
+        report = run_recording(flight, target, settings, structure, true, progress.share, progress.stage)
     print("\n".join(report.summary))
 
 
@@ -116,32 +118,32 @@ def record(
     trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(TRAJECTORIES)}.")] = "zigzag",
     duration: Annotated[float, typer.Option(help="Seconds.")] = 60.0,
     noise: Annotated[
-        str, typer.Option(help="How the recorded poses drift, with or without a level; a sum with +.")
+        str, typer.Option(help="Drift of the recorded poses, with or without a level; + adds several.")
     ] = "random-walk:0.002",
-    sensor: Annotated[str, typer.Option(metavar="NAME", help="A preset's, or FILE.toml.")] = "starling2",
-    seed: Annotated[int, typer.Option(help="Of drift, sensor noise and gusts.")] = 1,
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="A preset, or FILE.toml.")] = "starling2",
+    seed: Annotated[int, typer.Option(help="Seed of drift, sensor noise and gusts.")] = 1,
     changed: Set = None,
     force: Force = False,
 ) -> None:
     """Simulate a flight and record it.
 
-    Sensor data and drifting poses go to FILE, the truth apart to NAME.truth.tum beside it.
+    Writes sensor data and drifting poses to FILE, and the truth to NAME.truth.tum beside it.
     """
-    with _progress() as shown:
+    with _progress() as progress:
         from steelnb import experiment
         from steelnb.io import write_flight
         from steelnb.io.bag_writer import check_target
         from steelnb.io.recordings import truth_path
         from steelnb.settings import ExperimentSettings
 
-        given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
-        given |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
-        settings = ExperimentSettings.preset(**given)
+        options: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
+        options |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
+        settings = ExperimentSettings.preset(**options)
         check_target(file, force)
-        shown.stage("flying")
-        flight, truth = experiment.simulate(settings, shown.share)
-        shown.stage(f"writing {file.name}")
-        write_flight(file, flight, truth.trajectory, shown.share, overwrite=force)
+        progress.stage("flying")
+        flight, truth = experiment.simulate(settings, progress.share)
+        progress.stage(f"writing {file.name}")
+        write_flight(file, flight, truth.trajectory, progress.share, overwrite=force)
     print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
 
 
@@ -153,35 +155,36 @@ def segment(
     ] = None,
     voxel: Annotated[float | None, typer.Option(help="Voxel size in metres. Default: from the point spacing.")] = None,
     dx: Annotated[
-        float | None, typer.Option(help="Radius of a bar's tube of points, metres. Default: from the point spacing.")
+        float | None,
+        typer.Option(help="Radius of the tube of a bar's points, metres. Default: from the point spacing."),
     ] = None,
-    min_votes: Annotated[int | None, typer.Option(help="Fewest points of a line.")] = None,
+    min_votes: Annotated[int | None, typer.Option(help="Minimum number of points of a line.")] = None,
     force: Force = False,
 ) -> None:
     """Find the straight bars in a point cloud."""
-    with _progress() as shown:
+    with _progress() as progress:
         from steelnb.report.cloud import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)
-        shown.stage(f"finding bars in {cloud.name}")
+        progress.stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
 
 
 class _Progress:
-    """A bar of tqdm on a terminal; nothing elsewhere."""
+    """A tqdm progress bar on a terminal, nothing elsewhere."""
 
     def __init__(self, bar: Any) -> None:
         self._bar = bar
 
     def stage(self, name: str) -> None:
-        """Begin a stage."""
+        """Start a stage."""
         self._bar.set_description(name, refresh=False)
         self._bar.reset(total=1.0)
 
     def share(self, share: float) -> None:
-        """Show how much of the stage is done, 0 to 1."""
+        """Show the completed share of the stage, 0 to 1."""
         self._bar.update(share - self._bar.n)
 
 
@@ -189,13 +192,13 @@ class _Progress:
 def _progress() -> Iterator[_Progress]:
     from tqdm import tqdm
 
-    form = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"
-    with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=form) as bar:
+    bar_format = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"
+    with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=bar_format) as bar:
         yield _Progress(bar)
 
 
 def _overrides(changed: list[str] | None) -> dict[str, Any]:
-    """Settings by name from the texts NAME=VALUE of ``--set``."""
+    """Settings by name, from the arguments NAME=VALUE of ``--set``."""
     from steelnb.settings import parse_parameter
 
     for text in changed or []:

@@ -1,7 +1,7 @@
-"""Flights in a closed loop: what the planner does follows from what the odometry believes.
+"""Closed-loop flights: the planner steers by the odometry's estimate only.
 
-The true drone flies in `steelnb.simulation`; camera, IMU and drifting prior are made scan by scan, to the bit as
-`steelnb.experiment` makes them of a whole flight, and the planner has the odometry's estimate only.
+The true drone flies in `steelnb.simulation`. Scans, IMU readings and drifting poses are simulated during the flight,
+bit for bit as `steelnb.experiment` simulates them for a whole flight.
 """
 
 from collections.abc import Callable
@@ -21,10 +21,10 @@ from steelnb.types import Imu, OdometryStep, Trajectory
 
 
 class OnboardPilot:
-    """Camera, drifting prior, odometry and planner of a drone: a pilot for `steelnb.simulation.fly`.
+    """Sensors, odometry and planner of a drone: a pilot for `steelnb.simulation.fly`.
 
-    ``steps`` are those of the odometry so far, ``decisions`` of the planner with their times. ``on_progress`` gets the
-    share of the flight that is done.
+    ``steps``: the odometry's steps so far; ``decisions``: the planner's decisions so far, with their times.
+    ``on_progress`` is called with the completed share of the flight.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class OnboardPilot:
         self._drift = drift_errors(stamp_s, settings.noise, settings.seed)
         self._scan_step = scan_steps(settings.tof, float(stamp_s[-1]), STEP_S)
         self._camera = TofCamera(tower, settings.tof, settings.seed)
-        # The odometry holds these arrays and reads them up to its last scan; they fill as the flight goes on.
+        # The odometry shares these arrays and reads them up to its last scan; they are filled during the flight.
         self._imu = Imu(stamp_s, np.zeros((steps + 1, 3)), np.zeros((steps + 1, 3)))
         self._true, self._prior = np.zeros((2, steps + 1, 4, 4))
         self._imu_errors = ImuErrors(stamp_s, settings.imu, settings.seed) if settings.imu else None
@@ -48,7 +48,7 @@ class OnboardPilot:
         self.decisions: list[tuple[float, Decision]] = []
 
     def __call__(self, truth: Trajectory, exact: Imu) -> Command | None:
-        """The command after a piece of the flight."""
+        """The command that follows a piece of the flight."""
         first = round(truth.stamp_s[0] / STEP_S)
         now = first + len(truth) - 1
         self._read(truth, exact, first)
@@ -71,23 +71,23 @@ class OnboardPilot:
         return Command((forward, left, up), decision.yaw_rate)
 
     def _read(self, truth: Trajectory, exact: Imu, first: int) -> None:
-        """Readings and drifting poses of a piece of the flight that begins with the step ``first``."""
+        """Simulate IMU readings and drifting poses of a piece of the flight that begins with the step ``first``."""
         piece = slice(first, first + len(truth))
         self._true[piece] = truth.T_world_drone
-        read, seen = exact, truth
+        imu, filtered = exact, truth
         if self._imu_errors:
-            read = self._imu_errors.read(exact, first)
+            imu = self._imu_errors.read(exact, first)
             self._filter = self._filter or AttitudeFilter(truth.T_world_drone[0], STEP_S)
-            seen = self._filter.update(truth, read)
-        self._imu.specific_force[piece], self._imu.angular_rate[piece] = read.specific_force, read.angular_rate
-        self._prior[piece] = drifted(seen, self._drift[piece]).T_world_drone
+            filtered = self._filter.update(truth, imu)
+        self._imu.specific_force[piece], self._imu.angular_rate[piece] = imu.specific_force, imu.angular_rate
+        self._prior[piece] = drifted(filtered, self._drift[piece]).T_world_drone
 
     def _scan(self, step: int, now: int) -> None:
-        """Take a scan, register it, and show it to the planner."""
-        before = max(0, step - 25)
+        """Take a scan, update the odometry with it, and pass it to the planner."""
+        begin = max(0, step - 25)
         stamp_s = self._imu.stamp_s
-        around = Trajectory(stamp_s[before : now + 1], self._true[before : now + 1])
-        scan = self._camera.scan(len(self.steps), float(stamp_s[step]), around)
+        trajectory = Trajectory(stamp_s[begin : now + 1], self._true[begin : now + 1])
+        scan = self._camera.scan(len(self.steps), float(stamp_s[step]), trajectory)
         self.steps.append(self.odometry.update(scan, self._prior[step]))
         T = self.steps[-1].T_world_drone
         points = preprocess_scan(scan, T, self.settings.tof.T_drone_sensor, self.settings.odometry.preprocess)

@@ -1,16 +1,16 @@
-"""The errors that a user can cause and mend; the command line prints each as one line and exits with 2."""
+"""Errors that a user can correct. The command line prints each in one line and exits with code 2."""
 
 
 class SteelnbError(Exception):
-    """Base of them all. The message names the value and what was expected."""
+    """Base class. The message states the value and what was expected."""
 
 
 class InputError(SteelnbError):
-    """Something given that cannot be used: a setting, a file, a recording, a cloud, a covariance."""
+    """An input is invalid: a setting, a file, a recording, a cloud or a covariance."""
 
 
 class OutputError(SteelnbError):
-    """A file or folder that exists already or cannot be written."""
+    """A file or folder exists already or cannot be written."""
 
 
 class CollisionError(SteelnbError):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from steelnb.cache import kept
+from steelnb.cache import cached
 from steelnb.closed_loop import OnboardPilot
 from steelnb.metrics import score_gaps, score_segments, score_trajectory
 from steelnb.noise import drifting
@@ -57,7 +57,7 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
         return trajectory, imu, *scan_flight(tower, trajectory, tof.T_drone_sensor, tof, settings.seed)
 
-    trajectory, exact, scans, visibility = kept(flown, "flight", *world(settings))
+    trajectory, exact, scans, visibility = cached(flown, "flight", *world(settings))
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
     truth = Truth(trajectory, tower, visibility)
     unmoved = Flight(scans, trajectory.at(scans.stamp_s), tof.T_drone_sensor, imu)
@@ -93,7 +93,7 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
     if isinstance(flight.scans, RangeScans) and flight.images is None:
         given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu
         key = "estimate", settings.odometry.model_dump_json(), *given
-        found = kept(lambda: run_odometry(flight, odometry, on_step), *key)
+        found = cached(lambda: run_odometry(flight, odometry, on_step), *key)
     else:  # neither images nor scans of a recording can be told apart quickly
         found = run_odometry(flight, odometry, on_step)
     if on_progress:

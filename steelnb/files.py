@@ -1,4 +1,4 @@
-"""Files in and out: one boundary for what reading raises, and output that is whole or not there."""
+"""Files: all errors of reading become `InputError`, and output is written completely or not at all."""
 
 import os
 import tempfile
@@ -11,9 +11,9 @@ from steelnb.errors import InputError, OutputError, SteelnbError
 
 @contextmanager
 def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]:
-    """Turn what reading a file raises, whichever library does it, into an `InputError` of one line.
+    """Convert any exception of a file reader to a one-line `InputError`.
 
-    ``form`` names the expected content, such as "a PLY file", which is a ``folder`` or a file.
+    ``form``: the expected content, such as "a PLY file"; ``folder``: whether it is a folder.
     """
     if not os.path.exists(path):
         raise InputError(f"{path}: does not exist; expected {form}")
@@ -25,33 +25,33 @@ def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]
 
 @contextmanager
 def damaged(path: Path | str, form: str) -> Iterator[None]:
-    """`reading` for a part of a file that is known to exist, such as one message of a bag."""
+    """Like `reading`, for a part of a file that exists, such as one message of a bag."""
     try:
         yield
     except SteelnbError:
         raise
     except Exception as fault:
-        said = " ".join(str(fault).replace(str(path), "it").split())[:200] or type(fault).__name__
-        raise InputError(f"{path}: not {form}: {said}") from None
+        message = " ".join(str(fault).replace(str(path), "it").split())[:200] or type(fault).__name__
+        raise InputError(f"{path}: not {form}: {message}") from None
 
 
 def check_folder(target: Path, overwrite: bool) -> None:
-    """Raise `OutputError` for a folder that holds a file, unless it may be overwritten."""
+    """Raise `OutputError` if a folder is not empty, unless it may be overwritten."""
     if not overwrite and target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 
 
 @contextmanager
 def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """Hidden folder to write to; at the end its files move to ``target``, and on an error they are gone.
+    """A hidden folder to write to. At the end its files move to ``target``; on an error they are deleted.
 
-    Files there of the same names are replaced, and those that match a pattern of ``stale`` are removed. The folder is
-    made at once, so that an unwritable place raises `OutputError` before any work is done.
+    Files of the same names are replaced, and files that match a pattern of ``stale`` are removed. The hidden folder is
+    created first, so a place that is not writable raises `OutputError` before any work is done.
     """
     target = Path(target).absolute()
-    place = next(folder for folder in (target, *target.parents) if folder.exists())
+    parent = next(folder for folder in (target, *target.parents) if folder.exists())
     try:
-        with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=place) as scratch:
+        with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=parent) as scratch:
             yield Path(scratch)
             target.mkdir(parents=True, exist_ok=True)
             for old in [old for pattern in stale for old in target.glob(pattern)]:

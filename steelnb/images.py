@@ -1,4 +1,4 @@
-"""Grey images of a camera on a flight, with its calibration."""
+"""Grey-value images of a camera on a flight, with its calibration."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ GreyImage = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class CameraImages:
-    """N grey images, each made or read when it is asked for.
+    """N grey-value images, each rendered or read on access.
 
-    ``stamp_s (N,)``, strictly rising, the middles of the exposures; ``images``: N arrays ``(H, W)``, or None for one of
-    a recording that cannot be read; ``K (3, 3)``, intrinsics in OpenCV's pixels, whose origin is the centre of the
-    first pixel, u to the right and v down; ``T_drone_camera (4, 4)``: the mount. The camera frame has x along the
-    optical axis, y left and z up, so a point (x, y, z) is seen at ``K @ (−y, −z, x)``, up to scale.
+    ``stamp_s (N,)``: middles of the exposures, strictly increasing; ``images``: N arrays ``(H, W)``, None for an
+    unreadable one; ``K (3, 3)``: intrinsics in OpenCV's pixel coordinates (origin at the centre of the first pixel, u
+    right, v down); ``T_drone_camera (4, 4)``: the mount. The camera frame has x along the optical axis, y left and z
+    up, so a point (x, y, z) projects to ``K @ (−y, −z, x)``, up to scale.
     """
 
     stamp_s: NDArray[np.float64]
@@ -29,7 +29,7 @@ class CameraImages:
         return len(self.stamp_s)
 
     def at(self, stamp_s: float) -> int | None:
-        """Number of the last image not after ``stamp_s``; None where it is older than half the time between images."""
+        """Index of the last image at or before ``stamp_s``; None if it is older than half the image period."""
         if not len(self):
             return None
         half_s = 0.5 * float(np.median(np.diff(self.stamp_s))) if len(self) > 1 else 0.05
@@ -44,6 +44,6 @@ def project(points: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.f
 
 
 def unproject(pixels: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points ``(N, 3)`` in the camera frame at depth x = 1 that are seen at pixels ``(N, 2)``."""
-    across, down = (pixels[:, axis] - K[axis, 2] for axis in (0, 1))
-    return np.column_stack([np.ones(len(pixels)), -across / K[0, 0], -down / K[1, 1]])
+    """Points ``(N, 3)`` in the camera frame at depth x = 1 that project to pixels ``(N, 2)``."""
+    right, down = (pixels[:, axis] - K[axis, 2] for axis in (0, 1))
+    return np.column_stack([np.ones(len(pixels)), -right / K[0, 0], -down / K[1, 1]])

@@ -1,4 +1,4 @@
-"""Open3D, without the messages that importing it sends from a notebook."""
+"""Imports of Open3D without its side effects in notebooks."""
 
 import os
 import sys
@@ -6,19 +6,19 @@ from types import ModuleType
 
 
 def import_open3d() -> ModuleType:
-    """Open3D, which is imported only where it is used.
+    """Import Open3D, without an alert in JupyterLab and without its web server.
 
-    It imports Dash, which in a kernel opens a comm that JupyterLab has no handler for, and says so in an alert: this
-    one stays a dummy. Its own web visualiser, which would open a port, is off unless the environment says otherwise.
+    Open3D imports Dash, which opens a Jupyter comm that JupyterLab reports as unknown; a dummy comm replaces it.
+    Open3D's web visualiser, which opens a port, is off unless the environment enables it.
     """
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
     comm = sys.modules.get("comm")  # loaded by every kernel
-    kept = getattr(comm, "create_comm", None)
+    create_comm = getattr(comm, "create_comm", None)
     try:
         if comm:
             comm.create_comm = comm.DummyComm  # type: ignore[attr-defined]
         import open3d
     finally:
         if comm:
-            comm.create_comm = kept  # type: ignore[attr-defined]
+            comm.create_comm = create_comm  # type: ignore[attr-defined]
     return open3d

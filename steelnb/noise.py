@@ -12,24 +12,24 @@ TILT_S = 30.0
 
 
 def drifting(truth: Trajectory, settings: Noise, seed: rng.Seed) -> Trajectory:
-    """A trajectory ``T_world_drone (N, 4, 4)`` with the drift of a pose estimate; zero drift at the first stamp.
+    """The trajectory ``truth`` of N poses with the drift of a pose estimate; the drift is zero at the first stamp.
 
-    Position errors, metres in the world frame, are sums over the steps of the trajectory (125 Hz in simulation): the
-    random walk of the report's Algorithm 1 and a constant step. Yaw noise, radians, turns the heading about the world's
-    z axis and leaves the position alone. Tilt turns roll and pitch, about the world's x and y axes, by a first-order
-    Gauss-Markov process that begins at zero and has a correlation time of 30 s: what an attitude filter leaves when an
-    accelerometer's bias wanders. Each noise has a stream of its own (``random-walk``, ``constant-drift``,
-    ``yaw-random-walk``, ``tilt``) of the seed, so that a sum contains its parts unchanged.
+    Position errors, metres in the world frame, accumulate over the steps of the trajectory (125 Hz in simulation): the
+    random walk of the report's Algorithm 1, and a constant step. Yaw noise, radians, rotates the heading about the
+    world's z axis and does not change the position. Tilt rotates about the world's x and y axes by a first-order
+    Gauss-Markov process that starts at zero and has a correlation time of 30 s, like the error of an attitude filter
+    whose accelerometer bias wanders. Each noise has its own stream of the seed (``random-walk``, ``constant-drift``,
+    ``yaw-random-walk``, ``tilt``), so a sum contains its parts unchanged.
 
-    The seed ``report`` draws from the original's generator in its order: three normal numbers a step for the random
-    walk, then one for the heading if that walks, too; the constant step is its first three numbers. Other levels than
+    The seed ``report`` uses the original's generator and order of draws: per step three normal numbers for the random
+    walk, then one for the heading if it also walks. The constant step is its first three numbers. Levels other than
     the report's raise `InputError`.
     """
     return drifted(truth, drift_errors(truth.stamp_s, settings, seed))
 
 
 def drifted(truth: Trajectory, error: Array) -> Trajectory:
-    """A piece of a true trajectory with the errors ``(N, 4, 4)`` of its stamps, as `drift_errors` gives them."""
+    """Apply errors ``(N, 4, 4)`` of `drift_errors` to a piece of a true trajectory with the same stamps."""
     T_world_drone = truth.T_world_drone.copy()
     T_world_drone[:, :3, 3] += error[:, :3, 3]
     T_world_drone[:, :3, :3] = error[:, :3, :3] @ T_world_drone[:, :3, :3]
@@ -37,14 +37,14 @@ def drifted(truth: Trajectory, error: Array) -> Trajectory:
 
 
 def drift_errors(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
-    """Turn about the drone and shift ``(N, 4, 4)``, world axes, of `drifting` at each stamp; they do not depend on the
-    flight."""
+    """Errors ``(N, 4, 4)`` of `drifting` at each stamp: rotation about the drone and translation, in world axes. They
+    do not depend on the flight."""
     steps = len(stamp_s) - 1
     if seed == "report":
         walk, step, yaw = _steps_of_the_report(settings, steps)
     else:
         walk = settings.random_walk_m * rng.stream(seed, "random-walk").standard_normal((steps, 3))
-        direction = rng.stream(seed, "constant-drift").standard_normal(3)  # normalised: uniform on the sphere
+        direction = rng.stream(seed, "constant-drift").standard_normal(3)  # normalised, it is uniform on the sphere
         step = settings.constant_drift_m * (direction / np.linalg.norm(direction))
         yaw = settings.yaw_random_walk_rad * rng.stream(seed, "yaw-random-walk").standard_normal(steps)
 
@@ -62,26 +62,27 @@ def drift_errors(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
 
 
 def _steps_of_the_report(settings: Noise, steps: int) -> tuple[Array, Array, Array]:
-    """Random steps of the position ``(steps, 3)``, its constant step ``(3,)`` and steps of the heading ``(steps,)``."""
+    """Random steps of the position ``(steps, 3)``, its constant step ``(3,)``, and steps of the heading
+    ``(steps,)``."""
     settings.check_report()
-    constant = settings.constant_drift_m * rng.report_generator().standard_normal(3)  # not of the level's length
+    constant = settings.constant_drift_m * rng.report_generator().standard_normal(3)  # the report does not normalise
     drawn = rng.report_generator().standard_normal((steps, 4 if settings.yaw_random_walk_rad else 3))
     yaw = settings.yaw_random_walk_rad * drawn[:, -1]
     return settings.random_walk_m * drawn[:, :3], constant, yaw
 
 
 def _tilt(stamp_s: Array, sigma_rad: float, seed: rng.Seed) -> Array:
-    """Rotation vectors ``(N, 3)`` of the error of roll and pitch; the third component is 0."""
+    """Rotation vectors ``(N, 3)`` of the tilt; the third component is 0."""
     if len(stamp_s) < 2:
         return np.zeros((len(stamp_s), 3))
-    stays = np.exp(-float(np.median(np.diff(stamp_s))) / TILT_S)
+    decay = np.exp(-float(np.median(np.diff(stamp_s))) / TILT_S)
     steps = rng.stream(seed, "tilt").standard_normal((len(stamp_s), 2))
     steps[0] = 0.0
-    from scipy.signal import lfilter  # late: it takes a third of a second to import
+    from scipy.signal import lfilter  # imported late: it takes a third of a second
 
-    return np.pad(lfilter([sigma_rad * np.sqrt(1 - stays**2)], [1.0, -stays], steps, axis=0), ((0, 0), (0, 1)))
+    return np.pad(lfilter([sigma_rad * np.sqrt(1 - decay**2)], [1.0, -decay], steps, axis=0), ((0, 0), (0, 1)))
 
 
 def random_walk_rms_m(settings: Noise, stamp_s: Array, rate_hz: float = 125.0) -> Array:
-    """Root mean square length ``(N,)`` of the 3D random walk after ``stamp_s``: σ·√(3·rate·t)."""
+    """Root mean square length ``(N,)``, metres, of the 3D random walk at ``stamp_s (N,)``: σ·√(3·rate·t)."""
     return np.asarray(settings.random_walk_m * np.sqrt(3 * rate_hz * stamp_s))

@@ -1,4 +1,4 @@
-"""One seed, many independent named random streams: adding a noise source never changes another."""
+"""Independent random streams from one seed, told apart by name: a new noise source does not change the others."""
 
 import zlib
 from typing import Literal
@@ -6,16 +6,16 @@ from typing import Literal
 import numpy as np
 
 Seed = int | Literal["report"]
-"""A non-negative integer; or ``report``, with which the drift is the original's, draw for draw (`steelnb.noise`)."""
+"""A non-negative integer, or ``report``: the drift then has the random draws of the report's program
+(`steelnb.noise`)."""
 REPORT_SEED = 42
-"""The seed of the original's only generator."""
+"""The seed of the report's program."""
 
 
 def stream(seed: Seed, *names: str | int) -> np.random.Generator:
-    """Random generator that depends on the seed and on its names alone.
+    """A random generator that depends only on the seed and the names, such as ``("tof", 17)`` for scan 17.
 
-    Parameters: ``seed``, where ``report`` counts as `REPORT_SEED`; ``names`` e.g. ``("tof", 17)`` for scan 17.
-    The names are hashed with CRC-32, which is the same on every machine and in every process.
+    The seed ``report`` counts as `REPORT_SEED`. Names are hashed with CRC-32, the same on every machine.
     """
     key = tuple(zlib.crc32(name.encode()) if isinstance(name, str) else name for name in names)
     entropy = REPORT_SEED if seed == "report" else seed
@@ -23,5 +23,5 @@ def stream(seed: Seed, *names: str | int) -> np.random.Generator:
 
 
 def report_generator() -> np.random.RandomState:
-    """The original's generator at its start: ``numpy.random.seed(42)``, which newer NumPy keeps as it was."""
+    """The generator of the report's program, ``numpy.random.seed(42)``; newer NumPy versions still have it."""
     return np.random.RandomState(REPORT_SEED)

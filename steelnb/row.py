@@ -1,4 +1,4 @@
-"""The row of a run: what names it, its numbers and what explains them, thin curves, and measured times."""
+"""The row of a run in a table: its name, its metrics, thinned curves, and measured times."""
 
 import time
 from collections.abc import Callable
@@ -15,20 +15,20 @@ from steelnb.simulation import Truth
 from steelnb.types import Array, Flight
 
 CASE = ("sensor", "duration_s", "blind", "trajectory", "seed", "noise", "variant", "method")
-"""Columns that name a run, by which tables are sorted."""
+"""Columns that identify a run; tables are sorted by them."""
 CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
 TIMES = ("frame_median_ms", "frame_p95_ms", "seconds", "flight_seconds", "machine")
-"""Columns that differ from call to call, which no comparison looks at."""
+"""Columns that differ from run to run of the same settings; comparisons ignore them."""
 CURVE_SAMPLES = 100
 WRONG_M = 0.25
-"""Error beyond which a scan that had pairs counts as registered to the wrong place."""
+"""A scan with correspondences and a larger error than this counts as falsely registered."""
 
 Flown = tuple[Flight, Truth, float]
-"""A simulated flight, its truth, and the seconds that it took."""
+"""A simulated flight, its truth, and the time that the simulation took, seconds."""
 
 
 def case_of(settings: ExperimentSettings, variant: str = "") -> dict[str, Any]:
-    """Values of the columns `CASE`; ``variant`` describes overrides."""
+    """Values of the columns `CASE`; ``variant``: the overrides as text."""
     return {
         "sensor": settings.sensor,
         "duration_s": settings.flight.duration_s,
@@ -42,44 +42,46 @@ def case_of(settings: ExperimentSettings, variant: str = "") -> dict[str, Any]:
 
 
 def fly(settings: ExperimentSettings) -> Flown:
-    """The simulated flight of some settings. Raises `CollisionError`."""
+    """Simulate the flight of some settings and time it. Raises `CollisionError`."""
     begin = time.perf_counter()
     flight, truth = experiment.simulate(settings)
     return flight, truth, time.perf_counter() - begin
 
 
 def make_row(settings: ExperimentSettings, flown: Callable[[], Flown]) -> dict[str, Any]:
-    """`numbers`, `curves` and `TIMES` of one run on a flight, whose drift and method are those of the settings."""
+    """`numbers`, `curves` and `TIMES` of one run: the flight from ``flown`` with the drift and method of the
+    settings."""
     flight, truth, flight_seconds = flown()
     begin = time.perf_counter()
-    own = experiment.redrift(settings, flight, truth)
-    result = experiment.estimate(settings, own, truth)
-    row = {**numbers(own, result), **curves(result), **frame_times(result)}
+    flight = experiment.redrift(settings, flight, truth)
+    result = experiment.estimate(settings, flight, truth)
+    row = {**numbers(flight, result), **curves(result), **frame_times(result)}
     seconds = time.perf_counter() - begin
     return {**row, "seconds": seconds, "flight_seconds": flight_seconds, "machine": machine()}
 
 
 def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
-    """Finite numbers of a run: its metrics, and numbers that explain them.
+    """Finite numbers of a run: its metrics, and diagnostics.
 
-    ``lost_share`` is the share of scans after the first without pairs; ``growth_lost_m_s`` and ``growth_paired_m_s``
-    the mean growth of the error there and elsewhere, ``raw_growth_lost_m_s`` and ``raw_growth_paired_m_s`` that of the
-    error without correction at the same scans; ``wrong_share`` the share of the scans with pairs whose error
-    exceeds `WRONG_M`; ``slip_m`` the largest growth of the error within a second; ``bend_deg`` that of the assembled
-    cloud; ``turned_mean_deg`` and ``turned_final_deg`` the angle between estimated and true attitude.
+    ``lost_share``: share of the scans after the first that have no correspondences; ``growth_lost_m_s`` and
+    ``growth_paired_m_s``: mean growth rate of the error at scans without and with correspondences;
+    ``raw_growth_lost_m_s`` and ``raw_growth_paired_m_s``: the same of the uncorrected error; ``wrong_share``: share of
+    the scans with correspondences whose error exceeds `WRONG_M`; ``slip_m``: largest growth of the error within a
+    second; ``bend_deg``: bend of the assembled cloud; ``turned_mean_deg`` and ``turned_final_deg``: angle between
+    estimated and true attitude.
     """
     error, paired = position_error_m(result.corrected, result.truth.trajectory), result.matches > 0
-    lost, passed_s = ~paired[1:], np.diff(result.corrected.stamp_s)
-    growth = np.diff(error) / passed_s
-    raw_growth = np.diff(position_error_m(result.prior, result.truth.trajectory)) / passed_s
+    lost, interval_s = ~paired[1:], np.diff(result.corrected.stamp_s)
+    growth = np.diff(error) / interval_s
+    raw_growth = np.diff(position_error_m(result.prior, result.truth.trajectory)) / interval_s
     true = result.truth.trajectory.at(result.corrected.stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
-    turned_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    rotation_error_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     try:
         bend_deg = bend(*paired_clouds(flight, result)).bend_deg
     except ValueError:  # too few points to fit
         bend_deg = np.nan
-    found = {
+    values = {
         **result.metrics,
         "lost_share": lost.mean() if len(lost) else 0.0,
         "growth_lost_m_s": growth[lost].mean() if lost.any() else np.nan,
@@ -89,27 +91,27 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
         "wrong_share": (error[paired] > WRONG_M).mean() if paired.any() else 0.0,
         "slip_m": largest_slip(error, max(1, round(result.settings.tof.rate_hz)))[1],
         "bend_deg": bend_deg,
-        "turned_mean_deg": turned_deg.mean(),
-        "turned_final_deg": turned_deg[-1],
+        "turned_mean_deg": rotation_error_deg.mean(),
+        "turned_final_deg": rotation_error_deg[-1],
     }
-    return {name: float(value) for name, value in found.items() if np.isfinite(value)}
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
 
 
 def paired_clouds(flight: Flight, result: experiment.Result, every: int = 4) -> tuple[Array, Array]:
-    """Every fourth scan placed at the estimated and at the true poses: two clouds ``(N, 3)`` in the world frame, in
-    metres, whose rows k are the same return."""
+    """The points of every fourth scan, placed by the estimated and by the true poses: two clouds ``(N, 3)``, metres,
+    world frame. Rows k of both are the same return."""
     true = result.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
-    built: list[Array] = []
-    real: list[Array] = []
+    estimated_cloud: list[Array] = []
+    true_cloud: list[Array] = []
     for k in range(0, len(flight.scans), every):
         points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, result.settings.odometry.preprocess)
-        for T_world_drone, clouds in ((result.corrected.T_world_drone[k], built), (true[k], real)):
-            clouds.append(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
-    return np.concatenate(built), np.concatenate(real)
+        for T_world_drone, cloud in ((result.corrected.T_world_drone[k], estimated_cloud), (true[k], true_cloud)):
+            cloud.append(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
+    return np.concatenate(estimated_cloud), np.concatenate(true_cloud)
 
 
 def curves(result: experiment.Result) -> dict[str, np.ndarray]:
-    """At most `CURVE_SAMPLES` samples: stamps, errors without and with correction, and the pairs of that scan."""
+    """At most `CURVE_SAMPLES` samples of the stamps, the errors without and with correction, and the matches."""
     stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
     chosen = np.unique(np.linspace(0, len(stamp_s) - 1, min(CURVE_SAMPLES, len(stamp_s))).round().astype(int))
     return {
@@ -121,6 +123,6 @@ def curves(result: experiment.Result) -> dict[str, np.ndarray]:
 
 
 def frame_times(result: experiment.Result) -> dict[str, float]:
-    """Milliseconds a frame, median and 95th percentile."""
+    """Median and 95th percentile of the time per scan, milliseconds."""
     median, p95 = np.percentile(1e3 * np.sum(list(result.seconds.values()), axis=0), [50, 95])
     return {"frame_median_ms": float(median), "frame_p95_ms": float(p95)}

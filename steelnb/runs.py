@@ -1,7 +1,7 @@
-"""Many runs: combinations of settings → one table, a row a run, on the cores of this machine or on a Dask cluster.
+"""Many runs: combinations of settings → a table with one row per run, on the cores of this machine or a Dask cluster.
 
-``run_all(grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` gives the table, and
-``python -m steelnb.runs STUDY.toml -o FOLDER`` writes that of a study's file.
+``run_all(grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` returns the table;
+``python -m steelnb.runs STUDY.toml -o FOLDER`` writes the table of a study's file.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from steelnb import experiment
-from steelnb.cache import PACKAGE, SOURCES, kept
+from steelnb.cache import PACKAGE, SOURCES, cached
 from steelnb.errors import InputError, SteelnbError
 from steelnb.files import new_folder, reading
 from steelnb.row import CASE, CURVES, TIMES, case_of, fly, make_row
@@ -29,12 +29,12 @@ from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_
 from steelnb.settings.base import Duration, SeedOrReport
 
 KEPT = Path(".cache", "runs")
-"""Folder in which rows are kept, below the current one."""
+"""Folder of cached rows, below the current one."""
 RUNS, TIMING = "runs.parquet", "timing.parquet"
 
 
 class Run(NamedTuple):
-    """Settings of one run, and its overrides as text."""
+    """The settings of one run, and its overrides as text."""
 
     settings: ExperimentSettings
     variant: str = ""
@@ -43,8 +43,8 @@ class Run(NamedTuple):
 class Grid(Settings):
     """Values to combine; one table of a study's file.
 
-    ``seeds`` may be a range such as ``"101-130"``, both ends included. ``blind_s`` are intervals (from, to) in seconds
-    without any return, in all flights; each of ``overrides`` changes single settings.
+    ``seeds``: a list, or a range such as ``"101-130"`` with both ends; ``blind_s``: intervals (from, to) in seconds in
+    which all flights have no returns; each of ``overrides`` changes single settings.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -67,50 +67,51 @@ class Grid(Settings):
         return list(range(int(found[1]), int(found[2]) + 1))
 
     def runs(self) -> list[Run]:
-        """A run for each combination. Raises `InputError`."""
+        """One run per combination. Raises `InputError`."""
         axes = self.sensors, self.trajectories, self.seeds, self.noises, self.overrides, self.methods
-        blind, found = {"tof.blind_s": self.blind_s} if self.blind_s else {}, []
+        blind, runs = {"tof.blind_s": self.blind_s} if self.blind_s else {}, []
         for sensor, trajectory, seed, noise, changes, method in itertools.product(*axes):
             settings = ExperimentSettings.preset(
                 trajectory, noise, method, sensor, seed, self.duration_s, {**changes, **blind}
             )
             variant = ", ".join(f"{name}={value}" for name, value in sorted(changes.items()))
-            found.append(Run(settings, variant))
-        return found
+            runs.append(Run(settings, variant))
+        return runs
 
 
 def grid(**axes: Any) -> list[Run]:
-    """A run for each combination of the values of a `Grid`. Raises `InputError`."""
+    """One run per combination of the values of a `Grid`. Raises `InputError`."""
     return Grid(**axes).runs()
 
 
 def read_grids(path: Path) -> list[Run]:
-    """The runs of a study's TOML file, whose tables are `Grid`s, each run once. Raises `InputError`."""
+    """The runs of a study's TOML file, whose tables are `Grid`s, without duplicates. Raises `InputError`."""
     grids = read_tables(path, Grid, "the settings of a study")
     if not grids:
         raise InputError(f"{path}: no table; expected at least one, such as [report]")
-    found: list[Run] = []
+    runs: list[Run] = []
     for name, each in grids.items():
         try:
-            found += each.runs()
+            runs += each.runs()
         except InputError as fault:
             raise InputError(f"{path}: [{name}]: {fault}") from None
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(runs))
 
 
 def run_all(
     runs: Iterable[Run | ExperimentSettings], jobs: int | None = None, folder: Path | str = KEPT
 ) -> pd.DataFrame:
-    """The table of some runs, sorted by `CASE`: these columns, ``key``, ``status``, ``error``, and `row.make_row`.
+    """The table of some runs, sorted by `CASE`, with the columns `CASE`, ``key``, ``status``, ``error`` and those of
+    `row.make_row`.
 
     Parameters
     ----------
     runs : from `grid`, or settings.
-    jobs : flights simulated at once, each with all its runs; by default as `joblib.parallel_config` says, else one.
-    folder : where rows are kept. A call that was killed goes on from there, and only what depends on a change of
-        settings or of the package runs again. Workers on other machines should see the same folder.
+    jobs : number of flights at once, each with all its runs; default: that of `joblib.parallel_config`, else one.
+    folder : cache of the rows. A killed call resumes from it, and only runs with changed settings or code run again.
+        Workers on other machines should share the folder.
 
-    A run that failed has the ``status`` "failed" and a traceback as ``error``, and is not kept: the next call tries
+    A failed run has the ``status`` "failed" and a traceback as ``error``. It is not cached, so the next call tries
     again. Raises `InputError` if a worker has other code or libraries than this process.
     """
     flights: dict[object, list[Run]] = {}
@@ -118,14 +119,16 @@ def run_all(
         run = each if isinstance(each, Run) else Run(each)
         flights.setdefault(experiment.world(run.settings), []).append(run)
     if not flights or jobs == 0:
-        raise InputError(f"{len(flights)} flights, jobs = {jobs}: expected at least one of each; jobs = -1: one a core")
-    place = str(Path(folder).absolute())
-    # A flight is handed out when a worker is free, so that the bar counts the flights begun.
+        raise InputError(
+            f"{len(flights)} flights, jobs = {jobs}: expected at least one of each; jobs = -1: one per core"
+        )
+    path = str(Path(folder).absolute())
+    # Flights are dispatched when a worker is free, so the progress bar counts the flights begun.
     rows = Parallel(n_jobs=jobs, batch_size=1, pre_dispatch="n_jobs")(
-        delayed(_rows_of_flight)(some, place, SOURCES) for some in tqdm(flights.values(), "flights begun", disable=None)
+        delayed(_rows_of_flight)(some, path, SOURCES) for some in tqdm(flights.values(), "flights begun", disable=None)
     )
     table = pd.DataFrame([row for some in rows for row in some])
-    if table["seed"].dtype == object:  # with "report" among the numbers
+    if table["seed"].dtype == object:  # "report" is among the seeds
         table["seed"] = table["seed"].astype(str)
     first = [*CASE, "key", "status", "error"]
     last = [name for name in (*CURVES, *TIMES) if name in table]
@@ -134,7 +137,7 @@ def run_all(
 
 
 def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict[str, Any]]:
-    """Rows of runs on one flight, which is simulated if one of them is not kept."""
+    """Rows of runs on one flight, which is simulated if a row is not cached."""
     if sources != SOURCES:
         raise InputError("a worker has another version of steelnb or of a library than the process that started it")
     flown, rows = cache(partial(fly, runs[0].settings)), []
@@ -143,24 +146,25 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
         key = hashlib.sha256(f"{variant} {text}".encode()).hexdigest()[:32]
         named = {**case_of(settings, variant), "key": key, "status": "ok", "error": ""}
         try:
-            row = kept(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
+            row = cached(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
         except Exception:
-            error = traceback.format_exc(limit=-3).replace(f"{PACKAGE.parent}/", "")  # tables are published
+            # Tables are published, so the traceback must not contain this machine's paths.
+            error = traceback.format_exc(limit=-3).replace(f"{PACKAGE.parent}/", "")
             row = {"status": "failed", "error": error}
         rows.append({**named, **row})
     return rows
 
 
 def curves(table: pd.DataFrame) -> pd.DataFrame:
-    """The thin curves of some runs in long form, a row a sample: the columns that name the run, ``time_s``, ``raw_m``
-    and ``error_m``, the errors without and with correction, and ``matches``, the pairs of that scan."""
+    """The thinned curves of some runs in long form, one row per sample: the columns `CASE`, ``time_s``, the errors
+    without and with correction, ``raw_m`` and ``error_m``, and ``matches``, the number of correspondences."""
     long = table[[*CASE, *CURVES]].dropna(subset=list(CURVES)).explode(list(CURVES), ignore_index=True)
     named = {name: name.removeprefix("curve_") for name in CURVES}
     return long.astype(dict.fromkeys(CURVES, float)).rename(columns=named)
 
 
 def write_runs(folder: Path, table: pd.DataFrame) -> None:
-    """Write a table of `run_all` as `RUNS`, its measured times apart as `TIMING`. Raises `OutputError`."""
+    """Write a table of `run_all` to `RUNS`, and its measured times to `TIMING`. Raises `OutputError`."""
     times = [name for name in TIMES if name in table]
     with new_folder(folder) as new:
         table.drop(columns=times).to_parquet(new / RUNS, index=False, compression="zstd", compression_level=9)
@@ -168,7 +172,7 @@ def write_runs(folder: Path, table: pd.DataFrame) -> None:
 
 
 def read_runs(folder: Path) -> pd.DataFrame:
-    """What `write_runs` wrote. Raises `InputError`."""
+    """Read the table that `write_runs` wrote. Raises `InputError`."""
     with reading(folder / RUNS, "the table of a study"):
         table = pd.read_parquet(folder / RUNS)
     with reading(folder / TIMING, "the times of a study"):
@@ -176,22 +180,22 @@ def read_runs(folder: Path) -> pd.DataFrame:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command behind `make study`. Exit code 1: runs failed; 2: bad input, in one line."""
+    """The command of `make study`. Exit code 1: some runs failed; 2: bad input, reported in one line."""
     parser = argparse.ArgumentParser(prog="python -m steelnb.runs", description="Run a study and write its table.")
     parser.add_argument("study", type=Path, metavar="STUDY.toml")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", required=True)
-    parser.add_argument("-j", "--jobs", type=int, default=-1, help="flights at once; default: one a core")
-    given = parser.parse_args(arguments)
+    parser.add_argument("-j", "--jobs", type=int, default=-1, help="flights at once; default: one per core")
+    options = parser.parse_args(arguments)
     try:
-        table = run_all(read_grids(given.study), given.jobs)
-        write_runs(given.output, table)
+        table = run_all(read_grids(options.study), options.jobs)
+        write_runs(options.output, table)
     except (SteelnbError, OSError) as fault:
         print("error:", " ".join(str(fault).split()), file=sys.stderr)
         return 2
     failed = table[table["status"] == "failed"]
     for run in failed.itertuples():
         print(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", file=sys.stderr)
-    print(f"{given.output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
+    print(f"{options.output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
     return int(len(failed) > 0)
 
 

@@ -1,4 +1,4 @@
-"""Frozen types that the modules hand to each other.
+"""Frozen types that the modules exchange.
 
 Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N, 3)`` float64 in metres with NaN rows
 for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of the drone. ``stamp_s (N,)`` strictly rising, ``T_world_drone (N, 4, 4)``."""
+    """Poses of the drone: ``stamp_s (N,)``, strictly increasing, and ``T_world_drone (N, 4, 4)``."""
 
     stamp_s: Array
     T_world_drone: Array
@@ -33,9 +33,9 @@ class Trajectory:
         return self.T_world_drone[:, :3, 3]
 
     def moved(self, by: Array) -> "Trajectory":
-        """The same poses with ``by (3,)``, metres, added to their positions; itself where that is zero.
+        """The poses translated by ``by (3,)``, metres; the same object if that is zero.
 
-        Rounded to 0.1 µm, so that poses moved to zero from far away are those of the same flight at home.
+        Positions are rounded to 0.1 µm, so that large map coordinates, once moved to the origin, leave no rounding.
         """
         if not by.any():
             return self
@@ -44,16 +44,16 @@ class Trajectory:
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":
-        """The poses whose stamps equal ``stamp_s`` to a microsecond; raises ValueError if one is missing."""
+        """The poses at ``stamp_s (K,)``, equal to a microsecond. Raises ValueError if one is missing."""
         index = np.clip(np.searchsorted(self.stamp_s, stamp_s - 1e-6), 0, len(self) - 1)
         if not np.allclose(self.stamp_s[index], stamp_s, atol=1e-6):
-            raise ValueError("the trajectory has no pose at some of the stamps asked for")
+            raise ValueError("the trajectory has no pose at some of these stamps")
         return Trajectory(self.stamp_s[index], self.T_world_drone[index])
 
     def between(self, stamp_s: Array) -> Array:
-        """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions linearly, rotations by slerp, and the first and the
-        last pose before and after all others. There must be two poses at least."""
-        from scipy.spatial.transform import Rotation, Slerp  # late: most users of this module do without
+        """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions interpolated linearly, rotations by slerp, clamped
+        to the first and last pose. Needs at least two poses."""
+        from scipy.spatial.transform import Rotation, Slerp  # imported late, as few users of this module need it
 
         inside = np.clip(stamp_s, self.stamp_s[0], self.stamp_s[-1]).ravel()
         result = np.tile(np.eye(4), (len(inside), 1, 1))
@@ -78,9 +78,9 @@ class Imu:
 
 @dataclass(frozen=True)
 class Scan:
-    """One range image as points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame; invalid returns are NaN.
+    """One scan: points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame, metres; invalid returns are NaN.
 
-    ``fault`` says why a scan of a recording has no points, such as "unreadable file"; it is empty for all others.
+    ``fault``: why a scan of a recording has no points, such as "unreadable file"; else empty.
     """
 
     stamp_s: float
@@ -89,7 +89,7 @@ class Scan:
 
 
 class RangeScans(Sequence[Scan]):
-    """Scans kept as range images: a quarter of the memory of the points, which are made when asked for.
+    """Scans stored as range images, in a quarter of the memory; their points are computed on access.
 
     ``stamp_s (K,)``; ``range_m (K, H, W)`` float32 along the ray, NaN for no return; ``ray (H, W, 3)`` unit vectors in
     the sensor frame, whose x axis is the optical axis.
@@ -99,14 +99,14 @@ class RangeScans(Sequence[Scan]):
         self.stamp_s, self.range_m, self.ray = stamp_s, range_m, ray
 
     def __getstate__(self) -> tuple[NDArray[Any], ...]:
-        # Stored are returns alone: most rays pass the structure by.
+        # Only the returns are stored, as most rays miss the structure.
         returned = ~np.isnan(self.range_m)
         return self.stamp_s, self.ray, np.packbits(returned), np.array(returned.shape), self.range_m[returned]
 
     def __setstate__(self, state: tuple[NDArray[Any], ...]) -> None:
-        self.stamp_s, self.ray, bits, shape, found_m = state
+        self.stamp_s, self.ray, bits, shape, returns_m = state
         self.range_m = np.full(shape, np.nan, np.float32)
-        self.range_m[np.unpackbits(bits, count=self.range_m.size).reshape(shape).astype(bool)] = found_m
+        self.range_m[np.unpackbits(bits, count=self.range_m.size).reshape(shape).astype(bool)] = returns_m
 
     def __len__(self) -> int:
         return len(self.stamp_s)
@@ -124,10 +124,10 @@ class RangeScans(Sequence[Scan]):
 class Flight:
     """The input of every estimator, from a simulation, a bag or a folder of scans. It holds no truth.
 
-    ``scans``: K scans in the sensor frame, in memory or read one by one as they are iterated over; ``prior``: the
-    drifting poses of the drone at their stamps; ``T_drone_sensor (4, 4)``: the mount of the sensor; ``imu`` and
-    ``images`` of a camera: None where there are none. ``name`` is for titles and file names; ``facts`` say where the
-    parts of a recording come from; ``skipped`` counts what was left out when it was opened, by reason.
+    ``scans``: K scans in the sensor frame, in memory or read from disk on access; ``prior``: the drifting poses of the
+    drone at their stamps; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images``: None if there are
+    none. ``name`` is for titles and file names; ``facts``: the source of each part of a recording; ``skipped``: number
+    of messages or files left out on opening, by reason.
     """
 
     scans: Sequence[Scan]
@@ -143,15 +143,15 @@ class Flight:
         return len(self.prior)
 
     def first(self, count: int) -> "Flight":
-        """The flight up to its first ``count`` scans."""
+        """The first ``count`` scans of the flight."""
         prior = Trajectory(self.prior.stamp_s[:count], self.prior.T_world_drone[:count])
         return replace(self, scans=self.scans[:count], prior=prior)
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, ``count (M,)`` points each,
-    and ``label (N,)``, the line of each input point or −1."""
+    """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, number of points ``count (M,)``, and ``label
+    (N,)``, the line of each input point or −1."""
 
     anchor: Array
     direction: Array
@@ -164,8 +164,8 @@ class Lines:
 
 @dataclass(frozen=True)
 class Segments:
-    """Line segments: ``start (M, 3)``, ``end (M, 3)``, ``count (M,)`` points each and ``radius (M,)``, the root mean
-    square distance of those points to the axis, in metres."""
+    """Line segments, metres: ``start (M, 3)``, ``end (M, 3)``, number of points ``count (M,)``, and ``radius (M,)``,
+    the root mean square distance of these points from the axis."""
 
     start: Array
     end: Array
@@ -181,7 +181,7 @@ class Segments:
 
     @staticmethod
     def joined(parts: "Iterable[Segments]") -> "Segments":
-        """All segments of at least one part, in order."""
+        """The segments of all parts, in order; at least one part."""
         columns = zip(*((part.start, part.end, part.count, part.radius) for part in parts), strict=True)
         return Segments(*(np.concatenate(column) for column in columns))
 
@@ -206,21 +206,21 @@ class Segments:
         return Segments(self.start @ R.T + t, self.end @ R.T + t, self.count, self.radius)
 
     def moved(self, by: Array) -> "Segments":
-        """The same segments with ``by (3,)``, metres, added to their ends."""
+        """The segments translated by ``by (3,)``, metres."""
         return replace(self, start=self.start + by, end=self.end + by)
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
-        """The segments that an index or a mask picks."""
+        """The segments selected by an index or a mask."""
         return Segments(self.start[index], self.end[index], self.count[index], self.radius[index])
 
 
 @dataclass(frozen=True)
 class OdometryStep:
-    """Result of one scan.
+    """The result of one scan.
 
-    ``T_world_drone (4, 4)`` is the corrected pose; ``used`` says whether the scan corrected it at all, and ``reason``
-    why not; ``matches`` counts the pairs that did; ``seconds`` maps each stage to the time it took; ``unobserved`` is
-    the number of directions, 0 to 3, in which a scan that was used says nothing, and the prior was followed.
+    ``T_world_drone (4, 4)``: corrected pose; ``used``: whether the scan corrected it; ``reason``: why it did not, else
+    empty; ``matches``: number of correspondences; ``seconds``: duration of each stage; ``unobserved``: number of
+    directions, 0 to 3, that a used scan does not constrain, in which the prior is followed.
     """
 
     stamp_s: float
@@ -236,16 +236,16 @@ class OdometryStep:
 class Estimate:
     """A corrected flight of K scans and the map built on the way.
 
-    ``prior`` and ``corrected`` are poses at the scans; ``points (N, 3)`` and ``segments`` are the map in the world
-    frame. Per scan: ``matches (K,)`` pairs; ``reason``, why it corrected nothing, empty where it did; ``seconds`` maps
-    each stage to times ``(K,)``; ``update_s (K,)`` is the wall time of the whole update; ``unobserved (K,)``, the
-    number of directions, 0 to 3, in which a scan that was used says nothing (empty where that is not known).
-    ``unsmoothed`` is the reason why the flight could not be smoothed, where that was asked for; else empty.
+    ``prior`` and ``corrected``: poses at the scans; ``points (N, 3)`` and ``segments``: the map in the world frame. Per
+    scan: number of correspondences ``matches (K,)``; ``reason`` why it was not used, else empty; duration of each
+    stage, ``seconds``, each ``(K,)``; ``update_s (K,)``, wall time of the whole update; ``unobserved (K,)``, number of
+    directions, 0 to 3, that a used scan does not constrain (empty if unknown). ``unsmoothed``: why smoothing failed,
+    else empty.
 
     A smoothed flight has covariances, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
-    corrected poses, metres and radians, in the axes of the world (`fusion.uncertainty.pose_covariances`; that of the
-    first pose is zero), and ``axis_covariance (M, 4, 4)`` of place and direction of each segment
-    (`fusion.uncertainty.axis_covariances`). ``unsure`` is the reason why a smoothed flight has none.
+    corrected poses, metres and radians, in world axes (`fusion.uncertainty.pose_covariances`; zero for the first pose),
+    and ``axis_covariance (M, 4, 4)`` of position and direction of each segment (`fusion.uncertainty.axis_covariances`).
+    ``unsure``: why a smoothed flight has none, else empty.
     """
 
     prior: Trajectory
@@ -264,11 +264,11 @@ class Estimate:
 
     @property
     def period_s(self) -> Array:
-        """Time ``(K,)`` from each scan to the next, within which an update is on time; the last has the median."""
+        """Time ``(K,)`` from each scan to the next, the deadline of its update; the last scan has the median."""
         gaps = np.diff(self.prior.stamp_s)
         return np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
 
     @property
     def on_time_share(self) -> float:
-        """Share of the updates, 0 to 1, done before the next scan."""
+        """Share of the updates, 0 to 1, that are done before the next scan."""
         return float((self.update_s <= self.period_s).mean())

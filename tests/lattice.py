@@ -7,6 +7,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from steelnb.settings import TowerSettings
+from steelnb.simulation import Member, Tower
+
 
 def lattice(height: float = 15.0, base: float = 6.0, top: float = 3.0, panels: int = 5) -> np.ndarray:
     """Bars ``(M, 2, 3)`` of a square tower: four legs, rings, and X-bracing on each face."""
@@ -48,3 +51,22 @@ def pieces_of(tower) -> tuple[np.ndarray, int]:
     ends = [sorted(ends) for member in tower.members for ends in itertools.pairwise(member.joints)]
     pieces, size = np.unique(ends, axis=0), len(tower.joints)
     return pieces, connected_components(coo_array((np.ones(len(pieces)), pieces.T), shape=(size, size)))[0]
+
+
+def build_tubes(axes: np.ndarray, radius_m: float, sides: int = 48) -> Tower:
+    """Round tubes along ``axes (M, 2, 3)``: open prisms whose polygon of ``sides`` has the area of the circle."""
+    angle, low = 2 * np.pi * np.arange(sides) / sides, np.arange(sides)
+    reach = radius_m * np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
+    outline, high = reach * np.column_stack([np.cos(angle), np.sin(angle)]), (low + 1) % sides
+    wall = np.concatenate([np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)])
+    members, vertices = [], []
+    for k, (start, end) in enumerate(axes):
+        axis = (end - start) / np.linalg.norm(end - start)
+        first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        first /= np.linalg.norm(first)
+        flanges = first, np.cross(axis, first)
+        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *map(tuple, flanges), "round"))
+        vertices += [start + outline @ flanges, end + outline @ flanges]
+    triangles = np.concatenate([wall + 2 * sides * k for k in range(len(axes))])
+    owner = np.repeat(np.arange(len(axes)), len(wall))
+    return Tower(axes.reshape(-1, 3), tuple(members), np.concatenate(vertices), triangles, owner, TowerSettings())

@@ -1,4 +1,4 @@
-"""What comes from the disk is what was computed, to the bit."""
+"""Cached results are the same bits as computed ones."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -24,7 +24,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of `experiment`'s functions that computed something, in order."""
+    """The names of the functions of `experiment` that were called, in order."""
     found: list[str] = []
     for name in ("fly", "run_odometry"):
         call = getattr(experiment, name)
@@ -33,7 +33,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def leaves(value: object) -> list:
-    """Arrays and plain values in a dataclass and what it holds, in order; not the times that were measured."""
+    """All arrays and plain values in a nested dataclass, in order, without measured times."""
     if is_dataclass(value):
         names = [each.name for each in fields(value) if each.name not in ("seconds", "update_s")]
         return [leaf for name in names for leaf in leaves(getattr(value, name))]
@@ -56,7 +56,7 @@ def assert_same(one: object, two: object) -> None:
 
 
 @pytest.mark.parametrize("method", ["least_squares_yaw", "icp", "faces", "report-icp"])
-def test_kept_flights_and_estimates_are_those_computed_to_the_bit(folder, made, monkeypatch, method):
+def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatch, method):
     settings = ExperimentSettings.preset(**GIVEN, method=method)
     runs = []
     for _ in range(2):
@@ -86,7 +86,7 @@ def test_kept_flights_and_estimates_are_those_computed_to_the_bit(folder, made, 
         ({"tower.base_width_m": 4.1}, ["fly", "run_odometry"]),
     ],
 )
-def test_a_change_makes_anew_what_depends_on_it_alone(folder, made, changed, made_anew):
+def test_a_change_recomputes_only_what_depends_on_it(folder, made, changed, made_anew):
     experiment.run(SETTINGS)
     del made[:]
     experiment.run(SETTINGS.override(changed))
@@ -94,7 +94,7 @@ def test_a_change_makes_anew_what_depends_on_it_alone(folder, made, changed, mad
     assert made == made_anew
 
 
-def test_an_estimate_belongs_to_the_scans_that_it_was_given(folder, made):
+def test_an_estimate_depends_on_its_scans(folder, made):
     flight, truth = experiment.simulate(SETTINGS)
     scans = flight.scans
     whole = experiment.estimate(SETTINGS, flight, truth)
@@ -103,7 +103,7 @@ def test_an_estimate_belongs_to_the_scans_that_it_was_given(folder, made):
     assert not len(experiment.estimate(SETTINGS, blind, truth).segments)
 
 
-def test_a_list_of_members_counts_by_its_content(folder, made, tmp_path):
+def test_a_list_of_members_is_hashed_by_its_content(folder, made, tmp_path):
     text = (cache.PACKAGE / "presets" / "report-tower.csv").read_text()
     (tmp_path / "mine.csv").write_text(text)
     mine = ExperimentSettings.report("3.5", "vertical", "icp").override(
@@ -117,7 +117,7 @@ def test_a_list_of_members_counts_by_its_content(folder, made, tmp_path):
     assert made == ["fly", "fly"]
 
 
-def test_sources_count_and_what_cannot_be_read_is_computed_again(folder, made, monkeypatch):
+def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made, monkeypatch):
     first, _ = experiment.simulate(SETTINGS)
     (file,) = folder.rglob("output.pkl")
     whole = file.read_bytes()
@@ -130,25 +130,25 @@ def test_sources_count_and_what_cannot_be_read_is_computed_again(folder, made, m
     assert made == ["fly"] * 5
 
 
-def test_code_and_presets_are_sources_and_reports_are_not(tmp_path, monkeypatch):
+def test_sources_include_code_and_presets_but_not_reports(tmp_path, monkeypatch):
     for name in ("hough/votes.py", "presets/methods.toml", "report/style.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
-    before = cache.digest_sources(), cache.digest_sources(apart=())
+    before = cache.digest_sources(), cache.digest_sources(excluded=())
     (tmp_path / "hough" / "__pycache__").mkdir()
     (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
-    assert (cache.digest_sources(), cache.digest_sources(apart=())) == before
+    assert (cache.digest_sources(), cache.digest_sources(excluded=())) == before
     for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("report/style.py", False)):
         (tmp_path / name).write_text("a = 2\n")
         assert (cache.digest_sources() != before[0]) is counts
-        assert cache.digest_sources(apart=()) != before[1]
+        assert cache.digest_sources(excluded=()) != before[1]
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "LIBRARIES", ())
     assert cache.digest_sources() != before[0]
 
 
-def test_what_was_used_longest_ago_goes(folder, monkeypatch):
+def test_the_least_recently_used_entries_are_deleted(folder, monkeypatch):
     for seed in (1, 2, 3):
         experiment.simulate(SETTINGS.replace(seed=seed))
     sizes = [path.stat().st_size for path in folder.rglob("output.pkl")]

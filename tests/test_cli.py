@@ -19,7 +19,7 @@ from tests.lattice import lattice, scanned
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of three seconds, its truth, and clouds whole and half."""
+    """A bag of three seconds, its truth, and complete and truncated clouds."""
     folder = tmp_path_factory.mktemp("recorded")
     small = [f"--set={each}" for each in ("tof.columns=90", "tof.rows=120")]
     assert cli.main(["record", str(folder / "a.mcap"), "--duration", "3", *small]) == 0
@@ -39,7 +39,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def corrected(recorded: Path) -> Path:
-    """What ``run`` leaves of the bag."""
+    """The output of ``run`` for the bag."""
     assert cli.main(["run", str(recorded / "a.mcap"), "-o", str(recorded / "out")]) == 0
     return recorded / "out"
 
@@ -79,7 +79,7 @@ BAD = (
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD, ids=lambda value: " ".join(value) if len(value) < 6 else None)
-def test_bad_input_is_one_line_exit_2_and_nothing_left(
+def test_bad_input_is_one_line_exit_2_and_writes_nothing(
     here: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
     before = sorted(here.rglob("*"))
@@ -112,7 +112,7 @@ def test_without_a_correction_the_poses_are_the_prior_s(here: Path) -> None:
     )  # fmt: skip
 
 
-def test_a_folder_of_clouds_is_corrected_as_its_bag(here: Path, corrected: Path, tmp_path: Path) -> None:
+def test_a_folder_of_clouds_gives_the_same_result_as_its_bag(here: Path, corrected: Path, tmp_path: Path) -> None:
     flight = read_flight(here / "a.mcap")
     for k, scan in enumerate(flight.scans):
         np.save(tmp_path / f"{k}.npy", scan.points)

@@ -1,4 +1,4 @@
-"""Flights that react to what the odometry believes."""
+"""Flights that are steered by the odometry's estimate."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ NOISE = "random-walk+yaw-random-walk"
 
 
 @pytest.mark.parametrize("sensor", ["starling2", "starling2-honest"])
-def test_what_was_seen_on_the_way_is_to_the_bit_what_the_flight_holds_afterwards(sensor):
+def test_scans_during_a_flight_equal_those_of_the_whole_flight_bit_for_bit(sensor):
     settings = ExperimentSettings.preset("planned", NOISE, "combined", sensor, seed=3, duration_s=2.0)
     tower = build_tower(settings.tower)
     pilot = OnboardPilot(settings, tower)
@@ -48,7 +48,7 @@ def test_a_planned_flight_goes_around_the_tower_and_sees_it_in_every_scan(around
     assert np.linalg.norm([step.T_world_drone[:3, 3] for step in pilot.steps] - at, axis=1).max() < 0.1
 
 
-def test_the_drone_does_what_the_planner_decides(around):
+def test_the_drone_follows_the_planner_s_velocities(around):
     _, pilot, true = around
     speed = np.gradient(true.position, 0.008, axis=0)
     asked, flown = [], []
@@ -58,11 +58,11 @@ def test_the_drone_does_what_the_planner_decides(around):
         forward, left, up = decision.velocity
         asked.append([np.cos(yaw) * forward - np.sin(yaw) * left, np.sin(yaw) * forward + np.cos(yaw) * left, up])
         flown.append(speed[round(stamp_s / 0.008)])
-    # The controller takes a few tenths of a second, and there are gusts.
+    # The controller has a delay of a few tenths of a second, and there are gusts.
     assert np.sqrt((np.subtract(asked, flown) ** 2).sum(axis=1).mean()) < 0.35
 
 
-def test_a_pilot_who_believes_a_wrong_pose_flies_another_path(around):
+def test_the_path_depends_on_the_estimated_pose(around):
     settings, _, true = around
     drifting = settings.replace(noise_name="random-walk:0.02")
     other, _ = fly(build_tower(settings.tower), drifting.flight, 5, OnboardPilot(drifting, build_tower(settings.tower)))
@@ -76,7 +76,7 @@ def test_the_same_seed_gives_the_same_flight():
     np.testing.assert_array_equal(a, b)
 
 
-def test_a_planned_flight_tells_how_far_it_has_come():
+def test_a_planned_flight_reports_its_progress():
     settings, shares = ExperimentSettings.preset("planned", "random-walk", "best", seed=2, duration_s=1.0), []
     experiment.simulate(settings, shares.append)
     assert shares == sorted(shares)
@@ -97,12 +97,12 @@ def test_a_pilot_that_ends_the_flight_ends_it():
     assert true.position[-1, 2] > true.position[0, 2]
 
 
-def test_a_pilot_that_flies_into_the_ground_is_told_where():
+def test_a_collision_with_the_ground_states_its_position():
     with pytest.raises(CollisionError, match=r"planned flight .* touches the structure or the ground at t = "):
         fly(build_tower(), FlightSettings.preset("planned", 20.0), 1, lambda true, imu: Command((0.0, 0.0, -1.0), 0.0))
 
 
-def test_a_planner_belongs_to_planned_flights_alone():
+def test_only_planned_flights_have_a_planner():
     with pytest.raises(InputError, match="goal = 'home'"):
         ExperimentSettings.preset("planned", overrides={"flight.goal": "home"})
     with pytest.raises(InputError, match="trajectory 'loops': expected 'planned'"):

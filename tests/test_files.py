@@ -53,7 +53,7 @@ def test_an_interruption_changes_nothing(tmp_path: Path, fault: BaseException, e
     assert files_below(tmp_path) == before
 
 
-def test_a_place_that_cannot_be_written_is_told_in_one_line(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("1")
     with (
         pytest.raises(OutputError, match=r"file/out: cannot be written: Not a directory"),
@@ -80,7 +80,7 @@ def test_a_killed_process_leaves_nothing_half_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", [ValueError("two\nlines"), KeyError("x"), OSError(5, "Input/output error")])
-def test_whatever_reading_raises_is_one_line_with_the_name(tmp_path: Path, fault: Exception) -> None:
+def test_any_exception_of_a_reader_is_one_line_with_the_name(tmp_path: Path, fault: Exception) -> None:
     (tmp_path / "a.ply").write_text("")
     with pytest.raises(InputError, match=r"a.ply: not a PLY file: ") as told, reading(tmp_path / "a.ply", "a PLY file"):
         raise fault

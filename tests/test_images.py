@@ -9,16 +9,16 @@ K = np.array([[100.0, 0.0, 79.5], [0.0, 110.0, 59.5], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     ("stamp_s", "number"), [(0.3, 3), (0.34, 3), (0.36, None), (0.3999999, 4), (0.399, None), (-0.01, None), (0.94, 9)]
 )
-def test_the_last_image_not_after_a_stamp_serves_for_half_a_frame(stamp_s, number):
+def test_a_stamp_has_the_last_image_up_to_half_a_period_before_it(stamp_s, number):
     images = CameraImages(0.1 * np.arange(10), [], K, np.eye(4))
     assert images.at(stamp_s) == number
 
 
-def test_no_image_serves_no_stamp():
+def test_without_images_no_stamp_has_one():
     assert CameraImages(np.zeros(0), [], K, np.eye(4)).at(0.0) is None
 
 
-def test_points_are_seen_left_to_right_and_top_to_bottom():
+def test_u_points_right_and_v_down():
     points = np.array([[2.0, 0.0, 0.0], [2.0, 0.5, 0.0], [2.0, 0.0, 0.5], [-1.0, 0.0, 0.0]])
     pixel = project(points, K)
     np.testing.assert_allclose(pixel[:3], [[79.5, 59.5], [54.5, 59.5], [79.5, 32.0]])

@@ -29,7 +29,7 @@ def test_random_walk_has_the_root_mean_square_of_its_model():
     assert np.abs(error.mean(axis=0)).max() < 4 * expected / np.sqrt(3 * 400)
 
 
-def test_algorithm_1_is_a_cumulated_normal_vector():
+def test_algorithm_1_is_a_cumulative_sum_of_normal_vectors():
     settings = Noise(random_walk_m=0.002)
     steps = np.diff(drifting(still(40), settings, 5).position, axis=0)
     assert steps.std() == pytest.approx(0.002, rel=0.02)
@@ -37,7 +37,7 @@ def test_algorithm_1_is_a_cumulated_normal_vector():
     assert abs(lag) < 0.05
 
 
-def test_constant_drift_has_the_length_asked_for_in_a_direction_of_its_seed():
+def test_constant_drift_has_its_length_in_a_random_direction():
     length = np.linalg.norm(errors("constant-drift", 8, 3), axis=1)
     np.testing.assert_allclose(length, 0.0001 * 1000)
     per_axis = np.linalg.norm(errors("constant-drift-per-axis", 8, 3), axis=1)
@@ -47,7 +47,7 @@ def test_constant_drift_has_the_length_asked_for_in_a_direction_of_its_seed():
     np.testing.assert_allclose(np.cov(directions.T), np.eye(3) / 3, atol=0.06)
 
 
-def test_yaw_walk_turns_the_heading_and_leaves_the_position():
+def test_yaw_walk_rotates_the_heading_and_not_the_position():
     truth = still(10)
     drifted = drifting(truth, Noise(yaw_random_walk_rad=0.0005), 2)
     np.testing.assert_array_equal(drifted.position, truth.position)
@@ -58,7 +58,7 @@ def test_yaw_walk_turns_the_heading_and_leaves_the_position():
     assert np.std([np.arctan2(T[1, 0], T[0, 0]) for T in final]) == pytest.approx(0.0005 * np.sqrt(1250), rel=0.12)
 
 
-def test_tilt_wanders_about_zero_in_roll_and_pitch_alone():
+def test_tilt_affects_only_roll_and_pitch_and_has_zero_mean():
     truth = still(100)
     settings = Noise.parse("tilt")
     assert settings.tilt_rad == np.radians(1)
@@ -83,7 +83,7 @@ def test_drift_begins_at_zero_and_a_sum_contains_its_parts():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.1, 10))
-def test_drift_is_that_of_its_seed_and_in_proportion_to_its_level(seed, level):
+def test_drift_depends_on_the_seed_and_is_proportional_to_its_level(seed, level):
     truth = still(2)
     names = ("random_walk_m", "constant_drift_m", "yaw_random_walk_rad")
     for name in names:

@@ -23,19 +23,19 @@ def modern(monkeypatch):
     monkeypatch.delitem(sys.modules, "numpy", raising=False)
 
 
-def test_variables_are_set_and_those_of_the_user_stay(modern):
+def test_variables_are_set_unless_the_user_has_set_them(modern):
     environment = {"OMP_NUM_THREADS": "4"}
     pins.pin(environment)
     assert environment == {**PINS, "OMP_NUM_THREADS": "4"}
 
 
-def test_numpy_gets_one_variable_alone(modern):
+def test_numpy_gets_only_one_variable(modern):
     environment = {pins.NUMPY_DISABLES: "X86_V4"}
     pins.pin(environment)
     assert pins.NUMPY_ENABLES not in environment
 
 
-def test_numpy_starts_with_what_is_set():
+def test_numpy_starts_with_the_variables():
     code = "import steelnb, numpy; from numpy._core._multiarray_umath import __cpu_features__ as f; print(f['X86_V4'])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "False"

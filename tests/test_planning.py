@@ -24,7 +24,7 @@ def pose(x: float, y: float, z: float, yaw: float) -> np.ndarray:
 
 
 def column(x: float, y: float, half_m: float = 0.0) -> np.ndarray:
-    """Points of four uprights, 10 m high, at the corners of a square about a place; of one where it has no width."""
+    """Points of four uprights, 10 m high, at the corners of a square; of one upright if ``half_m`` is 0."""
     z = np.arange(0.3, 10.0, 0.05)
     corners = [(-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m)] if half_m else [(0, 0)]
     sides = [(0.03 * dx, 0.03 * dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
@@ -54,7 +54,7 @@ def visible(steel: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 def fly(planner: Planner, steel: np.ndarray, T: np.ndarray, seconds: float, blind=lambda stamp_s: False):
-    """A drone that does at once what it is told: its poses ``(K, 4, 4)`` and the decisions."""
+    """A drone that follows each command immediately: its poses ``(K, 4, 4)`` and the decisions."""
     poses, decisions = [], []
     for k in range(round(seconds / PERIOD_S)):
         if k % 2 == 0:
@@ -74,7 +74,7 @@ def clearance(poses: np.ndarray, steel: np.ndarray) -> float:
     return min(float(np.linalg.norm(steel - T[:3, 3], axis=1).min()) for T in poses)
 
 
-def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
+def test_around_a_tower_it_keeps_its_distance_and_faces_the_tower():
     steel = tower(half_m=1.0)
     poses, decisions = fly(planner_of(AROUND), steel, pose(0, -2.4, 0.7, np.pi / 2), 60.0)
     position = poses[:, :3, 3]
@@ -88,7 +88,7 @@ def test_around_a_tower_it_keeps_its_distance_and_faces_it_all_the_way_round():
     np.testing.assert_allclose(position[-1, 2] - 0.7, 60 / 200 * 6.3, atol=0.15)
 
 
-def test_up_a_face_it_turns_back_at_both_edges_and_climbs():
+def test_in_front_of_a_face_it_turns_back_at_both_edges_and_climbs():
     steel = tower(half_m=1.5)
     poses, _ = fly(planner_of(FACE), steel, pose(0, -2.7, 0.7, np.pi / 2), 90.0)
     position = poses[:, :3, 3]
@@ -102,7 +102,7 @@ def test_up_a_face_it_turns_back_at_both_edges_and_climbs():
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_it_hits_nothing_that_it_has_seen(seed):
+def test_it_does_not_hit_mapped_obstacles(seed):
     random = np.random.default_rng(seed)
     steel = np.concatenate([tower(half_m=1.0), *(column(*random.uniform(-4, 4, 2)) for _ in range(3))])
     start = pose(*random.uniform(-5, 5, 2), 1.0, random.uniform(-np.pi, np.pi))
@@ -112,7 +112,7 @@ def test_it_hits_nothing_that_it_has_seen(seed):
     decide = planner.decide
 
     def watched(stamp_s, T):
-        """The distances to what is mapped now, before this decision and after it."""
+        """Record the distances to the mapped points, before this decision and after it."""
         known, decision = planner.map.means(), decide(stamp_s, T)
         then = T[:3, 3] + T[:3, :3] @ decision.velocity * PERIOD_S
         nearest.append([np.linalg.norm(known - at, axis=1).min(initial=np.inf) for at in (T[:3, 3], then)])
@@ -121,11 +121,11 @@ def test_it_hits_nothing_that_it_has_seen(seed):
     planner.decide = watched
     fly(planner, steel, start, 20.0)
     before, after = np.array(nearest).T
-    # What comes into sight nearer than the clearance is at least not approached.
+    # An obstacle that appears within the clearance is not approached further.
     assert (after > np.minimum(CLEARANCE_M - 0.05, before - 0.02)).all()
 
 
-def test_what_a_scan_shows_for_the_first_time_counts_at_once():
+def test_new_obstacles_of_a_scan_count_at_once():
     planner, T = planner_of(AROUND), pose(0, -2.4, 1.0, np.pi / 2)
     steel = tower(half_m=1.0)
     fly(planner, steel, T, 1.0)
@@ -138,7 +138,7 @@ def test_what_a_scan_shows_for_the_first_time_counts_at_once():
 def test_with_nothing_in_sight_it_turns_once_and_ends():
     poses, decisions = fly(planner_of(AROUND), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
     assert decisions[-1].state == "end"
-    assert decisions[-1].reason == "no bar seen in a full turn"
+    assert decisions[-1].reason == "no structure seen in a full turn"
     assert {each.state for each in decisions[:-1]} == {"search"}
     assert np.ptp(poses[:, :3, 3], axis=0).max() == 0
     assert np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))[-1] == pytest.approx(2 * np.pi, abs=0.2)
@@ -151,7 +151,7 @@ def test_before_the_first_scan_it_waits():
     assert decision.yaw_rate == 0
 
 
-def test_a_structure_behind_it_is_found_by_turning():
+def test_it_finds_a_structure_behind_it_by_turning():
     steel = tower(half_m=1.0)
     _, decisions = fly(planner_of(AROUND), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
     states = [each.state for each in decisions]
@@ -159,7 +159,7 @@ def test_a_structure_behind_it_is_found_by_turning():
     assert states[-1] == "follow"
 
 
-def test_when_sight_is_lost_it_stops_turns_and_goes_back_until_it_sees_again():
+def test_after_loss_of_sight_it_stops_turns_and_returns_until_it_sees_the_structure():
     steel, planner = tower(half_m=1.0), planner_of(AROUND)
     end = 5.0 + SEARCH_STOP_S + SEARCH_TURN_S + 3.0
     poses, decisions = fly(

@@ -13,7 +13,7 @@ CURVES = pd.read_csv(Path(__file__).parents[1] / "notebooks" / "report-curves.cs
 
 
 def shown_and_drawn(plot):
-    """The drift that a plot of the report shows, metres, and ours at the same samples."""
+    """The drift in a plot of the report, metres, and the simulated drift at the same samples."""
     chosen = CURVES[
         (CURVES["figure"] == plot.figure)
         & (CURVES["trajectory"] == plot.trajectory)
@@ -42,7 +42,7 @@ def test_the_drift_is_the_report_s(plot):
         assert np.abs(shown - drawn).mean() < 0.02
 
 
-def test_draws_are_those_of_numpy_s_old_generator_in_the_original_s_order():
+def test_draws_equal_the_original_s_generator_and_order():
     generator = np.random.RandomState(42)  # as `numpy.random` itself after `numpy.random.seed(42)`
     walk, place, heading = [np.zeros(3)], np.zeros(3), 0.0
     for _ in range(50):

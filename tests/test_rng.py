@@ -3,7 +3,7 @@ import numpy as np
 from steelnb import rng
 
 
-def test_a_stream_depends_on_seed_and_names_alone():
+def test_a_stream_depends_only_on_seed_and_names():
     first = rng.stream(1, "tof", 3).standard_normal(5)
     rng.stream(1, "gust").standard_normal(100)
     np.testing.assert_array_equal(rng.stream(1, "tof", 3).standard_normal(5), first)

@@ -1,4 +1,4 @@
-"""Tables of short runs: what they hold, resuming, failures, and a Dask cluster."""
+"""Tables of short runs: their contents, resuming, failures, and a Dask cluster."""
 
 import subprocess
 import sys
@@ -45,7 +45,7 @@ def numbers(table: pd.DataFrame) -> pd.DataFrame:
 
 @pytest.fixture
 def made(monkeypatch):
-    """The runs that were computed, not read."""
+    """The runs that were computed, not read from the cache."""
     found = []
     monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(row.case_of(s)), row.make_row(s, flown))[1])
     return found
@@ -56,7 +56,7 @@ def plain(tmp_path_factory) -> pd.DataFrame:
     return runs.run_all(runs.grid(**AXES), folder=tmp_path_factory.mktemp("kept"))
 
 
-def test_rows_are_those_of_plain_runs_and_kept_to_the_bit(plain, tmp_path, made, monkeypatch):
+def test_rows_equal_plain_runs_and_cached_rows_are_the_same_bits(plain, tmp_path, made, monkeypatch):
     first = runs.run_all(runs.grid(**AXES), folder=tmp_path)
     assert len(made) == 4
     with monkeypatch.context() as patched:
@@ -74,7 +74,7 @@ def test_rows_are_those_of_plain_runs_and_kept_to_the_bit(plain, tmp_path, made,
     pd.testing.assert_frame_equal(wider.iloc[:4], first, check_exact=True)
 
 
-def test_other_sources_make_rows_anew_and_a_worker_with_others_is_refused(tmp_path, made, monkeypatch):
+def test_changed_sources_compute_rows_again_and_a_worker_with_other_sources_is_refused(tmp_path, made, monkeypatch):
     some = runs.grid(**{**AXES, "seeds": [1], "methods": ["icp"]})
     runs.run_all(some, folder=tmp_path)
     for module in ("cache", "runs"):
@@ -116,7 +116,7 @@ def test_a_dask_cluster_gives_the_same_table(plain, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_study_loses_only_the_runs_at_hand(tmp_path, made, monkeypatch):
+def test_a_killed_study_loses_only_the_current_runs(tmp_path, made, monkeypatch):
     monkeypatch.chdir(tmp_path)
     axes = {**AXES, "seeds": "1-6", "noises": ["random-walk", "constant-drift"]}
     path, stored = study(tmp_path, axes), []
@@ -138,7 +138,7 @@ def test_a_killed_study_loses_only_the_runs_at_hand(tmp_path, made, monkeypatch)
     )
 
 
-def test_tables_are_written_with_the_times_apart_and_read_again(plain, tmp_path):
+def test_tables_survive_writing_and_reading(plain, tmp_path):
     runs.write_runs(tmp_path / "out", plain)
     pd.testing.assert_frame_equal(runs.read_runs(tmp_path / "out")[plain.columns], plain, check_exact=True)
     assert not {*TIMES} & {*pd.read_parquet(tmp_path / "out" / runs.RUNS)}
@@ -162,7 +162,7 @@ def test_the_committed_table_has_the_columns_and_runs_of_the_study(plain):
     assert {*committed[list(CASE)].itertuples(index=False, name=None)} <= study
 
 
-def test_curves_are_long_and_agree_with_the_row(plain):
+def test_curves_in_long_form_agree_with_the_row(plain):
     long = runs.curves(plain)
     assert [*long] == [*CASE, "time_s", "raw_m", "error_m", "matches"]
     last = long.groupby(list(CASE), as_index=False)["error_m"].last()
@@ -170,7 +170,7 @@ def test_curves_are_long_and_agree_with_the_row(plain):
     assert len(long) == sum(map(len, plain["curve_error_m"]))
 
 
-def test_numbers_and_curves_are_those_of_the_run():
+def test_numbers_and_curves_describe_the_run():
     settings = ExperimentSettings.preset(
         "zigzag", "random-walk", sensor="report-4cm", seed=4, duration_s=30.0, method="icp",
         overrides={"tof.blind_s": [[10.0, 15.0]]},
@@ -209,7 +209,7 @@ def test_a_grid_has_every_combination_and_both_ends_of_a_range():
     assert len({experiment.world(settings) for settings in planned}) == len(planned)  # steered by what is estimated
 
 
-def test_the_seed_of_the_report_stands_beside_numbers(tmp_path):
+def test_a_table_may_mix_the_seed_report_and_numbers(tmp_path):
     axes = {**AXES, "methods": ["none"], "sensors": ["report"], "trajectories": ["vertical"], "duration_s": 60.0}
     table = runs.run_all([run.settings for run in runs.grid(**{**axes, "seeds": [7, "report"]})], folder=tmp_path)
     assert table["seed"].tolist() == ["7", "report"]
@@ -217,12 +217,12 @@ def test_the_seed_of_the_report_stands_beside_numbers(tmp_path):
     assert runs.read_runs(tmp_path / "out")["seed"].tolist() == ["7", "report"]
 
 
-def test_a_run_that_two_tables_name_is_one(tmp_path):
+def test_duplicate_runs_of_two_tables_run_once(tmp_path):
     one, two = AXES, {**AXES, "seeds": "2-3"}
     assert len(runs.read_grids(study(tmp_path, one, two))) == 6
 
 
-def test_the_study_of_the_project_has_enough_seeds_and_none_that_chose_settings():
+def test_the_study_has_enough_seeds_and_no_development_seeds():
     by_case: dict[tuple, set[int]] = {}
     for run in runs.read_grids(ROOT / "notebooks" / "study.toml"):
         case = row.case_of(*run)
@@ -274,7 +274,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys, line, words):
 
 
 @pytest.mark.parametrize(("text", "words"), [("", "no table"), ("a = 3", "expected a table"), (None, "does not exist")])
-def test_a_file_that_is_no_study_is_one_line(tmp_path, text, words):
+def test_an_invalid_study_file_is_one_line(tmp_path, text, words):
     if text is not None:
         (tmp_path / "study.toml").write_text(text)
     with pytest.raises(InputError, match=words):

@@ -62,7 +62,7 @@ def test_a_bad_setting_is_named_in_one_line(arguments, says):
     assert "\n" not in str(caught.value)
 
 
-def test_settings_are_frozen_and_know_no_other_key():
+def test_settings_are_frozen_and_refuse_unknown_keys():
     with pytest.raises(ValidationError):
         TofSettings().rate_hz = 10.0
     with pytest.raises(InputError, match="rate = 5"):
@@ -94,7 +94,7 @@ def test_the_report_preset_holds_the_published_settings():
     assert report.noise.random_walk_m == 0.002
 
 
-def test_noise_is_read_as_sums_with_levels():
+def test_noise_parses_sums_with_levels():
     noise = Noise.parse("random-walk:0.004+yaw-random-walk")
     assert (noise.random_walk_m, noise.yaw_random_walk_rad, noise.constant_drift_m) == (0.004, 0.0005, 0.0)
     assert Noise.parse("none") == Noise()
@@ -119,12 +119,12 @@ def test_a_tower_that_cannot_stand_is_refused():
         ({"trajectory": "zigzag"}, "'zigzag' with 2 waypoints"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0),)}, "at least two"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 5.0), (0.0, 2.5, 2.0, 0.0, 20.0))}, "0 seconds to the first"),
-        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 0.0, 0.0))}, "more to each other one"),
+        ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 0.0, 0.0))}, "more to all others"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, -2.0, 0.0, 20.0))}, r"waypoints.1.2 = -2.0"),
         ({"waypoints": ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 20.0))}, "waypoints.1"),
     ],
 )
-def test_a_flight_that_its_waypoints_do_not_give_is_refused(changes, says):
+def test_a_flight_that_contradicts_its_waypoints_is_refused(changes, says):
     path = ((0.0, 2.5, 1.0, 0.0, 0.0), (0.0, 2.5, 2.0, 90.0, 20.0))
     good = {"trajectory": "vertical", "duration_s": 20.0, "waypoints": path}
     assert FlightSettings(**good).waypoints == path
@@ -144,7 +144,7 @@ def test_a_flight_that_its_waypoints_do_not_give_is_refused(changes, says):
         ("random-walk+constant-drift", "the report has one or the other"),
     ],
 )
-def test_the_seed_report_has_the_report_s_levels_alone(noise, says):
+def test_the_seed_report_has_only_the_report_s_levels(noise, says):
     refused = (
         lambda: ExperimentSettings.preset(noise=noise, seed="report"),
         lambda: drift_errors(np.arange(3) / 125, Noise.parse(noise), "report"),
@@ -155,7 +155,7 @@ def test_the_seed_report_has_the_report_s_levels_alone(noise, says):
         assert "\n" not in str(caught.value)
 
 
-def test_a_flight_names_its_tower_and_its_duration():
+def test_a_flight_determines_its_tower_and_duration():
     for name in TRAJECTORIES:
         own = name in ("vertical", "orbit", "orbit-3.3")
         settings = ExperimentSettings.preset(name)
@@ -211,7 +211,7 @@ def test_a_method_of_another_family_has_no_setting_of_this_one(method):
             settings.override({name: 1})
 
 
-def test_a_setting_that_is_misspelt_is_told_from_those_of_the_family():
+def test_a_misspelt_setting_has_a_suggestion_from_the_family():
     with pytest.raises(
         InputError, match=r"unknown setting 'clouds\.dofs', did you mean 'dof'.*'clouds', which has pre"
     ):
@@ -220,7 +220,7 @@ def test_a_setting_that_is_misspelt_is_told_from_those_of_the_family():
         OdometrySettings.preset("faces").replace(refits_s=3.0)
 
 
-def test_the_name_of_the_table_may_stand_before_a_setting():
+def test_a_setting_may_be_prefixed_by_its_table():
     for method, given in (("faces", "clouds.sigma_filter_px"), ("best", "sigma_filter_px")):
         assert OdometrySettings.preset(method, overrides={given: 2}).sigma_filter_px == 2
     settings = ExperimentSettings.preset(method="faces", overrides={"odometry.refit_s": 3.0})
@@ -233,7 +233,7 @@ def test_what_is_written_beside_results_holds_all_settings_of_the_family():
         assert set(settings.model_dump()["odometry"]) == set(type(settings.odometry).model_fields)
 
 
-def test_an_honest_sensor_is_its_ideal_one_with_faults_and_an_imu():
+def test_an_honest_sensor_is_the_ideal_one_with_faults_and_an_imu():
     sensors = "starling2", "starling2-honest"
     ideal, honest = (ExperimentSettings.preset(sensor=name, method="best") for name in sensors)
     assert ideal.tof.faults == ()
@@ -250,7 +250,7 @@ def test_a_message_about_a_very_long_value_is_short() -> None:
     assert len(str(caught.value)) <= 400
 
 
-def test_a_method_has_what_the_sensor_adds_to_the_one_it_is_based_on():
+def test_a_method_inherits_the_sensor_s_additions_to_its_base():
     combined, smoothed = (OdometrySettings.preset(method, "starling2") for method in ("combined", "smoothed"))
     assert smoothed == combined.model_copy(update={"method": "smoothed", "smooth": True})
     assert smoothed.robust_scale_m != OdometrySettings.preset("average", "starling2").robust_scale_m

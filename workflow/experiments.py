@@ -74,7 +74,7 @@ class Part:
             for cell in read_cells(self.notebook)
         ]
         files = {name: file_digest(self.root / name) for name in (*self.experiment.inputs, "environment.lock")}
-        return digest(cells, self.parameters, files, digest_sources(apart=()), platform.python_version_tuple()[:2])
+        return digest(cells, self.parameters, files, digest_sources(excluded=()), platform.python_version_tuple()[:2])
 
 
 def read_experiments(root: Path) -> dict[str, Experiment]:

@@ -1,4 +1,4 @@
-"""Map of landmarks: points in the world, each with the descriptor of the feature that showed it."""
+"""Map of landmarks: points in the world, each with the descriptor of its last observation."""
 
 from typing import NamedTuple
 
@@ -10,15 +10,16 @@ from steelnb.odometry.features import Features
 from steelnb.types import Array, IntArray
 
 SIGHTINGS_MAX = 50
-"""Sightings after which a further one weighs no less, so that the mean of a landmark's places can still move."""
+"""The weight of a new observation stops decreasing after this number, so a landmark's position can still change."""
 ANGLE_MIN = 0.6
-"""Least cosine between the directions in which a landmark is seen and in which it was first seen."""
+"""Minimum cosine between the current and the first viewing direction of a landmark."""
 MISSES_MAX = 8
-"""A landmark goes once it was expected this many times more often than three times as often as it was found."""
+"""A landmark is removed when its misses exceed three times its observations by this number."""
 
 
 class Expected(NamedTuple):
-    """Landmarks that a camera should see: their ``number (M,)`` in the map, ``pixel (M, 2)`` and ``depth (M,)``."""
+    """Landmarks expected in a camera's view: ``number (M,)`` in the map, ``pixel (M, 2)`` and ``depth (M,)``,
+    metres."""
 
     number: IntArray
     pixel: Array
@@ -26,11 +27,11 @@ class Expected(NamedTuple):
 
 
 class LandmarkMap:
-    """At most ``count_max`` landmarks; beyond, those seen longest ago go.
+    """At most ``count_max`` landmarks; of more, the least recently observed ones are removed.
 
-    ``point (N, 3)``, world frame; ``descriptor (N, 4)``; ``octave (N,)``; ``towards (N, 3)``, unit vectors to where
-    they were first seen from; ``found (N,)``, ``missed (N,)`` and ``last (N,)``: how often they were seen, how often
-    they should have been and were not, and the number of the image in which they were seen last.
+    ``point (N, 3)``, world frame; ``descriptor (N, 4)``; ``octave (N,)``; ``towards (N, 3)``: unit vectors to the
+    position of the first observation; ``found (N,)`` and ``missed (N,)``: numbers of observations and of expected
+    observations that failed; ``last (N,)``: number of the last image that showed them.
     """
 
     def __init__(self, count_max: int) -> None:
@@ -43,34 +44,34 @@ class LandmarkMap:
         return len(self.point)
 
     def expected(self, T_world_camera: Array, K: Array, shape: tuple[int, int], range_max_m: float) -> Expected:
-        """The landmarks in view of a camera whose image has ``shape``, rows and columns."""
-        to = T_world_camera[:3, 3] - self.point
-        distance = np.linalg.norm(to, axis=1)
-        facing = (to * self.towards).sum(axis=1) > ANGLE_MIN * distance
-        index = np.flatnonzero(facing & (distance < range_max_m) & (distance > 0.1))
-        seen = -to[index] @ T_world_camera[:3, :3]
-        pixel = project(seen, K)
+        """The landmarks in view of a camera at a pose ``(4, 4)`` whose image has ``shape``, rows and columns."""
+        to_camera = T_world_camera[:3, 3] - self.point
+        distance = np.linalg.norm(to_camera, axis=1)
+        similar_view = (to_camera * self.towards).sum(axis=1) > ANGLE_MIN * distance
+        index = np.flatnonzero(similar_view & (distance < range_max_m) & (distance > 0.1))
+        in_camera = -to_camera[index] @ T_world_camera[:3, :3]
+        pixel = project(in_camera, K)
         inside = ((pixel > 0) & (pixel < np.array(shape[::-1]) - 1.0)).all(axis=1)
-        return Expected(index[inside], pixel[inside], seen[inside, 0])
+        return Expected(index[inside], pixel[inside], in_camera[inside, 0])
 
     def update(self, index: IntArray, point: Array, features: Features, missed: IntArray, now: int) -> None:
-        """Landmarks were seen as ``features`` at ``point (M, 3)``, NaN where that is not known, and others ``missed``,
-        in image ``now``."""
+        """Update the landmarks ``index (M,)``, observed as ``features`` at ``point (M, 3)`` (NaN if unknown) in image
+        ``now``, and those that were ``missed``."""
         self.descriptor[index], self.octave[index] = features.descriptor, features.octave
         self.found[index] += 1
         self.last[index] = now
         self.missed[missed] += 1
         known = np.isfinite(point[:, 0])
         index, point = index[known], point[known]
-        share = 1.0 / np.minimum(self.found[index], SIGHTINGS_MAX)[:, None]
-        self.point[index] += share * (point - self.point[index])
+        weight = 1.0 / np.minimum(self.found[index], SIGHTINGS_MAX)[:, None]
+        self.point[index] += weight * (point - self.point[index])
 
     def insert(self, point: Array, features: Features, position: Array, now: int) -> None:
-        """Add landmarks at ``point (M, 3)``, seen as ``features`` from a ``position (3,)`` in image ``now``."""
-        to = position - point
+        """Add landmarks at ``point (M, 3)``, observed as ``features`` from a ``position (3,)`` in image ``now``."""
+        to_camera = position - point
         count = len(point)
         self.point = np.concatenate([self.point, point])
-        self.towards = np.concatenate([self.towards, to / np.linalg.norm(to, axis=1)[:, None]])
+        self.towards = np.concatenate([self.towards, to_camera / np.linalg.norm(to_camera, axis=1)[:, None]])
         self.descriptor = np.concatenate([self.descriptor, features.descriptor])
         self.octave = np.concatenate([self.octave, features.octave])
         self.found = np.concatenate([self.found, np.ones(count, np.int64)])
@@ -79,9 +80,9 @@ class LandmarkMap:
         self._prune()
 
     def _prune(self) -> None:
-        kept = self.missed <= 3 * self.found + MISSES_MAX
-        if np.count_nonzero(kept) > self.count_max:
-            oldest = np.argsort(np.where(kept, -self.last, 1), kind="stable")
-            kept[oldest[self.count_max :]] = False
+        keep = self.missed <= 3 * self.found + MISSES_MAX
+        if np.count_nonzero(keep) > self.count_max:
+            oldest = np.argsort(np.where(keep, -self.last, 1), kind="stable")
+            keep[oldest[self.count_max :]] = False
         for name in ("point", "towards", "descriptor", "octave", "found", "missed", "last"):
-            setattr(self, name, getattr(self, name)[kept])
+            setattr(self, name, getattr(self, name)[keep])

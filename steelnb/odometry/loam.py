@@ -1,4 +1,4 @@
-"""LOAM on range images: odometry by edges and planes."""
+"""LOAM on range images: odometry by edge and plane features."""
 
 import numpy as np
 
@@ -11,19 +11,19 @@ from steelnb.settings import LoamSettings, OdometrySettings
 from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
-"""Edge 0, plane 1 → of how many in each part of a scan line the motion between two scans is found: as published."""
+"""Edge 0, plane 1 → number of features per part of a scan line for registering a scan to the last one, as published."""
 SIGMA_M = 0.02
-"""Standard deviation of a feature across its line or plane, in which ``robust_scale`` counts."""
+"""Standard deviation of a feature's distance from its line or plane; the unit of ``robust_scale``."""
 
 
 class LoamOdometry(CloudOdometry):
-    """Registers the features of each scan to lines and planes of those of the scans before it.
+    """Registers the features of each scan to lines and planes of the previous scans.
 
-    Edges and planes are those of Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014), matched
-    first between this scan and the last one (section V), then to the map of all (section VI), here with every scan. The
-    prior's motion is where the first begins, and Geman-McClure weights stand for its bisquare ones.
+    Features are those of Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014). A scan is
+    registered to the last one (section V), starting from the prior's motion, then to the map (section VI), here for
+    every scan. Geman-McClure weights replace the bisquare ones.
 
-    Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are sorted into their scan lines first.
+    Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are first sorted into scan lines.
 
     Parameters
     ----------
@@ -35,24 +35,24 @@ class LoamOdometry(CloudOdometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings, T_drone_sensor)
-        self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` is that of the edges
+        self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` holds the edges
         none = np.zeros(0, dtype=np.int64)
-        self._seen = Features(np.zeros((0, 3)), none, none)  # in this scan, drone frame, before they are thinned out
-        self._plane: IntArray = none  # of the points that `preprocessed` gave
-        self._last = self._seen.point, none  # of the scan before, world frame
+        self._features = Features(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
+        self._plane: IntArray = none  # kinds of the points that `preprocessed` returned
+        self._last = self._features.point, none  # points and kinds of the last scan's features, world frame
 
     def _own(self, settings: OdometrySettings | None) -> LoamSettings:
         return settings_of(settings, LoamSettings, "loam")
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
-        """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, without the floor and thinned out."""
+        """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, downsampled and without the floor."""
         image, s = scan.points if scan.points.ndim == 3 else scan_lines(scan.points), self.settings
         found = loam_features(image)
         point = found.point @ self.T_drone_sensor[:3, :3].T + self.T_drone_sensor[:3, 3]
         inside = (np.abs(point) <= s.preprocess.crop_m).all(axis=1)
         inside &= point @ T_world_drone[2, :3] + T_world_drone[2, 3] >= s.preprocess.floor_m
-        self._seen = Features(point[inside], found.plane[inside], found.rank[inside])
-        kinds = [voxel_grid(self._seen.point[self._seen.plane == kind], s.preprocess.voxel_leaf_m) for kind in (0, 1)]
+        self._features = own = Features(point[inside], found.plane[inside], found.rank[inside])
+        kinds = [voxel_grid(own.point[own.plane == kind], s.preprocess.voxel_leaf_m) for kind in (0, 1)]
         self._plane = np.repeat([0, 1], [len(points) for points in kinds])
         return np.concatenate(kinds)
 
@@ -69,37 +69,37 @@ class LoamOdometry(CloudOdometry):
         return FeatureTarget.of(edges, planes, self._plane, SIGMA_M), np.zeros((len(points), 6))
 
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        found = super()._register(points, covariance, target, self._by_last_scan(T_init))
-        return found if found.reason == "" else found._replace(T_world_drone=T_init)
+        registered = super()._register(points, covariance, target, self._scan_to_scan(T_init))
+        return registered if registered.reason == "" else registered._replace(T_world_drone=T_init)
 
-    def _by_last_scan(self, T_init: Array) -> Array:
-        """The pose ``(4, 4)`` of this scan by the features of the one before; where that fails, ``T_init``."""
-        seen, (last, of_plane) = self._seen, self._last
-        sharp = seen.rank < np.where(seen.plane == 1, SHARPEST[1], SHARPEST[0])
+    def _scan_to_scan(self, T_init: Array) -> Array:
+        """The pose ``(4, 4)`` of this scan by registration to the last one, or ``T_init`` if that fails."""
+        own, (last, last_plane) = self._features, self._last
+        sharp = own.rank < np.where(own.plane == 1, SHARPEST[1], SHARPEST[0])
         if not sharp.any() or not len(last):
             return T_init
-        edges, planes = (last[of_plane == kind] for kind in (0, 1))
-        target = FeatureTarget.of(edges, planes, seen.plane[sharp], SIGMA_M)
+        edges, planes = (last[last_plane == kind] for kind in (0, 1))
+        target = FeatureTarget.of(edges, planes, own.plane[sharp], SIGMA_M)
         s, zero = self.settings, np.zeros((int(sharp.sum()), 6))
         result = align(
-            seen.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
+            own.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
             s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
         )  # fmt: skip
-        moved_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
-        return result.T_target_source if result.converged and moved_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init
+        jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
+        return result.T_target_source if result.converged and jump_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
-        """Add preprocessed points ``(N, 3)`` of the drone frame to the maps at a pose that is known."""
+        """Add preprocessed points ``(N, 3)``, drone frame, to the maps at a known pose."""
         world = points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
         self.map.insert(world[self._plane == 0])
         self.planes.insert(world[self._plane == 1])
-        self._last = self._seen.point @ T_world_drone[:3, :3].T + T_world_drone[:3, 3], self._seen.plane
+        self._last = self._features.point @ T_world_drone[:3, :3].T + T_world_drone[:3, 3], self._features.plane
 
     @property
     def mapped(self) -> bool:
-        """Whether there is anything in the maps."""
+        """Whether the maps have any points."""
         return len(self.map) + len(self.planes) > 0
 
     def map_points(self) -> Array:
-        """Means of the voxels of both maps, ``(N, 3)`` in the world frame."""
+        """Voxel means of both maps, ``(N, 3)`` in the world frame."""
         return np.concatenate([self.map.means(), self.planes.means()])

@@ -1,7 +1,4 @@
-"""A small convolutional network in NumPy, and the file that holds its weights: no learning library is needed to use it.
-
-Trained by ``scripts/train-deepvo``.
-"""
+"""A small convolutional network in NumPy, and the file of its weights. It is trained by ``scripts/train-deepvo``."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +11,7 @@ from steelnb.files import reading
 from steelnb.settings.presets import PRESETS
 
 VERSION = "steelnb-deepvo-1"
-"""Of the form of a file of weights, and of what the network is given and gives."""
+"""Version of the weights' file format and of the network's input and output."""
 STRIDES = (2, 2, 1, 2, 2)
 SHAPES = (
     (8, 4, 5, 5), (24, 8, 3, 3), (32, 24, 3, 3), (48, 32, 3, 3), (64, 48, 3, 3), (96, 768), (6, 96),
@@ -25,14 +22,14 @@ WEIGHTS = PRESETS / "deepvo.npz"
 
 
 class Network(NamedTuple):
-    """Convolutions, each followed by a ReLU: ``kernel (C_out, C_in, k, k)``, ``bias (C_out,)``; then matrices
-    ``(out, in)`` with theirs, a ReLU between them. All float32."""
+    """Convolutions, each followed by a ReLU: ``kernel (C_out, C_in, k, k)`` and ``bias (C_out,)``; then matrices
+    ``(out, in)`` with biases ``(out,)`` and a ReLU in between. All float32."""
 
     kernels: tuple[tuple[np.ndarray, np.ndarray], ...]
     matrices: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     def __call__(self, images: np.ndarray) -> np.ndarray:
-        """Outputs ``(B, out)`` of a batch ``(B, C, H, W)``, float32."""
+        """Outputs ``(B, out)`` float32 for a batch ``(B, C, H, W)``."""
         x = np.ascontiguousarray(images.transpose(0, 2, 3, 1), dtype=np.float32)
         for (kernel, bias), stride in zip(self.kernels, STRIDES, strict=True):
             x = np.maximum(convolved(x, kernel, stride) + bias, 0)
@@ -43,21 +40,18 @@ class Network(NamedTuple):
 
 
 def convolved(x: np.ndarray, kernel: np.ndarray, stride: int) -> np.ndarray:
-    """Cross-correlation ``(B, H', W', C_out)`` of images ``(B, H, W, C_in)`` with ``kernel (C_out, C_in, k, k)``,
-    padded with ``k // 2`` zeros on each side: all windows as the rows of one matrix."""
+    """Cross-correlation ``(B, H', W', C_out)`` of images ``(B, H, W, C_in)`` with a ``kernel (C_out, C_in, k, k)``,
+    padded with ``k // 2`` zeros on each side, as one matrix product over all windows."""
     size = kernel.shape[-1]
     pad = size // 2
     x = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
     window = sliding_window_view(x, (size, size), axis=(1, 2))[:, ::stride, ::stride]  # (B, H', W', C_in, k, k)
-    rows = window.transpose(0, 1, 2, 4, 5, 3).reshape(*window.shape[:3], -1)  # channels last: copied in runs
+    rows = window.transpose(0, 1, 2, 4, 5, 3).reshape(*window.shape[:3], -1)  # channels last, for contiguous copies
     return rows @ kernel.transpose(2, 3, 1, 0).reshape(-1, len(kernel))
 
 
 def read_network(path: Path = WEIGHTS) -> Network:
-    """The network of a file of weights.
-
-    Raises `InputError` for what is no such file, or one of another version or architecture.
-    """
+    """Read a network from a file of weights. Raises `InputError`, also for another version or architecture."""
     form = f"weights of version {VERSION!r}"
     with reading(path, form), np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
@@ -68,14 +62,14 @@ def read_network(path: Path = WEIGHTS) -> Network:
     for name, shape in zip(NAMES, SHAPES, strict=True):
         pair = [arrays.get(each, np.zeros(0)) for each in (name, f"bias_{name}")]
         if pair[0].shape != shape or pair[1].shape != shape[:1] or not all(np.isfinite(each).all() for each in pair):
-            given = " and ".join(f"{each.shape}" for each in pair)
-            raise InputError(f"{path}: {name} and bias_{name} {given}; expected {form}, {shape} and {shape[:1]}")
+            shapes = " and ".join(f"{each.shape}" for each in pair)
+            raise InputError(f"{path}: {name} and bias_{name} {shapes}; expected {form}, {shape} and {shape[:1]}")
         layers.append((pair[0].astype(np.float32), pair[1].astype(np.float32)))
     return Network(tuple(layers[: len(STRIDES)]), tuple(layers[len(STRIDES) :]))
 
 
 def write_network(path: Path, network: Network) -> None:
-    """Write a file of weights, float16."""
+    """Write a network's weights to a file, as float16."""
     arrays = {"version": np.array(VERSION)}
     for name, (weight, bias) in zip(NAMES, (*network.kernels, *network.matrices), strict=True):
         arrays |= {name: weight.astype(np.float16), f"bias_{name}": bias.astype(np.float16)}

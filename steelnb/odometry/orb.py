@@ -1,4 +1,4 @@
-"""Visual odometry by ORB features, with depths from the Time-of-Flight sensor: the report's section 2.1.1."""
+"""Visual odometry by ORB features with depths from the Time-of-Flight sensor: the report's section 2.1.1."""
 
 import time
 
@@ -14,20 +14,19 @@ from steelnb.settings import OdometrySettings, OrbSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
 PRIOR_SIGMA = 0.05, 0.02
-"""Standard deviations of a correction from its prediction, metres and radians: chosen on the development seeds 11 and
-12."""
+"""Standard deviations of a correction from its prediction, metres and radians; tuned on the seeds 11 and 12."""
 
 
 class OrbOdometry(Odometry):
-    """Corrects a drifting pose by the features of an image at each scan, matched to landmarks seen before.
+    """Corrects a drifting pose by the image features at each scan, matched to a map of landmarks.
 
     Parameters
     ----------
     settings : of the family ``orb``, default ``OdometrySettings.preset("orb")``.
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
-    imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
-    images : of a camera on the drone; of these, the last before or at each scan is used. Without, or where there is
-        none of the time of a scan, the prior is followed.
+    imu : readings in the drone frame; used, up to the current scan, if the settings have ``inertial``.
+    images : images of a camera on the drone; each scan uses the last one before or at its stamp. A scan without one
+        follows the prior.
     """
 
     def __init__(
@@ -42,15 +41,14 @@ class OrbOdometry(Odometry):
         self.tracker: LandmarkTracker | None = None
         if images is not None:
             self.tracker = LandmarkTracker(images, self.T_drone_sensor, s.preprocess.crop_m)
-        self.tracked: Tracked | None = None  # what the last image showed
+        self.tracked: Tracked | None = None  # result of the last image
         self.predictor = PosePredictor(PRIOR_SIGMA, s.tilt_sigma_rad, s.inertial, imu)
         self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan by its image, and add new features to the map; see `Odometry.update`.
 
-        The stages of ``seconds`` are ``features``, ``track`` and ``map``; to read or render an image counts as little
-        as to read a scan.
+        The stages of ``seconds`` are ``features``, ``track`` and ``map``, without reading or rendering the image.
         """
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         image = self.tracker.image_at(scan.stamp_s) if self.tracker else None
@@ -72,7 +70,7 @@ class OrbOdometry(Odometry):
         else:
             information = predictor.information_of(tracked.H, tracked.T_world_drone, tracked.centre)
             predictor.correct(tracked.T_world_drone, prior, information=information)
-        self.tracker.update(tracked, tracked.T_world_drone)
+        self.tracker.update(tracked)
         return self._step(scan, tracked.T_world_drone, tracked.reason, tracked.matches, clock)
 
     def _step(self, scan: Scan, T: Array, reason: str, matches: int, clock: list[float]) -> OdometryStep:
@@ -82,5 +80,5 @@ class OrbOdometry(Odometry):
         return OdometryStep(scan.stamp_s, T, reason == "", reason, matches, seconds)
 
     def map_points(self) -> Array:
-        """Landmarks seen twice or more, ``(N, 3)`` in the world frame."""
+        """Landmarks with at least two observations, ``(N, 3)`` in the world frame."""
         return self.tracker.map.point[self.tracker.map.found > 1] if self.tracker else np.zeros((0, 3))

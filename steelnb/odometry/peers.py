@@ -1,8 +1,8 @@
-"""Odometries that others publish and maintain, by their own wheels, behind the interface of ours: for comparison.
+"""Published odometry libraries behind our interface, for comparison.
 
-KISS-ICP (Vizzo et al., IEEE Robotics and Automation Letters 8, 2023) and the registration VGICP of small_gicp (Koide,
-Journal of Open Source Software 9, 2024) to a voxel map, as that library's own example of an odometry has it. Everything
-but voxel and range is their default; both solve for six degrees of freedom.
+KISS-ICP (Vizzo et al., IEEE Robotics and Automation Letters 8, 2023), and VGICP of small_gicp (Koide, Journal of Open
+Source Software 9, 2024) to a voxel map, as in that library's odometry example. Except for voxel size and range, all
+parameters are the libraries' defaults. Both solve for six degrees of freedom.
 """
 
 import time
@@ -16,24 +16,24 @@ from steelnb.settings import LibrarySettings, OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan
 
 POINTS_MIN = 10
-"""Scans with fewer returns are not shown to a peer."""
+"""Scans with fewer returns are not registered."""
 NEIGHBOURS = 10
-"""Of a point's covariance, as in small_gicp's example."""
+"""Number of neighbours for a point's covariance, as in small_gicp's example."""
 FINER = 4
-"""Points for VGICP are thinned to a voxel this many times finer than the map's, as in that example."""
+"""Scans for VGICP are downsampled to voxels this many times finer than the map's, as in that example."""
 Register = Callable[[Array, Array], tuple[Array, int]]
-"""Points ``(N, 3)`` of a scan in the sensor frame, and the motion of the sensor that the prior tells → the pose of the
-sensor and the number of points registered."""
+"""Points ``(N, 3)`` of a scan, sensor frame, and the sensor's predicted pose → its registered pose, and the number of
+points registered."""
 MapPoints = Callable[[], Array]
 
 
 class PeerOdometry(Odometry):
-    """Corrects a drifting pose by a ``library``, told each scan's motion by the prior where its own would predict it.
+    """Corrects a drifting pose by a ``library``. The prior's motion replaces the library's own prediction.
 
     Parameters
     ----------
     settings : of the family ``library``, default ``OdometrySettings.preset("kiss-icp")``; its voxel is
-        ``preprocess.voxel_leaf_m``, and points beyond ``preprocess.crop_m`` are left out.
+        ``preprocess.voxel_leaf_m``, and points beyond ``preprocess.crop_m`` are ignored.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
@@ -43,26 +43,27 @@ class PeerOdometry(Odometry):
         self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
         self._register: Register | None = None
         self._map_points: MapPoints = lambda: np.zeros((0, 3))
-        self._last: Array | None = None  # pose of the sensor at the last scan, by the prior
-        self._pose = np.eye(4)  # and corrected
+        self._last_prior: Array | None = None  # T_world_sensor of the last scan by the prior
+        self._T_world_sensor = np.eye(4)  # the same, corrected
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan; see `Odometry.update`. The one stage of ``seconds`` is ``register``."""
+        """Register one scan; see `Odometry.update`. The only stage of ``seconds`` is ``register``."""
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior") @ self.T_drone_sensor
         points = scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
         begin, matches, reason = time.perf_counter(), 0, ""
-        if self._last is None:
-            self._last = self._pose = prior
-        self._pose, self._last = self._pose @ (np.linalg.inv(self._last) @ prior), prior
+        if self._last_prior is None:
+            self._last_prior = self._T_world_sensor = prior
+        self._T_world_sensor = self._T_world_sensor @ (np.linalg.inv(self._last_prior) @ prior)
+        self._last_prior = prior
         if len(points) < POINTS_MIN:
             reason = "too few points"
         else:
             if self._register is None:
-                seen, reason = self.settings.preprocess, "first scan"
-                self._register, self._map_points = self._make(seen.voxel_leaf_m, prior, seen.crop_m)
-            self._pose, matches = self._register(points, self._pose)
-        T_world_drone = self._pose @ np.linalg.inv(self.T_drone_sensor)
+                preprocess, reason = self.settings.preprocess, "first scan"
+                self._register, self._map_points = self._make(preprocess.voxel_leaf_m, prior, preprocess.crop_m)
+            self._T_world_sensor, matches = self._register(points, self._T_world_sensor)
+        T_world_drone = self._T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
         seconds = {"register": time.perf_counter() - begin}
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, seconds)
 
@@ -72,7 +73,7 @@ class PeerOdometry(Odometry):
 
 
 def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:
-    """KISS-ICP on one thread, from a ``first`` pose of the sensor."""
+    """KISS-ICP on one thread, starting at the sensor's ``first`` pose."""
     from kiss_icp.config import KISSConfig
     from kiss_icp.kiss_icp import KissICP
 
@@ -91,7 +92,7 @@ def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register
 
 
 def small_gicp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:
-    """VGICP of small_gicp to a voxel map, on one thread, from a ``first`` pose of the sensor."""
+    """VGICP of small_gicp to a voxel map, on one thread."""
     import small_gicp as library
 
     target = library.GaussianVoxelMap(voxel_m)

@@ -1,10 +1,10 @@
-"""Odometry by clouds as the report's program did it: its section 3.3 with the faults of its source.
+"""Cloud odometry as in the report's program: its section 3.3, with the faults of its source.
 
-Facts from the published source (`pointcloud_alignment_node.cpp`, for PCL 1.10): the scan is placed at E times the
-drifting pose, where E is the correction so far; it is registered to the whole map; the step ΔT found joins E as E ΔT,
-although it acts on points that E has already moved, so that ΔT E would be right; the aligned scan joins the map, which
-is thinned to one point a voxel, an old one counting as much as a new one. The mount of the sensor is left out. Where
-the registration fails or the step is too large, E and map stay as they were.
+Facts from the published source (`pointcloud_alignment_node.cpp`, for PCL 1.10): a scan is transformed by E times the
+drifting pose, where E is the correction so far, and registered to the whole map. The step ΔT is applied as E ΔT. As it
+acts on points that E has already moved, ΔT E would be right. The aligned scan is added to the map, which is downsampled
+to one point per voxel, where old and new points have equal weight. The sensor's mount is ignored. If registration fails
+or the step is too large, E and the map stay unchanged.
 """
 
 import time
@@ -23,19 +23,19 @@ from steelnb.settings import OdometrySettings, ReportCloudSettings
 from steelnb.types import Array, OdometryStep, Scan
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
-"""Points outside are left out; sensor frame, metres."""
+"""Corners of the crop box; sensor frame, metres."""
 TURN_MAX_RAD, MOVE_MAX_M = np.pi / 8, 1.0
-"""A larger step is refused. Both are of ΔT itself, a motion about the world's origin."""
+"""Larger steps are rejected. Both refer to ΔT itself, a motion about the world's origin."""
 VOXEL_M = 0.1
 """Edge of the map's voxels."""
 NEIGHBOURS = 20
-"""Nearest neighbours of which a covariance is estimated, PCL's default."""
+"""Number of neighbours for a point's covariance, PCL's default."""
 
 
 class Program(NamedTuple):
-    """What differs between the report's programs. ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's
-    criteria (`steelnb.registration.as_pcl`); GICP has no ``mse_change_min``. ``drop_rotation`` keeps only the
-    translation of each step, although the scan enters the map turned."""
+    """The parameters of one of the report's programs. ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's
+    convergence criteria (`steelnb.registration.as_pcl`); GICP has no ``mse_change_min``. With ``drop_rotation``, only
+    the translation of each step is applied, but the scan is added to the map with its rotation."""
 
     error: Literal["point", "gicp"]
     max_correspondence_m: float
@@ -53,14 +53,14 @@ PROGRAMS = {
 
 
 class ReportCloudOdometry(Odometry):
-    """Corrects a drifting pose by registering each scan to the map, trait by trait as the report's program.
+    """Corrects a drifting pose by registering each scan to the map, as the report's program does.
 
-    ``correction (4, 4)`` is E; a corrected pose is E times the drifting one.
+    ``correction (4, 4)`` is E; a corrected pose is E times the drifting one. Traits in ``switched`` are replaced.
 
     Parameters
     ----------
     settings : of the family ``report_clouds``, default ``OdometrySettings.preset("report-gicp")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, used where ``mount`` is switched; default identity.
+    T_drone_sensor : (4, 4), the mount of the sensor, used if ``mount`` is switched; default identity.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
@@ -69,11 +69,11 @@ class ReportCloudOdometry(Odometry):
         mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
         self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
         self.map = VoxelMap(VOXEL_M, accumulate=False)
-        self.first = np.zeros((0, 3))  # the first scan is thinned together with the second one
+        self.first = np.zeros((0, 3))  # the first scan is downsampled together with the second one
         self.correction = np.eye(4)
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan, correct the pose, add the aligned scan to the map; see `Odometry.update`."""
+        """Register one scan, correct the pose, and add the aligned scan to the map; see `Odometry.update`."""
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         clock = [time.perf_counter()]
         points = self.placed(scan, prior)
@@ -83,27 +83,27 @@ class ReportCloudOdometry(Odometry):
             self.first, reason = points, "first scan"
         clock.append(time.perf_counter())
         if not reason:
-            found = self.registered(points)
-            step, matches = found.T_target_source, found.inliers
+            result = self.registered(points)
+            step, matches = result.T_target_source, result.inliers
             if self.program.drop_rotation:
                 step = np.eye(4)
-                step[:3, 3] = found.T_target_source[:3, 3]
-            reason = "" if "gates" in self.switched else refusal(step)
-            reason = reason if found.converged else "too few pairs"
+                step[:3, 3] = result.T_target_source[:3, 3]
+            reason = "" if "gates" in self.switched else rejection(step)
+            reason = reason if result.converged else "too few pairs"
             clock.append(time.perf_counter())
             if not reason:
-                aligned = points @ found.T_target_source[:3, :3].T + found.T_target_source[:3, 3]
+                aligned = points @ result.T_target_source[:3, :3].T + result.T_target_source[:3, 3]
                 self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
-                right = "order" in self.switched
-                self.correction = step @ self.correction if right else self.correction @ step
+                from_left = "order" in self.switched
+                self.correction = step @ self.correction if from_left else self.correction @ step
         clock += [time.perf_counter()] * (5 - len(clock))
         seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
         return OdometryStep(scan.stamp_s, self.correction @ prior, reason == "", reason, matches, seconds)
 
     def placed(self, scan: Scan, T_world_drone_prior: Array) -> Array:
-        """The scan's points inside the box ``(N, 3)``, in the world frame by the correction so far."""
+        """The scan's points inside the box ``(N, 3)``, transformed to the world frame by the correction so far."""
         points = scan.points.reshape(-1, 3)
-        points = points[((points >= BOX_LOW) & (points <= BOX_HIGH)).all(axis=1)]  # NaN is not inside
+        points = points[((points >= BOX_LOW) & (points <= BOX_HIGH)).all(axis=1)]  # also removes NaN
         if "thinning" in self.switched:
             points = voxel_grid(points, self.settings.preprocess.voxel_leaf_m)
         T_world_sensor = self.correction @ T_world_drone_prior @ self.T_drone_sensor
@@ -111,7 +111,7 @@ class ReportCloudOdometry(Odometry):
         return world[world[:, 2] >= self.settings.preprocess.floor_m] if "floor" in self.switched else world
 
     def registered(self, points: Array) -> Aligned:
-        """The step that lays placed points ``(N, 3)`` on the whole map."""
+        """Register points ``(N, 3)``, world frame, to the whole map."""
         t, tree, covariance = self.program, build_kdtree(self.map_points()), None
         target = Target(tree)
         if t.error == "gicp":
@@ -121,24 +121,24 @@ class ReportCloudOdometry(Odometry):
             else:
                 target, covariance = Target.with_planes(tree, NEIGHBOURS), regularised(covariance)
         if "solver" in self.switched:
-            found = align(
+            result = align(
                 points, target, t.error, free_directions("se3"), np.eye(4), t.max_correspondence_m, covariance,
                 iterations_max=t.iterations_max, rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
             )  # fmt: skip
-            solved = found.reason not in ("singular", "too few pairs")
-            return Aligned(found.T_target_source, solved, found.iterations, found.inliers)
+            solved = result.reason not in ("singular", "too few pairs")
+            return Aligned(result.T_target_source, solved, result.iterations, result.inliers)
         if covariance is not None:
             return gicp_as_pcl(points, covariance, target, t.max_correspondence_m, t.iterations_max, t.epsilon)
         return icp_as_pcl(points, target, t.max_correspondence_m, t.iterations_max, t.epsilon, t.mse_change_min)
 
     def map_points(self) -> Array:
-        """The map, ``(N, 3)`` in the world frame: one point a voxel, or the first scan alone."""
+        """The map, ``(N, 3)`` in the world frame: one point per voxel, or the first scan alone."""
         return self.map.means() if len(self.map) else self.first
 
 
-def refusal(step: Array) -> str:
-    """Why a step ``(4, 4)`` is refused; empty for one within the gates."""
-    turn, move = float(Rotation.from_matrix(step[:3, :3]).magnitude()), float(np.linalg.norm(step[:3, 3]))
-    if turn > TURN_MAX_RAD:
-        return f"turn of {np.degrees(turn):.0f}°"
-    return f"jump of {move:.2f} m" if move > MOVE_MAX_M else ""
+def rejection(step: Array) -> str:
+    """Why a step ``(4, 4)`` is rejected; empty if it is within the gates."""
+    angle, distance = float(Rotation.from_matrix(step[:3, :3]).magnitude()), float(np.linalg.norm(step[:3, 3]))
+    if angle > TURN_MAX_RAD:
+        return f"turn of {np.degrees(angle):.0f}°"
+    return f"jump of {distance:.2f} m" if distance > MOVE_MAX_M else ""

@@ -19,7 +19,8 @@ from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_memb
 from steelnb.report.batch import flat
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
-from steelnb.simulation.views import View, Viewer, pose_on_path
+from steelnb.simulation.tof import TofCamera
+from steelnb.simulation.views import View, pose_on_path, take_view
 from steelnb.types import Array, Segments
 
 NOISE_M, CLUTTER = 0.02, 0.1
@@ -74,7 +75,7 @@ class Scenes:
 
     def __init__(self) -> None:
         self.tower = build_tower(TowerSettings.preset("slender"))
-        self._viewer = Viewer(self.tower, TofSettings.preset("starling2"))
+        self._camera = TofCamera(self.tower, TofSettings.preset("starling2"), seed=0)
 
     def frames(
         self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
@@ -90,8 +91,8 @@ class Scenes:
 
     def _view(self, seed: int, k: int, flight: FlightSettings, share: float, noise_m: float) -> View:
         lean = rng.stream(seed, "lean", k).normal(scale=LEAN_SIGMA_RAD, size=3)
-        self._viewer.tof = self._viewer.tof.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
-        return self._viewer.view(pose_on_path(self.tower, flight, share, lean), rng.stream(seed, "tof", k))
+        self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
+        return take_view(self._camera, pose_on_path(self.tower, flight, share, lean), rng.stream(seed, "tof", k))
 
     def _scene(self, seed: int, k: int, view: View, noise_m: float, clutter: float, kept: float) -> Scene:
         chosen = rng.stream(seed, "kept", k).random(len(view.points)) < kept

@@ -1,7 +1,7 @@
-"""Frozen settings, one class for each module that has any, and presets in TOML files. Unknown keys are refused.
+"""Frozen settings, one class per module, and presets in TOML files. Unknown keys are errors.
 
-Four choices matter to a newcomer: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and
-the method. Lengths are metres, angles radians, times seconds; the unit is in the name.
+Start with four of them: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and the
+method. Lengths are in metres, angles in radians, times in seconds; the unit is in the name.
 """
 
 from typing import get_args
@@ -33,7 +33,6 @@ from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
     Noise,
-    PlannerGoal,
     TofFault,
     TofSettings,
     TowerSettings,
@@ -47,8 +46,8 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings", "PlannerGoal",
+    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings",
     "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
-    "method_names", "parse_parameter", "read_report_plots", "read_tables", "read_toml", "sensor_names",
+    "parse_parameter", "read_report_plots", "read_tables", "read_toml",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Frozen settings: unknown keys, wrong types and values out of range are refused."""
+"""Frozen settings: unknown keys, wrong types and values out of range are errors."""
 
 import ast
 import difflib
@@ -17,30 +17,28 @@ from steelnb.types import Array
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 DURATION_MAX_S = 14_400.0
-"""Four hours: poses and IMU samples of a flight are held in memory."""
+"""Four hours, since a flight's poses and IMU samples are held in memory."""
 Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
-"""Tables of studies hold 64 bits."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
-def _checked_seed(given: Any) -> rng.Seed:
-    """A seed as it is; ValueError for all else, since pydantic's own message on a union is not one line."""
-    if given == "report" or (type(given) is int and 0 <= given < 2**63):
-        return given  # type: ignore[no-any-return]
+def _checked_seed(value: Any) -> rng.Seed:
+    """Accept a seed of at most 63 bits, as in the tables of studies. Pydantic's own message has several lines."""
+    if value == "report" or (type(value) is int and 0 <= value < 2**63):
+        return value  # type: ignore[no-any-return]
     raise ValueError("expected a whole number from 0 to 2**63 - 1, or 'report'")
 
 
 SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
 _SHOWN = 200
-"""Characters of a value in a message: it may be a whole file."""
+"""Maximum number of characters of a value in a message."""
 S = TypeVar("S", bound="Settings")
 
 
 class Settings(BaseModel):
-    """Base of all settings: frozen, strict, no unknown key; every fault is a one-line `InputError`."""
+    """Base of all settings: frozen, strict, without unknown keys. Bad values raise a one-line `InputError`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -51,24 +49,24 @@ class Settings(BaseModel):
             raise InputError(describe_fault(type(self), fault)) from None
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some values changed, checked like the original."""
+        """A copy with some values changed and all values validated."""
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
 
 def table(kind: type[Settings]) -> BeforeValidator:
-    """Lets a field that holds settings of a ``kind``, or None, be given as files and overrides have them: as a dict,
-    or as false, since TOML has no None."""
+    """Validator of a field that holds settings of a ``kind`` or None: it also accepts a dict, and false for None, as
+    TOML has no None."""
 
-    def read(given: Any) -> Any:
-        if given is False:
+    def read(value: Any) -> Any:
+        if value is False:
             return None
-        return kind(**{str(k): v for k, v in given.items()}) if type(given) is dict else given
+        return kind(**{str(k): v for k, v in value.items()}) if type(value) is dict else value
 
     return BeforeValidator(read)
 
 
 def mount(position_m: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
-    """Pose ``(4, 4)`` of a sensor on the drone: roll, pitch and yaw are about the drone's fixed axes (REP 103)."""
+    """Pose ``T_drone_sensor (4, 4)`` of a sensor; roll, pitch and yaw are about the drone's fixed axes (REP 103)."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", rpy_deg, degrees=True).as_matrix()
     T[:3, 3] = position_m
@@ -76,7 +74,7 @@ def mount(position_m: tuple[float, float, float], rpy_deg: tuple[float, float, f
 
 
 def describe_fault(kind: type[BaseModel], fault: ValidationError) -> str:
-    """The first fault of a pydantic error as one line: where, the value given, and the value expected."""
+    """The first fault of a pydantic error as one line: the setting, its value, and what was expected."""
     first = fault.errors()[0]
     message = first["msg"].removeprefix("Value error, ")
     message = f"{message[:1].lower()}{message[1:]}"
@@ -89,24 +87,26 @@ def describe_fault(kind: type[BaseModel], fault: ValidationError) -> str:
 
 
 def guess(name: Any, known: Iterable[str]) -> str:
-    """`, did you mean ...?` where a known name is near, else nothing."""
+    """`, did you mean ...?` if a known name is similar, else empty."""
     near = difflib.get_close_matches(str(name), list(known), n=1)
     return f", did you mean {near[0]!r}?" if near else ""
 
 
 def quoted(names: Any) -> str:
-    """Names in quotes, for a message."""
+    """Names in quotes, separated by commas."""
     return ", ".join(repr(name) for name in names)
 
 
 def as_tuples(value: Any) -> Any:
-    """Lists, as JSON and TOML have them, as the tuples of settings."""
+    """Convert the lists of JSON and TOML, also within tables, to the tuples of settings."""
+    if isinstance(value, dict):
+        return {name: as_tuples(item) for name, item in value.items()}
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 def overridden(settings: S, overrides: dict[str, Any]) -> S:
-    """A copy with single settings changed, each named ``table.setting`` or ``setting``; a whole table, such as
-    ``tof.faults``, may be given as a dict, or as None where there may be none. Raises `InputError`."""
+    """A copy with single settings changed, each named ``table.setting`` or ``setting``. A whole table, such as ``imu``,
+    may be given as a dict, or as None if it is optional. Raises `InputError`."""
     for path, value in overrides.items():
         *tables, name = path.split(".")
         places: list[Any] = [settings]
@@ -123,7 +123,7 @@ def overridden(settings: S, overrides: dict[str, Any]) -> S:
 
 
 def setting_names(settings: Settings) -> list[str]:
-    """The names of single settings, those of its tables with the table's name in front."""
+    """The names of all single settings; those of a table are prefixed by the table's name."""
     names = []
     for name in type(settings).model_fields:
         value = getattr(settings, name)
@@ -132,14 +132,14 @@ def setting_names(settings: Settings) -> list[str]:
 
 
 def parse_parameter(text: str) -> tuple[str, Any]:
-    """Read ``NAME=VALUE``: the value as Python literal, else as TOML value, else as text. Raises `InputError`."""
+    """Parse ``NAME=VALUE``: the value is a Python literal, else a TOML value, else text. Raises `InputError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))
     if not name or not equals:
         raise InputError(f"-p {text}: expected NAME=VALUE, such as trajectory=loops or tof.rate_hz=10")
     for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
         try:
             parsed = read(value)
-            json.dumps(parsed)  # refuses what a notebook's parameter cannot be: sets, bytes, dates
+            json.dumps(parsed)  # raises for what cannot be a notebook's parameter: sets, bytes, dates
         except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
             continue
         return name, parsed

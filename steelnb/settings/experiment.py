@@ -13,10 +13,10 @@ from steelnb.settings.world import FlightSettings, Noise, TofSettings, TowerSett
 
 
 class ExperimentSettings(Settings):
-    """All that one run depends on. ``seed`` changes drift, sensor noise and gusts, not the tower.
+    """All that one run depends on. ``seed`` determines drift, sensor noise and gusts, not the tower.
 
-    With ``imu``, readings have its errors, and roll and pitch of the prior are those of a filter on them.
-    ``noise_name`` is read by `Noise.parse`.
+    With ``imu``, the readings have its errors, and the prior has the roll and pitch that a filter estimates from them.
+    `Noise.parse` explains ``noise_name``.
     """
 
     sensor: str
@@ -31,13 +31,13 @@ class ExperimentSettings(Settings):
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:
         if self.flight.trajectory == "planned" and isinstance(self.odometry, OrbSettings):
-            raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images on the way; expected "
-                             "an odometry by clouds or segments")  # fmt: skip
+            raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images during the flight; "
+                             "expected an odometry by clouds or segments")  # fmt: skip
         return self
 
     @model_validator(mode="after")
     def _as_the_report(self) -> Self:
-        noise = self.noise  # raises for another name
+        noise = self.noise  # raises for an unknown name
         if self.seed == "report":
             noise.check_report()
         if not self.tof.start_s < self.flight.duration_s:
@@ -62,10 +62,10 @@ class ExperimentSettings(Settings):
         duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
     ) -> "ExperimentSettings":
-        """The settings that belong to a sensor, flight, noise and method, named as in the notebooks.
+        """The settings of a flight, noise, method and sensor, named as in the notebooks.
 
-        The flight names its tower, and its duration where none is given. ``overrides`` changes single settings, named
-        by table: ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
+        The flight's preset determines the tower and, by default, the duration. ``overrides`` changes single settings,
+        such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.dof
@@ -93,10 +93,9 @@ class ExperimentSettings(Settings):
         odometry: str | None = None,
         overrides: dict[str, Any] | None = None,
     ) -> "ExperimentSettings":
-        """The experiment behind one of the report's plots: its flight, tower, sensor and noise, draw for draw.
+        """The experiment behind one of the report's plots, with its flight, tower, sensor, noise draws and scan times.
 
-        Scans are those that the report's program used. ``odometry``: another method on the same scans. Raises
-        `InputError`.
+        ``odometry``: another method on the same scans. Raises `InputError`.
 
         >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
         >>> settings.seed, settings.noise_name, round(settings.tof.rate_hz, 2)
@@ -112,7 +111,7 @@ class ExperimentSettings(Settings):
     def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
-        The tables are those of the world (``tower``, ``flight``, ``tof``, ``imu``); all else is the odometry's
+        The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry
         (`OdometrySettings.override`).
         """
         settings = self

@@ -1,4 +1,4 @@
-"""Presets: TOML files in ``steelnb/presets``, which a user can copy, change and name by their path."""
+"""Presets: TOML files in ``steelnb/presets``. A user can copy one, change it and pass its path."""
 
 import tomllib
 from collections.abc import Mapping
@@ -14,16 +14,13 @@ PRESETS = Path(__file__).parent.parent / "presets"
 
 
 def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
-    """The tables of a TOML file; ``expected`` is what messages call its content.
-
-    Raises `InputError`.
-    """
+    """The tables of a TOML file; ``expected`` describes its content in messages. Raises `InputError`."""
     with reading(path, expected or "a TOML file"), path.open("rb") as file:
         return tomllib.load(file)
 
 
 def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
-    """The tables of a TOML file, each as settings of one ``kind``, by name. Raises what `read_toml` raises."""
+    """The tables of a TOML file by name, each as settings of one ``kind``. Raises `InputError`."""
     found = {}
     for name, table in read_toml(path, expected).items():
         if not isinstance(table, dict):
@@ -36,15 +33,15 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
 
 
 def sensor_names() -> tuple[str, ...]:
-    """The sensors that have a preset."""
+    """Names of the sensor presets."""
     return tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 
 
 def sensor_preset(sensor: str) -> dict[str, Any]:
-    """The tables of a sensor's preset, or of a file whose name ends in ``.toml``; what it does not say is said by the
-    preset that it is ``based_on``. Raises `InputError`."""
+    """The tables of a sensor's preset or of a file ``FILE.toml``. Values that are missing come from the preset that it
+    is ``based_on``. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
-        own = _values(read_toml(Path(sensor), "a sensor's preset"))
+        own = as_tuples(read_toml(Path(sensor), "a sensor's preset"))
     elif sensor in sensor_names():
         own = dict(_preset(f"sensors/{sensor}"))
     else:
@@ -59,8 +56,8 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
 
 
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
-    """The settings, where they differ from the defaults, of one of the ``flights``, ``towers``, ``cameras`` or
-    ``methods``: the ``file`` of its ``kind``. Raises `InputError`."""
+    """The settings of a named preset that differ from the defaults. ``file``: ``flights``, ``towers`` or ``methods``;
+    ``kind``: what messages call the name. Raises `InputError`."""
     if name not in _preset(file):
         known = _preset(file)
         raise InputError(f"{kind} = {name!r}{guess(name, known)}; expected one of {quoted(known)}")
@@ -68,7 +65,7 @@ def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
 
 
 def members_file(members: str) -> Path:
-    """The list of a tower's members: by its name, or a file whose name ends in ``.csv``. Raises `InputError`."""
+    """Path of a list of members, given by the name of a preset or as ``FILE.csv``. Raises `InputError`."""
     path = Path(members) if members.endswith(".csv") else PRESETS / f"{members}.csv"
     if not path.is_file():
         names = quoted(sorted(known.stem for known in PRESETS.glob("*.csv")))
@@ -77,20 +74,20 @@ def members_file(members: str) -> Path:
 
 
 def method_names() -> tuple[str, ...]:
-    """The methods that have a preset."""
+    """Names of the method presets."""
     return tuple(_preset("methods"))
 
 
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """The settings of a method, those that it is ``based_on`` included, each with what a sensor's preset adds to it
-    (``of_sensor``, by method). Raises `InputError`."""
+    """The settings of a method, including the method that it is ``based_on``. ``of_sensor``: the sensor preset's
+    additions, by method. Raises `InputError`."""
     own = merged(preset_table("methods", "method", method), of_sensor.get(method, {}))
     base = own.pop("based_on", None)
     return merged(method_preset(base, of_sensor), own) if base else own
 
 
 def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Tables of settings with some values replaced, table by table."""
+    """Tables of settings with some values replaced, recursively."""
     result = dict(base)
     for name, value in changes.items():
         old = result.get(name)
@@ -100,9 +97,4 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def _preset(name: str) -> dict[str, Any]:
-    return _values(read_toml(PRESETS / f"{name}.toml"))
-
-
-def _values(table: Any) -> Any:
-    """Tables with lists as the tuples of settings."""
-    return {name: _values(value) for name, value in table.items()} if isinstance(table, dict) else as_tuples(table)
+    return dict(as_tuples(read_toml(PRESETS / f"{name}.toml")))

@@ -1,4 +1,4 @@
-"""The report's plots of an error over samples: which flight, which noise, and at which steps the samples came."""
+"""The report's plots of error over sample number: their flights, their noises, and the times of their samples."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -19,9 +19,8 @@ NOISES = {"3.2": "constant-drift", "3.3": "constant-drift", "3.5": "random-walk"
 class ReportPlot:
     """One of the plots of ``presets/report-plots.toml``, named as in ``notebooks/report-curves.csv``.
 
-    Sample k came at the simulator's step ``first_step + k * steps_per_sample``. ``samples``: how many the plot shows
-    after the ``earlier_samples``, which are those of another run. ``flight``: the preset, where it is not named as the
-    trajectory.
+    Sample k was taken at the simulator's step ``first_step + k * steps_per_sample``. The plot shows ``samples`` samples
+    after ``earlier_samples`` of another run. ``flight``: the flight's preset, if its name is not the trajectory's.
     """
 
     figure: str
@@ -40,7 +39,7 @@ class ReportPlot:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         return 1 / (self.steps_per_sample * STEP_S)
 
     @property
@@ -50,12 +49,11 @@ class ReportPlot:
 
     @property
     def duration_s(self) -> float:
-        """Time of flight up to just after the last sample."""
+        """Duration of the flight, which ends just after the last sample."""
         return STEP_S * float(np.ceil(self.first_step + (self.samples - 1) * self.steps_per_sample) + 1)
 
     def step_at(self, sample: Array) -> Array:
-        """Steps of the simulator ``(N,)`` at places ``(N,)`` on the plot's axis of samples, negative in an earlier
-        run."""
+        """Simulator steps ``(N,)`` at positions ``(N,)`` on the plot's sample axis; negative for the earlier run."""
         return np.asarray(self.first_step + (sample - self.earlier_samples) * self.steps_per_sample)
 
     @classmethod
@@ -72,5 +70,5 @@ class ReportPlot:
 
 @cache
 def read_report_plots() -> tuple[ReportPlot, ...]:
-    """All of them."""
+    """All plots of ``presets/report-plots.toml``."""
     return tuple(ReportPlot(**values) for values in read_toml(PRESETS / "report-plots.toml")["plot"])

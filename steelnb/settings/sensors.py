@@ -1,5 +1,5 @@
-"""Settings of the faults of an IMU. Defaults are those of a faultless one; values for a real one, with their sources,
-are in ``presets/sensors/starling2-honest.toml``."""
+"""Settings of an IMU's errors. The defaults are those of a faultless IMU; ``presets/sensors/starling2-honest.toml`` has
+values of a real one, with their sources."""
 
 from steelnb.settings.base import NotNegative, Settings
 from steelnb.settings.presets import sensor_preset
@@ -8,9 +8,8 @@ from steelnb.settings.presets import sensor_preset
 class ImuSettings(Settings):
     """Errors of an IMU (`steelnb.simulation.imu`), each the same on its three axes.
 
-    ``..._noise``: density of the white noise, rad/s/√Hz and m/s²/√Hz; ``..._walk``: density of the random walk of the
-    bias, rad/s²/√Hz and m/s³/√Hz; ``..._bias``: standard deviation of the bias that calibration left at the start,
-    rad/s and m/s².
+    ``..._noise``: white noise density, rad/s/√Hz and m/s²/√Hz; ``..._walk``: density of the bias random walk,
+    rad/s²/√Hz and m/s³/√Hz; ``..._bias``: standard deviation of the bias at the start, rad/s and m/s².
     """
 
     gyro_noise: NotNegative = 0.0
@@ -22,6 +21,6 @@ class ImuSettings(Settings):
 
     @classmethod
     def preset(cls, sensor: str) -> "ImuSettings | None":
-        """The IMU beside a sensor, or None where its preset has none. Raises `InputError`."""
+        """The IMU of a sensor's preset; None without one. Raises `InputError`."""
         table = sensor_preset(sensor).get("imu")
         return None if table is None else cls(**table)

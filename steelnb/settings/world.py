@@ -1,6 +1,6 @@
-"""Settings of the simulated world: tower, flight, sensor and drift. Lengths in metres, angles in radians, seconds.
+"""Settings of the simulated world: tower, flight, sensor and drift. Estimators do not see them.
 
-No estimator sees them.
+Lengths in metres, angles in radians, times in seconds.
 """
 
 import itertools
@@ -18,15 +18,15 @@ from steelnb.types import Array
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
 BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")
 Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
-"""x, y, z in metres, the heading in degrees (0 along x, anticlockwise), and the seconds to it from the one before."""
+"""x, y, z in metres, heading in degrees (0 along x, anticlockwise), and seconds from the previous waypoint."""
 
 
 class TowerSettings(Settings):
-    """A lattice tower of steel, from a list of its ``members`` or, without one, tapered as the other numbers say.
+    """A steel lattice tower, from a list of ``members`` or, without a list, tapered with the other dimensions.
 
-    ``members`` names a CSV of ``steelnb/presets``, such as ``report-tower``, or a file ``FILE.csv``
-    (`steelnb.simulation.lattice`). ``section``: sections are angles of ``(flange, thickness)`` or round rods as wide as
-    the flange. ``arms_m`` are height and reach of each arm. The ground is a square plate at z = 0.
+    ``members``: name of a CSV file of ``steelnb/presets``, such as ``report-tower``, or ``FILE.csv``
+    (`steelnb.simulation.lattice`). ``section``: angles of ``(flange, thickness)``, or round rods with the flange's
+    width as diameter. ``arms_m``: height and reach of each arm. The ground is a square plate at z = 0.
     """
 
     members: str | None = None
@@ -62,39 +62,36 @@ class TowerSettings(Settings):
         for name in shape if self.members is not None else ():
             if getattr(self, name) != fields[name].default:
                 raise ValueError(
-                    f"{name} = {getattr(self, name)} with members = {self.members!r}: expected one of both"
+                    f"{name} = {getattr(self, name)} with members = {self.members!r}: expected only one of them"
                 )
         return self
 
     @property
     def floor_half_m(self) -> float:
-        """From the middle of the ground to its sides: the report's plate for a list of members, else far away."""
+        """Half the side of the ground: the report's plate for a list of members, else practically unlimited."""
         return 60.0 if self.members is None else 3.0
 
     @classmethod
     def preset(cls, tower: str = "tapered") -> "TowerSettings":
-        """A tower of ``presets/towers.toml`` by name. Raises `InputError`."""
+        """A tower of ``presets/towers.toml``, by name. Raises `InputError`."""
         return cls(**preset_table("towers", "tower", tower))
 
     @classmethod
     def of_flight(cls, trajectory: TrajectoryName) -> "TowerSettings":
-        """The tower that a flight of ``presets/flights.toml`` passes. Raises `InputError`."""
+        """The tower of a flight of ``presets/flights.toml``. Raises `InputError`."""
         return cls.preset(preset_table("flights", "trajectory", trajectory)["tower"])
-
-
-PlannerGoal = Literal["face", "around"]
 
 
 class FlightSettings(Settings):
     """A simulated flight.
 
-    ``vertical``, ``orbit`` and ``orbit-3.3``, the report's, go from one of the ``waypoints`` to the next, at rest at
-    each; give them others for a flight of your own. The path of ``zigzag`` and ``loops`` follows from the tower:
-    ``standoff_m`` is its distance to the face of the tower, at every height. A ``planned`` flight is steered by
-    `steelnb.planning`: distance, heights, levels and speed are wishes, and its path depends on the odometry. Its
-    ``goal``: up the ``face`` before which it starts, in levels; or ``around`` the structure in a helix.
+    The report's flights ``vertical``, ``orbit`` and ``orbit-3.3`` stop at each of their ``waypoints``; replace these
+    for a flight of your own. ``zigzag`` and ``loops`` derive their path from the tower and keep ``standoff_m`` from its
+    faces at every height. A ``planned`` flight is steered by `steelnb.planning`: standoff, heights, levels and speed
+    are targets, and its path depends on the odometry. Its ``goal`` is to climb the ``face`` in front of its start,
+    level by level, or to fly a helix ``around`` the structure.
 
-    ``gust_sigma_m_s`` is the standard deviation of the gusts along each axis.
+    ``gust_sigma_m_s``: standard deviation of the gusts along each axis.
     """
 
     trajectory: TrajectoryName = "zigzag"
@@ -105,26 +102,26 @@ class FlightSettings(Settings):
     levels: Annotated[int, Field(ge=2, le=100)] = 12
     speed_m_s: Positive = 0.18
     gust_sigma_m_s: NotNegative = 0.3
-    goal: PlannerGoal = "around"
+    goal: Literal["face", "around"] = "around"
     waypoints: tuple[Waypoint, ...] = ()
 
     @model_validator(mode="after")
     def _within_its_waypoints(self) -> Self:
         if (self.trajectory in BY_WAYPOINTS) != bool(self.waypoints):
             raise ValueError(
-                f"trajectory {self.trajectory!r} with {len(self.waypoints)} waypoints: expected them for"
-                f" {quoted(BY_WAYPOINTS)}, and for no other"
+                f"trajectory {self.trajectory!r} with {len(self.waypoints)} waypoints: expected waypoints for"
+                f" {quoted(BY_WAYPOINTS)} only"
             )
         seconds = [seconds for *_, seconds in self.waypoints]
         if self.waypoints and (len(seconds) < 2 or seconds[0] != 0 or min(seconds[1:]) == 0):
-            raise ValueError("waypoints: expected at least two, 0 seconds to the first and more to each other one")
+            raise ValueError("waypoints: expected at least two, with 0 seconds to the first and more to all others")
         if self.waypoints and self.duration_s > sum(seconds) + 1e-9:
             raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {sum(seconds):g} s")
         return self
 
     @classmethod
     def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
-        """A flight of ``presets/flights.toml`` by name. Default duration: the preset's own, else up to the last
+        """A flight of ``presets/flights.toml``, by name. Default duration: the preset's, else the time of the last
         waypoint, else 200 s. Raises `InputError`."""
         values = dict(preset_table("flights", "trajectory", trajectory))
         del values["tower"]
@@ -136,21 +133,19 @@ class FlightSettings(Settings):
 
 
 TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration"]
-"""What a real camera adds to the noise of its ranges: mixed pixels at edges; motion during the exposure; light by way
-of a second surface; noise and dropout by the light returned; an error periodic in the range; errors of offset and
-scale."""
+"""Faults of a real camera beside range noise: mixed pixels at edges; motion during the exposure; multipath by a second
+surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
 
 
 class TofSettings(Settings):
     """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
 
-    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"`` the
-    depth along the optical axis has that noise and the limit ``range_max_m``; ranges remain along the ray. Scans come
-    at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step; in the intervals ``blind_s`` (from, to)
-    nothing returns at all. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place the sensor
-    on the drone. With ``faults`` the sensor errs as a real one (`steelnb.simulation.exposure`): the standard deviation
-    of a range is then that of the range at which the data sheet's target, seen squarely, returns as much light as the
-    pixel got.
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"``,
+    noise and limit ``range_max_m`` apply to the depth along the optical axis; the output is still the range along the
+    ray. Scans are taken at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step. In the intervals
+    ``blind_s`` (from, to) there are no returns. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's
+    axes) place the sensor on the drone. With ``faults``, the sensor has the errors of a real one
+    (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of its return.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -170,12 +165,12 @@ class TofSettings(Settings):
 
     @property
     def T_drone_sensor(self) -> Array:
-        """The mount of the sensor, ``(4, 4)``."""
+        """The sensor's mount, ``(4, 4)``."""
         return mount(self.mount_m, self.mount_rpy_deg)
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":
-        """The sensor of ``presets/sensors/NAME.toml``, or of a TOML file of one's own. Raises `InputError`."""
+        """The sensor of ``presets/sensors/NAME.toml`` or of a file ``FILE.toml``. Raises `InputError`."""
         return cls(**sensor_preset(sensor).get("tof", {}))
 
 
@@ -184,8 +179,9 @@ class Noise:
     """Drift of the pose prior, added at every simulator step (125 Hz).
 
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
-    of the constant step vector, 0.83 of it with the seed ``report``; ``yaw_random_walk_rad``: standard deviation of the
-    heading step; ``tilt_rad``: that of the slowly varying error of roll and of pitch, which the report does not have.
+    of the constant step vector (0.83 of this with the seed ``report``); ``yaw_random_walk_rad``: standard deviation of
+    the heading step; ``tilt_rad``: standard deviation of the slowly varying errors of roll and pitch, not in the
+    report.
     """
 
     random_walk_m: float = 0.0
@@ -195,10 +191,10 @@ class Noise:
 
     @classmethod
     def parse(cls, text: str) -> "Noise":
-        """Read ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
+        """Parse ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
-        A name without a level takes the report's, ``tilt`` one degree. ``constant-drift-per-axis`` reads the level as
-        the step per axis, √3 more in all. ``none`` is no noise. Raises `InputError`.
+        The default levels are the report's, and one degree for ``tilt``. ``constant-drift-per-axis`` gives the level
+        per axis, so the step is √3 longer. ``none`` is no noise. Raises `InputError`.
 
         >>> Noise.parse("random-walk+yaw-random-walk:0.001")
         Noise(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
@@ -218,11 +214,11 @@ class Noise:
             except ValueError:
                 raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
             if not 0 <= values[key] < math.inf:
-                raise InputError(f"noise = {text!r}: {key} = {values[key]}: expected a number from 0 on")
+                raise InputError(f"noise = {text!r}: {key} = {values[key]}: expected a finite number of at least 0")
         return cls(**values)
 
     def check_report(self) -> None:
-        """Raise `InputError` for noises that the report did not fly, of which the seed ``report`` has no draws."""
+        """Raise `InputError` for noises that are not the report's: the seed ``report`` has no draws for them."""
         levels = {"random_walk_m": 0.002, "constant_drift_m": 0.0001, "yaw_random_walk_rad": 0.0005, "tilt_rad": 0.0}
         for name, level in levels.items():
             if getattr(self, name) not in (0.0, level):
@@ -242,4 +238,4 @@ REPORT_NOISE = {
     "yaw-random-walk": ("yaw_random_walk_rad", 0.0005, 1.0),
     "tilt": ("tilt_rad", math.radians(1.0), 1.0),
 }
-"""Name → setting, the usual level (the report's, but for ``tilt``), and the factor from the level to the setting."""
+"""Name → setting, default level (the report's, except for ``tilt``), and factor from the level to the setting."""

@@ -1,4 +1,4 @@
-"""Grey cameras on a flight: images by ray casting, with texture, motion blur and noise."""
+"""Grey-value cameras on a flight: images by ray casting, with texture, motion blur and noise."""
 
 import functools
 import math
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from steelnb import rng
 from steelnb.images import CameraImages, GreyImage
 from steelnb.settings.base import mount
-from steelnb.simulation.scene import Hits, Scene, cast_bundle, make_scene, rays
+from steelnb.simulation.scene import Hits, Scene, cast_bundle, make_scene, rays, world_rays
 from steelnb.simulation.sections import GROUND
 from steelnb.simulation.texture import Floats, Texture, make_texture, shade
 from steelnb.simulation.tower import Tower
@@ -22,23 +22,23 @@ RATE_HZ = 10.0
 """Images a second."""
 EXPOSURE_S = 0.002
 READ_NOISE, GAIN = 1.0, 0.03
-"""The variance of a pixel is READ_NOISE² + GAIN · grey, in grey levels of 255, where the gain is the number of levels
-that one photoelectron makes (EMVA Standard 1288)."""
+"""The variance of a pixel is READ_NOISE² + GAIN · grey, in grey levels of 255. The gain is in levels per photoelectron
+(EMVA Standard 1288)."""
 SPREAD_PX = 0.35
-"""Distance of the rays of a pixel from the one in its middle."""
+"""Distance of a pixel's outer rays from its centre ray."""
 BLUR_PX = 0.5
-"""With more motion during the exposure, every pixel has all of its rays."""
+"""With more motion than this during the exposure, all rays of every pixel are cast."""
 EDGE = 0.03
-"""Relative difference of neighbouring ranges that makes an edge of a member."""
+"""Relative difference of neighbouring ranges that counts as an edge."""
 
 
 @dataclass(frozen=True)
 class CameraModel:
     """A global-shutter pinhole camera with square pixels, optical axis along the camera's x axis, y left, z up.
 
-    ``samples`` rays are cast through a pixel, spread over its area and over the time of the exposure, centred on the
-    stamp: that smooths edges and blurs what moves. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the
-    drone's axes) place the camera on the drone.
+    ``samples`` rays per pixel are spread over its area and over the exposure time, which is centred on the stamp. They
+    smooth edges and give motion blur. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's axes) place
+    the camera on the drone.
     """
 
     columns: int
@@ -55,18 +55,18 @@ class CameraModel:
 
     @property
     def fov_vertical_rad(self) -> float:
-        """Vertical field of view, which follows from square pixels."""
+        """Vertical field of view; it follows from square pixels."""
         return 2 * math.atan(self.rows / (2 * self.focal_px))
 
     @property
     def K(self) -> Array:
-        """Intrinsics ``(3, 3)`` as `steelnb.images.CameraImages` has them."""
+        """Intrinsics ``(3, 3)``, in pixels, as in `steelnb.images.CameraImages`."""
         f = self.focal_px
         return np.array([[f, 0, (self.columns - 1) / 2], [0, f, (self.rows - 1) / 2], [0, 0, 1]])
 
     @property
     def T_drone_camera(self) -> Array:
-        """The mount of the camera, ``(4, 4)``."""
+        """The camera's mount, ``(4, 4)``."""
         return mount(self.mount_m, self.mount_rpy_deg)
 
 
@@ -76,8 +76,8 @@ TRACKING = CameraModel(640, 480, 2.32, (0.06, 0.0, -0.02), (0.0, 45.0, 0.0))
 
 
 class Rendered(NamedTuple):
-    """Images ``(H, W)``: ``grey`` float32 without noise, and of the ray in the middle of each pixel ``range_m`` along
-    it, infinite for no hit, and the ``member`` hit, −1 for the ground and for none."""
+    """Images ``(H, W)``: ``grey`` float32 without noise; ``range_m`` along the centre ray of each pixel, infinite for
+    no hit; and the ``member`` that it hits, −1 for the ground and for no hit."""
 
     grey: Floats
     range_m: Floats
@@ -85,12 +85,12 @@ class Rendered(NamedTuple):
 
 
 def photograph(tower: Tower, trajectory: Trajectory, model: CameraModel, seed: rng.Seed) -> CameraImages:
-    """Images along a true trajectory, each rendered when it is asked for.
+    """Images along a true trajectory, each rendered on access.
 
     ``trajectory``: true poses of the drone, world frame, the first at t = 0. The noise of image k comes from the stream
-    ``("camera", k)`` of the seed, so that an image does not depend on which others are asked for.
+    ``("camera", k)`` of the seed, so the order of access does not matter.
     """
-    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])  # stamps are those of poses, as those of scans are
+    step_s = float(trajectory.stamp_s[1] - trajectory.stamp_s[0])  # image stamps are pose stamps, as for scans
     index = np.round(np.arange(0, trajectory.stamp_s[-1] + 1e-9, 1 / RATE_HZ) / step_s).astype(int)
     stamp_s = trajectory.stamp_s[index]
     images = _Images(tower, trajectory, model, seed, stamp_s)
@@ -98,7 +98,7 @@ def photograph(tower: Tower, trajectory: Trajectory, model: CameraModel, seed: r
 
 
 class Camera:
-    """A camera that can be held anywhere around a tower."""
+    """Renders views of a tower from any pose."""
 
     def __init__(self, tower: Tower, model: CameraModel) -> None:
         self.model = model
@@ -107,16 +107,16 @@ class Camera:
         ray, count = rays(model), model.samples - 1
         plane = (ray / ray[..., :1]).reshape(-1, 3)
         angle = 2 * np.pi * np.arange(count) / max(count, 1) + 0.3
-        place = np.zeros((count + 1, 3))  # the first ray in the middle of the pixel, the others around it
-        place[1:, 1:] = SPREAD_PX / model.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
-        direction = plane + place[:, None]
+        offset = np.zeros((count + 1, 3))  # the first ray is the centre of the pixel, the others lie around it
+        offset[1:, 1:] = SPREAD_PX / model.focal_px * np.column_stack([np.cos(angle), np.sin(angle)])
+        direction = plane + offset[:, None]
         self._direction = (direction / np.linalg.norm(direction, axis=2)[..., None]).astype(np.float32)
         self.moments_s = EXPOSURE_S * np.append(0.0, np.linspace(-0.5, 0.5, count))
 
     def render(self, T_world_camera: Array) -> Rendered:
-        """An image without noise from the poses ``T_world_camera (S, 4, 4)`` at `moments_s` after its stamp.
+        """An image without noise from the poses ``T_world_camera (S, 4, 4)`` at the times `moments_s` from its stamp.
 
-        All rays of a pixel are cast where the image is blurred, or changes from one surface to another.
+        At edges, and everywhere if the image is blurred, all rays of a pixel are cast; elsewhere only the centre ray.
         """
         shape = self.model.rows, self.model.columns
         grey, hit = self._cast(T_world_camera[:1], self._direction[:1])
@@ -129,60 +129,58 @@ class Camera:
         return Rendered(grey.reshape(shape), range_m, member)
 
     def _cast(self, T_world_camera: Array, direction: Floats) -> tuple[Floats, Hits]:
-        """Grey levels ``(S, N)`` and hits of rays ``(S, N, 3)``, one pose for each S."""
-        bundle = np.empty((*direction.shape[:2], 6), dtype=np.float32)
-        bundle[:, :, :3] = T_world_camera[:, None, :3, 3]
-        for sample, ray, T in zip(bundle, direction, T_world_camera, strict=True):
-            np.matmul(ray, T[:3, :3].T.astype(np.float32), out=sample[:, 3:])
+        """Grey levels ``(S, N)`` and hits of rays ``(S, N, 3)`` from the poses ``(S, 4, 4)``."""
+        bundle = world_rays(T_world_camera, direction)
         hit = cast_bundle(self._scene, bundle)
         grey = shade(self._texture, bundle.reshape(-1, 6), hit, 1 / self.model.focal_px)
         return grey.reshape(direction.shape[:2]), hit
 
     def _motion_px(self, T_world_camera: Array) -> float:
-        """Motion of the image of a surface 1 m away during the exposure, in pixels."""
+        """Image motion, in pixels, of a surface 1 m away during the exposure."""
         first, last = T_world_camera[1], T_world_camera[-1]
         turned = 0.5 * np.linalg.norm(first[:3, :3] - last[:3, :3])
         return float(self.model.focal_px * (turned + np.linalg.norm(first[:3, 3] - last[:3, 3])))
 
     def exposed(self, grey: Floats, noise: np.random.Generator) -> GreyImage:
-        """An image ``(H, W)`` as read from the sensor, with noise."""
+        """Add noise to an image ``(H, W)`` and quantise it to 8 bits."""
         sigma = np.sqrt(np.float32(READ_NOISE**2) + np.float32(GAIN) * grey)
         read = grey + sigma * noise.standard_normal(grey.shape, dtype=np.float32)
         return np.clip(np.rint(read), 0, 255).astype(np.uint8)
 
 
 def _edges(range_m: Floats, member: IntArray) -> NDArray[np.bool_]:
-    """Pixels ``(H, W)`` beside one that shows another member, or a range further away than on a surface."""
+    """Pixels ``(H, W)`` whose neighbour shows another member or, off the ground, a jump in range."""
     edge = np.zeros(range_m.shape, dtype=bool)
-    inverse = 1 / range_m  # of no hit: 0
+    inverse = 1 / range_m  # 0 for no hit
     for this, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
-        apart = np.abs(inverse[this] - inverse[other]) > EDGE * inverse[this]
-        differs = (member[this] != member[other]) | apart & (member[this] != GROUND)
+        jump = np.abs(inverse[this] - inverse[other]) > EDGE * inverse[this]
+        differs = (member[this] != member[other]) | jump & (member[this] != GROUND)
         edge[this] |= differs
         edge[other] |= differs
     return edge
 
 
+@dataclass(eq=False)
 class _Images(Sequence[GreyImage]):
-    """The images of `photograph`."""
+    """The images of `photograph`, rendered on access."""
 
-    def __init__(
-        self, tower: Tower, trajectory: Trajectory, model: CameraModel, seed: rng.Seed, stamp_s: Array
-    ) -> None:
-        self._tower, self._trajectory, self._model, self._seed = tower, trajectory, model, seed
-        self._stamp_s = stamp_s
+    tower: Tower
+    trajectory: Trajectory
+    model: CameraModel
+    seed: rng.Seed
+    stamp_s: Array
 
     @functools.cached_property
-    def _camera(self) -> Camera:
-        return Camera(self._tower, self._model)
+    def camera(self) -> Camera:
+        return Camera(self.tower, self.model)
 
     def __len__(self) -> int:
-        return len(self._stamp_s)
+        return len(self.stamp_s)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
         if isinstance(index, slice):
             return [self[k] for k in range(len(self))[index]]
         k = range(len(self))[index]
-        noise, stamp_s, camera = rng.stream(self._seed, "camera", k), float(self._stamp_s[k]), self._camera
-        T_world_drone = self._trajectory.between(stamp_s + camera.moments_s)
-        return camera.exposed(camera.render(T_world_drone @ self._model.T_drone_camera).grey, noise)
+        noise = rng.stream(self.seed, "camera", k)
+        T_world_drone = self.trajectory.between(float(self.stamp_s[k]) + self.camera.moments_s)
+        return self.camera.exposed(self.camera.render(T_world_drone @ self.model.T_drone_camera).grey, noise)

@@ -21,36 +21,37 @@ from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STEP_S = 0.008
 COMMAND_S = 0.1
-"""From one command of a pilot to the next."""
+"""Time from one command of a pilot to the next."""
 MASS_KG = 0.275
 INERTIA = (6e-4, 6e-4, 10e-4)
 HALF_BOX_M = (0.12, 0.12, 0.04)
 DRAG_N_PER_M_S = 0.1
-# Gains per unit of mass or inertia: position → velocity, velocity → acceleration, attitude → angular acceleration.
+# Gains of the cascade position → velocity → acceleration, and attitude → angular acceleration.
 POSITION_P, VELOCITY_P, VELOCITY_I, ATTITUDE_P, ATTITUDE_D = 1.2, 2.5, 0.8, 80.0, 16.0
 TILT_ACCELERATION_MAX = 5.0
 
 
 class Command(NamedTuple):
-    """What a pilot asks for until the next command: velocity ``(forward, left, up)``, m/s, along the axes of the drone
-    when it is level, and the rate of the heading, rad/s."""
+    """A pilot's setpoint until the next command: velocity ``(forward, left, up)``, m/s, along the axes of the levelled
+    drone, and the rate of the heading, rad/s."""
 
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_rate: float = 0.0
 
 
 Pilot = Callable[[Trajectory, Imu], Command | None]
-"""Called every `COMMAND_S` with the true poses and exact readings since its last call, that one's last included, of
-which a drone would know what its sensors show; None ends the flight."""
+"""Called every `COMMAND_S` with the true poses and exact IMU readings since its last call, from the last one of that
+call on. A pilot may use them only to simulate its sensors. None ends the flight."""
 
 
 def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    The body (275 g) has thrust along its z axis and torques; a velocity controller follows `minimum_jerk` between
-    waypoints, else `setpoints`, or the commands of a ``pilot`` from where these begin. `gusts` act through the drag.
-    World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over the step that
-    ends at their stamp. Raises `CollisionError` with time and place when the body touches the structure or the ground.
+    A rigid body of 275 g has thrust along its z axis, and torques. Its velocity controller follows `minimum_jerk`
+    through waypoints, else `setpoints`; a ``pilot``'s commands replace these from their first point on. `gusts` act
+    through the drag. World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over
+    the step that ends at their stamp. Raises `CollisionError`, with time and position, when the body touches the
+    structure or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
@@ -59,9 +60,9 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
     imu = np.empty((steps + 1, 6))
     client = pybullet.connect(pybullet.DIRECT)
     if settings.waypoints:
-        target, *derivatives = minimum_jerk(settings, np.arange(steps, dtype=np.float64) * STEP_S)
+        target, velocity, acceleration = minimum_jerk(settings, np.arange(steps, dtype=np.float64) * STEP_S)
         yaw = float(target[0, 3])
-        reference = _by_waypoints(target.tolist(), *(each.tolist() for each in derivatives))
+        reference = _by_waypoints(target.tolist(), velocity.tolist(), acceleration.tolist())
     else:
         target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
         yaw = heading(settings, *target[0, :2])
@@ -77,7 +78,8 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
 
 
 def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
-    """Trajectory and IMU of positions and quaternions ``(N, 7)`` and readings ``(N, 6)``, from the step ``first``."""
+    """Trajectory and IMU from positions and quaternions ``(N, 7)`` and readings ``(N, 6)``; ``first``: number of the
+    first step."""
     stamp = np.arange(first, first + len(state), dtype=np.float64) * STEP_S
     T_world_drone = np.tile(np.eye(4), (len(state), 1, 1))
     T_world_drone[:, :3, :3] = Rotation.from_quat(state[:, 3:]).as_matrix()
@@ -87,8 +89,8 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
 
 Vector = Sequence[float]
 Reference = Callable[[int, Vector, Vector], tuple[Vector, Vector, Vector, float] | None]
-"""Number of the step, position and quaternion → position, velocity and acceleration to follow, and the heading; None:
-the end."""
+"""Number of the step, position and quaternion → reference position, velocity, acceleration and heading; None ends the
+flight."""
 NO_ACCELERATION = (0.0, 0.0, 0.0)
 
 
@@ -103,20 +105,21 @@ def _along_path(target: list[list[float]], target_velocity: list[list[float]], s
 
 
 def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Reference:
-    """What follows a pilot's commands: no position, and the heading that they add up to from ``yaw``."""
-    command, told = Command(), 0
+    """Reference that follows a pilot's velocity commands: the position is free, and the heading is the integral of the
+    commanded rates from ``yaw`` on."""
+    command, last_call = Command(), 0
 
     def reference(step: int, position: Sequence[float], quaternion: Sequence[float]):  # type: ignore[no-untyped-def]
-        nonlocal command, told, yaw
+        nonlocal command, last_call, yaw
         if math.floor(step * STEP_S / COMMAND_S + 1e-6) != math.floor((step - 1) * STEP_S / COMMAND_S + 1e-6):
-            given = pilot(*_flown(state[told : step + 1], imu[told : step + 1], told))
-            if given is None:
+            new_command = pilot(*_flown(state[last_call : step + 1], imu[last_call : step + 1], last_call))
+            if new_command is None:
                 return None
-            command, told = given, step
+            command, last_call = new_command, step
         yaw += command.yaw_rate * STEP_S
         x, y, z, w = quaternion
-        ahead = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        c, s = math.cos(ahead), math.sin(ahead)
+        true_yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        c, s = math.cos(true_yaw), math.sin(true_yaw)
         forward, left, up = command.velocity
         return position, (c * forward - s * left, s * forward + c * left, up), NO_ACCELERATION, yaw
 
@@ -124,15 +127,15 @@ def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Referen
 
 
 def _import_pybullet() -> ModuleType:
-    """PyBullet, without the line that its C code prints on the first import."""
+    """PyBullet, without the line that its C code prints to stderr on the first import."""
     sys.stderr.flush()
-    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
         import pybullet
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
         os.close(null)
     return cast(ModuleType, pybullet)
 
@@ -142,7 +145,7 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
     pybullet.setTimeStep(STEP_S, **at)
     pybullet.setGravity(0, 0, -GRAVITY, **at)
     mesh = {"vertices": tower.vertices.tolist(), "indices": tower.triangles.ravel().tolist()}
-    # Without this flag the obstacle would be the convex hull of the whole tower.
+    # Without this flag PyBullet collides with the convex hull of the tower.
     pybullet.createMultiBody(0, shape(pybullet.GEOM_MESH, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, **mesh), **at)
     pybullet.createMultiBody(0, shape(pybullet.GEOM_PLANE), **at)
     box = shape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M)
@@ -152,28 +155,28 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
 
 
 def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:  # type: ignore[no-untyped-def]
-    """Control, step, record; gives the number of steps flown. Scalars throughout: a 3-vector in NumPy costs ten times
-    its arithmetic."""
+    """Control, step and record; returns the number of steps flown. All in scalars, as NumPy is ten times slower on
+    3-vectors."""
     position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
     velocity, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     ix = iy = iz = 0.0  # integral of the velocity error
     state[0] = (*position, *quaternion)
     imu[0] = (0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0)
     for step in range(len(wind)):
-        asked = reference(step, position, quaternion)
-        if asked is None:
+        setpoint = reference(step, position, quaternion)
+        if setpoint is None:
             return step
-        (rx, ry, rz), (tx, ty, tz), (gx, gy, gz), yaw = asked
-        ex = tx + POSITION_P * (rx - position[0]) - velocity[0]
-        ey = ty + POSITION_P * (ry - position[1]) - velocity[1]
-        ez = tz + POSITION_P * (rz - position[2]) - velocity[2]
+        (rx, ry, rz), (vx, vy, vz), (gx, gy, gz), yaw = setpoint
+        ex = vx + POSITION_P * (rx - position[0]) - velocity[0]
+        ey = vy + POSITION_P * (ry - position[1]) - velocity[1]
+        ez = vz + POSITION_P * (rz - position[2]) - velocity[2]
         ix, iy, iz = ix + ex * STEP_S, iy + ey * STEP_S, iz + ez * STEP_S
         ax, ay, az = VELOCITY_P * ex + VELOCITY_I * ix, VELOCITY_P * ey + VELOCITY_I * iy, VELOCITY_P * ez
         az += VELOCITY_I * iz + GRAVITY
         ax, ay, az = ax + gx, ay + gy, az + gz
-        level = math.hypot(ax, ay)
-        if level > TILT_ACCELERATION_MAX:
-            ax, ay = ax * TILT_ACCELERATION_MAX / level, ay * TILT_ACCELERATION_MAX / level
+        horizontal = math.hypot(ax, ay)
+        if horizontal > TILT_ACCELERATION_MAX:
+            ax, ay = ax * TILT_ACCELERATION_MAX / horizontal, ay * TILT_ACCELERATION_MAX / horizontal
         az = max(az, 0.3 * GRAVITY)
 
         m = pybullet.getMatrixFromQuaternion(quaternion)
@@ -195,11 +198,11 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
             )
 
         position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-        after, rate = pybullet.getBaseVelocity(body, physicsClientId=client)
+        new_velocity, rate = pybullet.getBaseVelocity(body, physicsClientId=client)
         m = pybullet.getMatrixFromQuaternion(quaternion)
-        fx, fy = (after[0] - velocity[0]) / STEP_S, (after[1] - velocity[1]) / STEP_S
-        fz = (after[2] - velocity[2]) / STEP_S + GRAVITY
-        velocity = after
+        fx, fy = (new_velocity[0] - velocity[0]) / STEP_S, (new_velocity[1] - velocity[1]) / STEP_S
+        fz = (new_velocity[2] - velocity[2]) / STEP_S + GRAVITY
+        velocity = new_velocity
         state[step + 1] = (*position, *quaternion)
         imu[step + 1] = (
             m[0] * fx + m[3] * fy + m[6] * fz, m[1] * fx + m[4] * fy + m[7] * fz, m[2] * fx + m[5] * fy + m[8] * fz,
@@ -210,9 +213,10 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
 
 
 def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]
-    """Torque (body frame) that turns the body's z axis along (ax, ay, az) and its x axis to the heading.
+    """Torque (body frame) that aligns the body's z axis with (ax, ay, az) and its x axis with the heading.
 
-    The error is ``½ (Rᵀ R_d − R_dᵀ R)^∨`` (Lee, Leok, McClamroch, CDC 2010); ``m`` is R by rows, ``rate`` in the world.
+    The attitude error is ``½ (Rᵀ R_d − R_dᵀ R)^∨`` (Lee, Leok, McClamroch, CDC 2010). ``m``: R by rows; ``rate``:
+    angular rate in the world frame.
     """
     norm = math.sqrt(ax * ax + ay * ay + az * az)
     zx, zy, zz = ax / norm, ay / norm, az / norm

@@ -1,4 +1,4 @@
-"""Readings of a real IMU, and the attitude that a filter makes of them."""
+"""Readings of a real IMU, and the attitude that a filter estimates from them."""
 
 import math
 
@@ -10,22 +10,21 @@ from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 FILTER_GAIN = 0.5
-"""Rate, 1/s, at which the filter turns towards the accelerometer's vertical: the library's default."""
+"""Gain of the filter towards the accelerometer's vertical, 1/s: the library's default."""
 
 
 def measured_imu(exact: Imu, settings: ImuSettings, seed: rng.Seed) -> Imu:
-    """Readings with white noise and with biases that start as calibration left them and walk.
+    """Readings with white noise, a bias at the start, and a random walk of the bias.
 
-    ``exact`` has even steps of time, over which its values are means. The streams of the seed are
-    ``(sensor, part)`` with sensor ``gyro`` or ``accelerometer`` and part ``noise``, ``walk`` or ``bias``. Densities are
-    those that an Allan deviation shows (IEEE Std 952-1997): N/√τ for white noise N, K·√(τ/3) for a walk K.
+    ``exact`` has equal time steps; its values are means over them. The streams of the seed are ``(sensor, part)`` with
+    sensor ``gyro`` or ``accelerometer`` and part ``noise``, ``walk`` or ``bias``. Noise densities are those of an Allan
+    deviation (IEEE Std 952-1997): N/√τ for white noise N, K·√(τ/3) for a random walk K.
     """
-
     return ImuErrors(exact.stamp_s, settings, seed).read(exact)
 
 
 class ImuErrors:
-    """What `measured_imu` adds, drawn once for all of ``stamp_s (N,)``, for a flight that is under way."""
+    """The errors of `measured_imu`, drawn for a whole flight at ``stamp_s (N,)`` and read piece by piece."""
 
     def __init__(self, stamp_s: Array, settings: ImuSettings, seed: rng.Seed) -> None:
         step_s, shape, s = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3), settings
@@ -40,30 +39,30 @@ class ImuErrors:
         self._rate = draw("gyro", s.gyro_noise, s.gyro_walk, s.gyro_bias)
 
     def read(self, exact: Imu, first: int = 0) -> Imu:
-        """Readings of a piece that begins at sample ``first``."""
+        """Readings of a piece of the flight that begins at sample ``first``."""
         piece = slice(first, first + len(exact.stamp_s))
 
         def add(true: Array, errors: tuple[Array, Array, Array]) -> Array:
-            white, start, walked = errors
-            return np.asarray(true + white[piece] + start + walked[piece])
+            white, start, walk = errors
+            return np.asarray(true + white[piece] + start + walk[piece])
 
         return Imu(exact.stamp_s, add(exact.specific_force, self._force), add(exact.angular_rate, self._rate))
 
 
 def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
-    """The true trajectory with the roll and pitch that a filter makes of the readings, at the same stamps.
+    """The true trajectory with roll and pitch as a filter estimates them from the readings, at the same stamps.
 
-    Madgwick's revised filter (S. O. H. Madgwick, thesis, Bristol 2014, chapter 7; library imufusion), begun with the
-    true attitude. Position and heading stay: the error is a turn about a level axis.
+    Madgwick's revised filter (S. O. H. Madgwick, thesis, Bristol 2014, chapter 7; library imufusion), initialised with
+    the true attitude. Position and heading stay true: the attitude error is a rotation about a horizontal axis.
     """
     step_s = float(imu.stamp_s[1] - imu.stamp_s[0])
     return AttitudeFilter(truth.T_world_drone[0], step_s).update(truth, imu)
 
 
 class AttitudeFilter:
-    """`filtered_attitude` piece by piece, for a flight that is under way.
+    """`filtered_attitude` piece by piece, during a flight.
 
-    Begun with the true pose ``T_world_drone (4, 4)`` before the first piece; ``step_s``: time from reading to reading.
+    ``T_world_drone (4, 4)``: true pose at the start; ``step_s``: time from reading to reading.
     """
 
     def __init__(self, T_world_drone: Array, step_s: float) -> None:
@@ -76,8 +75,8 @@ class AttitudeFilter:
         self._up = T_world_drone[2, :3]
 
     def update(self, truth: Trajectory, imu: Imu) -> Trajectory:
-        """The poses of a piece with the filter's roll and pitch. Its first pose and reading are the last of the piece
-        before; no reading comes twice."""
+        """The poses of a piece with the filter's roll and pitch. Its first pose and reading repeat the last ones of the
+        previous piece; the filter skips them."""
         up = np.empty((len(imu.stamp_s), 3))
         up[0] = self._up
         for k, (rate, force) in enumerate(
@@ -87,9 +86,10 @@ class AttitudeFilter:
             up[k + 1] = self._filter.get_gravity()
         self._up = up[-1]
         T_world_drone = truth.T_world_drone.copy()
-        seen = np.einsum("nij,nj->ni", T_world_drone[:, :3, :3], up)  # the filter's vertical, in the world
-        lean = np.hypot(seen[:, 0], seen[:, 1])
-        angle = np.arctan2(lean, seen[:, 2]) / np.maximum(lean, 1e-12)
-        back = Rotation.from_rotvec(angle[:, None] * np.column_stack([seen[:, 1], -seen[:, 0], np.zeros(len(seen))]))
-        T_world_drone[:, :3, :3] = back.as_matrix() @ T_world_drone[:, :3, :3]
+        estimated = np.einsum("nij,nj->ni", T_world_drone[:, :3, :3], up)  # the filter's vertical, world frame
+        x, y, z = estimated.T
+        sine = np.hypot(x, y)
+        angle = np.arctan2(sine, z) / np.maximum(sine, 1e-12)
+        tilt = Rotation.from_rotvec(angle[:, None] * np.column_stack([y, -x, np.zeros(len(z))]))
+        T_world_drone[:, :3, :3] = tilt.as_matrix() @ T_world_drone[:, :3, :3]
         return Trajectory(truth.stamp_s, T_world_drone)

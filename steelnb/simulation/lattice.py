@@ -1,8 +1,8 @@
 """A tower from a list of its members and plates, in a CSV file.
 
 Columns ``kind, x0, y0, z0, x1, y1, z1, x2, y2, z2``, metres, world frame, z up; lines that begin with # are comments.
-Members (`KINDS`) have two ends, and the last three columns are empty. A ``plate`` is a parallelogram given by a corner
-and the two beside it, a ``triangle`` a plate with these three corners.
+A member (`KINDS`) has two ends; its last three columns are empty. A ``plate`` is a parallelogram, given by one corner
+and the two adjacent ones. A ``triangle`` is a plate with three corners.
 """
 
 import csv
@@ -20,73 +20,64 @@ from steelnb.files import reading
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
-from steelnb.simulation.sections import PLATE, Member, across, mesh_members, unit
+from steelnb.simulation.sections import PLATE, Member, mesh_members, orthonormal_flanges, unit
 from steelnb.types import Array, IntArray
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
 KINDS = ("leg", "ring", "bracing", "arm", "secondary")
-"""Each has a setting for its section. Secondary: redundants, webs of the arms, railings."""
+"""Each kind has a setting for its section. Secondary: redundant members, webs of the arms, railings."""
 PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
-"""Triangles of a plate, whose fourth corner lies opposite the first."""
+"""Triangles of a plate by corner; corner 3 lies opposite corner 0."""
 JOINT_M = 0.02
-"""Members that come as close as this meet in a joint."""
-UPRIGHT, ALONG = 0.3, 0.5
-"""Horizontal part of the direction of an upright member; slope, seen from above, of one in a face."""
+"""Members that come this close meet in a joint."""
+UPRIGHT, IN_FACE = 0.3, 0.5
+"""An upright member's direction has a horizontal part below `UPRIGHT`. Seen from above, a member in a face has a slope
+of at most `IN_FACE` to it."""
 
 
 class MemberList(NamedTuple):
-    """``kinds`` and ``ends (M, 2, 3)`` of the members; ``plates (P, 3, 3)``, triangles."""
+    """``kinds`` and ``ends (M, 2, 3)`` of the members; ``plates (P, 3, 3)``: the triangles of the plates."""
 
     kinds: list[str]
     ends: Array
     plates: Array
 
 
-class Lattice(NamedTuple):
-    """Joints, members and mesh as those of a `Tower`."""
-
-    joints: Array
-    members: tuple[Member, ...]
-    vertices: Array
-    triangles: IntArray
-    triangle_member: IntArray
-
-
-def build_lattice(settings: TowerSettings) -> Lattice:
-    """The members and plates of ``settings.members``; plates have no thickness and are nobody's (`PLATE`).
+def build_lattice(settings: TowerSettings) -> tuple[Array, tuple[Member, ...], Array, IntArray, IntArray]:
+    """Joints, members and mesh, as in `Tower`, of the list ``settings.members``. Plates have no thickness.
 
     Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
     listed = read_members(settings.members or "")
-    joints, along = find_joints(listed.ends)
+    joints, joints_of = find_joints(listed.ends)
     middle = (listed.ends.min(axis=(0, 1)) + listed.ends.max(axis=(0, 1))) / 2
     members = []
-    for kind, ends, on in zip(listed.kinds, listed.ends, along, strict=True):
+    for kind, ends, own in zip(listed.kinds, listed.ends, joints_of, strict=True):
         size: tuple[float, float] = getattr(settings, f"{kind}_section_m")
         if settings.section == "round":
             size = size[0], size[0] / 2
-        members.append(Member(kind, size, on, *_flanges(ends - middle), settings.section))
+        members.append(Member(kind, size, own, *_flanges(ends - middle), settings.section))
     vertices, triangles, owner = mesh_members(joints, members)
     plates = len(vertices) + np.arange(3 * len(listed.plates)).reshape(-1, 3)
     vertices = np.concatenate([vertices, listed.plates.reshape(-1, 3)])
     owner = np.concatenate([owner, np.full(len(plates), PLATE)])
-    return Lattice(joints, tuple(members), vertices, np.concatenate([triangles, plates]), owner)
+    return joints, tuple(members), vertices, np.concatenate([triangles, plates]), owner
 
 
 def leg_half_width(members: str, z: float) -> float:
-    """Half the distance between the outermost legs along x at height ``z``, metres. Raises `InputError`."""
+    """Half the distance along x between the outermost legs at height ``z``, metres. Raises `InputError`."""
     listed = read_members(members)
     legs = listed.ends[np.array(listed.kinds) == "leg"]
     legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
     if not len(legs):
-        raise InputError(f"tower.members = {members!r}: without a leg; expected one for the width of the body")
+        raise InputError(f"tower.members = {members!r}: no leg in the list; expected one, for the width of the body")
     z = float(np.clip(z, legs[..., 2].min(), legs[..., 2].max()))
     x = [np.interp(z, *leg[:, [2, 0]].T) for leg in legs if leg[0, 2] <= z <= leg[1, 2]]
     return float(max(x) - min(x)) / 2
 
 
 def read_members(members: str) -> MemberList:
-    """The list of members of a preset, or of a file ``FILE.csv``. Raises `InputError`."""
+    """Read the list of members of a preset or of a file ``FILE.csv``. Raises `InputError`."""
     path = members_file(members)
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
@@ -105,7 +96,7 @@ def read_members(members: str) -> MemberList:
 
 
 def _points(path: Path, line: int, row: list[str]) -> Array:
-    """The ends of a member ``(2, 3)``, or the corners of a plate ``(3, 3)``."""
+    """The ends of a member ``(2, 3)``, or three corners of a plate ``(3, 3)``. Raises `InputError`."""
     count = 6 if row[0] in KINDS else 9 if row[0] in PLATES else 0
     if not count:
         raise InputError(f"{path}: line {line}: kind {row[0]!r}: expected one of {quoted((*KINDS, *PLATES))}")
@@ -122,14 +113,15 @@ def _points(path: Path, line: int, row: list[str]) -> Array:
 
 
 def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
-    """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member its own from end to end.
+    """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member the numbers of its joints from end to
+    end.
 
-    A joint takes the place of an end in it, of the first in the list, or lies midway between members that cross.
+    A joint lies at the first end that belongs to it or, where members cross, midway between their axes.
     """
     count = len(ends)
     points, owners = [ends.reshape(-1, 3)], [np.repeat(np.arange(count), 2)]
     for i in range(count - 1):
-        on_i, on_others = _nearest(ends[i], ends[i + 1 :])
+        on_i, on_others = _closest_points(ends[i], ends[i + 1 :])
         close = np.flatnonzero(np.linalg.norm(on_i - on_others, axis=1) <= JOINT_M)
         meeting = (on_i[close] + on_others[close]) / 2
         points += [meeting, meeting]
@@ -139,17 +131,18 @@ def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
     links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(point), len(point)))
     _, label = connected_components(links, directed=False)
     _, first, label = np.unique(label, return_index=True, return_inverse=True)
-    along = []
+    joints_of = []
     for m, (start, end) in enumerate(ends):
         own = np.unique(label[owner == m])
         inner = own[~np.isin(own, label[2 * m : 2 * m + 2])]
         inner = inner[np.argsort((point[first[inner]] - start) @ (end - start))]
-        along.append((int(label[2 * m]), *inner.tolist(), int(label[2 * m + 1])))
-    return point[first], along
+        joints_of.append((int(label[2 * m]), *inner.tolist(), int(label[2 * m + 1])))
+    return point[first], joints_of
 
 
-def _nearest(segment: Array, others: Array) -> tuple[Array, Array]:
-    """The nearest points ``(N, 3)`` of a ``segment (2, 3)`` and of each of the ``others (N, 2, 3)``, on both.
+def _closest_points(segment: Array, others: Array) -> tuple[Array, Array]:
+    """The closest points of a ``segment (2, 3)`` and each of the ``others (N, 2, 3)``: on the segment ``(N, 3)`` and on
+    the others ``(N, 3)``.
 
     Ericson, "Real-Time Collision Detection", 2005, section 5.1.9.
     """
@@ -163,20 +156,20 @@ def _nearest(segment: Array, others: Array) -> tuple[Array, Array]:
 
 
 def _flanges(ends: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Directions of the flanges of a member with ``ends (2, 3)`` seen from the middle of the tower.
+    """Directions of the flanges of a member with ``ends (2, 3)`` relative to the middle of the tower.
 
-    Those of an upright member point inwards along x and y. One in a face has a flange in it, which points downwards or,
-    if upright, sideways, and one inwards; one inside the body has its second flange below.
+    The flanges of an upright member point inwards along x and y. A member in a face has one flange in the face,
+    pointing downwards, and one inwards. The second flange of a member inside the body points downwards.
     """
     axis, out, down = unit(ends[1] - ends[0]), ends.mean(axis=0), np.array([0.0, 0.0, -1.0])
     run, inward = np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
     face = int(np.argmin(run))
     if np.hypot(*run) < UPRIGHT:
         first, second = inward[0], inward[1]
-    elif run[face] <= ALONG * run[1 - face] and abs(out[face]) > JOINT_M:
+    elif run[face] <= IN_FACE * run[1 - face] and abs(out[face]) > JOINT_M:
         second = inward[face]
         first = np.cross(axis, second)
         first = first if first[2] < 0 else -first
     else:
         first, second = np.cross(axis, down), down
-    return across(axis, first, second)  # type: ignore[return-value]
+    return orthonormal_flanges(axis, first, second)  # type: ignore[return-value]

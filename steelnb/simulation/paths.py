@@ -1,4 +1,4 @@
-"""Flight paths, with the heading at each point: between waypoints, or polylines along the tower."""
+"""Flight paths with headings: through waypoints, or polylines along the tower."""
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -10,10 +10,10 @@ from steelnb.types import Array
 
 def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
     """Corner points of the flight's path, ``(N, 3)`` metres in the world frame: the waypoints of its settings, or else
-    what follows from the tower.
+    points derived from the tower.
 
     ``zigzag`` zigzags up in front of the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
-    ``standoff_m`` from the body at every height. Of a ``planned`` flight it is the place of the start.
+    ``standoff_m`` from the body at every height. A ``planned`` flight has its starting point only.
     """
     if flight.waypoints:
         return np.array(flight.waypoints)[:, :3]
@@ -21,34 +21,39 @@ def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
     points: list[tuple[float, float, float]] = []
     for level, z in enumerate(heights):
         half = half_width(tower, z)
-        away = half + flight.standoff_m
+        reach = half + flight.standoff_m
         if flight.trajectory == "planned":
-            return np.array([(0.0, -away, z)])
+            return np.array([(0.0, -reach, z)])
         if flight.trajectory == "zigzag":
             side = 0.8 * half * (-1) ** level
-            points += [(-side, -away, z), (side, -away, z)]
+            points += [(-side, -reach, z), (side, -reach, z)]
         else:
-            points += [(0, -away, z), (away, -away, z), (away, away, z), (-away, away, z), (-away, -away, z)]
-            points += [(0, -away, z)]
+            points += [(0, -reach, z), (reach, -reach, z), (reach, reach, z), (-reach, reach, z), (-reach, -reach, z)]
+            points += [(0, -reach, z)]
     return np.array(points)
 
 
+def path(flight: FlightSettings, tower: TowerSettings) -> tuple[Array, Array]:
+    """`waypoints` ``(N, 3)`` and the length of the path ``(N,)`` up to each of them, metres."""
+    corner = waypoints(flight, tower)
+    return corner, np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
+
+
 def heading(flight: FlightSettings, x: float, y: float) -> float:
-    """Heading (radians, 0 along x) that the drone holds at a position of a path without waypoints: along y, or to the
+    """Heading (radians, 0 along x) at a position of a path without waypoints: along y for ``zigzag``, else towards the
     tower's axis."""
     return np.pi / 2 if flight.trajectory == "zigzag" else float(np.arctan2(-y, -x))
 
 
 def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:
-    """Position and velocity to follow at each step, each ``(steps, 3)``, on a path without waypoints: along it at
-    ``speed_m_s``, then a hover.
+    """Position and velocity setpoints, each ``(steps, 3)``, on a path without waypoints: along it at ``speed_m_s``,
+    then hovering at its end.
 
-    Two moving averages of a second round the corners, so that the drone leans into them instead of braking.
+    Two moving averages over one second round the corners, so the drone need not brake there.
     """
-    corner = waypoints(flight, tower)
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
+    corner, arc_m = path(flight, tower)
     travelled = np.arange(steps) * step_s * flight.speed_m_s
-    position = np.stack([np.interp(travelled, arc, corner[:, axis]) for axis in range(3)], axis=1)
+    position = np.stack([np.interp(travelled, arc_m, corner[:, axis]) for axis in range(3)], axis=1)
     for _ in range(2):
         position = uniform_filter1d(position, max(1, round(1.0 / step_s)), axis=0, mode="nearest")
     return position, np.gradient(position, step_s, axis=0)
@@ -56,11 +61,11 @@ def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: 
 
 def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, Array]:
     """Pose x, y, z, heading (metres, radians) and its first two derivatives, each ``(N, 4)``, at ``time_s (N,)``, of a
-    flight by waypoints.
+    flight through waypoints.
 
-    From one waypoint to the next with the least jerk, from rest to rest: a share 10τ³ − 15τ⁴ + 6τ⁵ of the way after a
-    share τ of the time (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter way; half a turn is
-    anticlockwise.
+    The motion between waypoints has minimum jerk and starts and ends at rest: after a share τ of the time, a share
+    10τ³ − 15τ⁴ + 6τ⁵ of the distance is done (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter
+    way, half turns anticlockwise.
     """
     point = np.array(flight.waypoints)
     seconds, end_s = point[1:, 4], np.cumsum(point[:, 4])

@@ -1,6 +1,6 @@
-"""Viewing rays, and what they hit: ray casting against a tower's mesh (Open3D, Embree) on one thread.
+"""Ray casting against a tower's mesh (Open3D, Embree) on one thread.
 
-The same bits on every processor: see `cast_bundle`.
+The results are the same bits on every processor; `cast_bundle` explains how.
 """
 
 import math
@@ -14,16 +14,17 @@ from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
 STEPS_PER_M = 65536.0
+"""Ranges are rounded to this resolution."""
 TOUCH_M = 1e-5
-"""Surfaces this near to each other, and rays this near to an edge, are too near for float32 to tell which is hit."""
+"""Surfaces touch, and a ray hits an edge, within this distance: float32 cannot tell them apart."""
 MARGIN_M = 2e-5
-"""By so much the edges of the triangles that Embree sees lie outside of the true ones."""
-STEP_M = np.float32(4e-6)
-"""How far behind a triangle that it has passed beside a ray goes on: twice the rounding of float32 at 16 m."""
+"""Embree's triangles are enlarged by this margin on each side."""
+RESTART_M = np.float32(4e-6)
+"""A ray that has missed a triangle restarts this far behind it: twice the rounding of float32 at 16 m."""
 
 
 class Pinhole(Protocol):
-    """Settings of a camera: the size of its image and its fields of view."""
+    """Image size and fields of view of a pinhole camera."""
 
     @property
     def columns(self) -> int: ...
@@ -46,13 +47,11 @@ def rays(settings: Pinhole) -> Array:
 
 
 class Scene(NamedTuple):
-    """The mesh of a tower on the ground plane: Open3D tells which of its T triangles a ray may hit, and float64 whether
-    it does, and how far away.
+    """The T triangles of a tower and of the ground under it, in the world frame, metres.
 
-    ``mesh``: Open3D's, of triangles that are larger by `MARGIN_M`; ``member (T + 1,)``: of each triangle, −1 for the
-    ground and, as the last entry, for no hit; ``corner (T, 3, 3)`` metres; ``plane (T, 4)``: unit normal n and offset d
-    of n · x = d; ``begin (T + 1,)``: where in ``touching`` the triangles begin, the last one first, that touch, cross
-    or overlap each.
+    ``mesh``: Open3D's, of triangles enlarged by `MARGIN_M`; ``member (T + 1,)`` of each triangle, −1 for the ground
+    and, as the last entry, for no hit; ``corner (T, 3, 3)``; ``plane (T, 4)``: unit normal n and offset d of n · x = d.
+    ``touching[begin[t] : begin[t + 1]]``: the triangles that touch, cross or overlap triangle t, in falling order.
     """
 
     mesh: Any
@@ -64,7 +63,7 @@ class Scene(NamedTuple):
 
 
 def make_scene(tower: Tower) -> Scene:
-    """The scene of a tower that stands on z = 0."""
+    """The scene of a tower that stands on the ground, z = 0."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     corner = np.concatenate([tower.vertices[tower.triangles], ground[[(0, 1, 2), (0, 2, 3)]]]).astype(np.float64)
@@ -75,7 +74,7 @@ def make_scene(tower: Tower) -> Scene:
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     plane = np.column_stack([normal, (normal * corner[:, 0]).sum(axis=1)])
-    one, other = _touching(corner, plane).T
+    one, other = _touching_pairs(corner, plane).T
     one, other = np.append(one, other), np.append(other, one)
     order = np.lexsort((-other, one))
     begin = np.searchsorted(one[order], np.arange(count + 1))
@@ -83,18 +82,18 @@ def make_scene(tower: Tower) -> Scene:
 
 
 def _enlarged(corner: Array) -> Array:
-    """Triangles ``(T, 3, 3)`` whose edges lie `MARGIN_M` farther from the centre of the inscribed circle."""
+    """Triangles ``(T, 3, 3)`` scaled about their incentres so that each edge moves out by `MARGIN_M`."""
     side = np.linalg.norm(np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1), axis=2)  # opposite each corner
-    around = side.sum(axis=1)
-    centre = (side[..., None] * corner).sum(axis=1) / around[:, None]
+    perimeter = side.sum(axis=1)
+    centre = (side[..., None] * corner).sum(axis=1) / perimeter[:, None]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-    factor = 1 + MARGIN_M * around / (2 * area)  # the radius is twice the area by the perimeter
+    factor = 1 + MARGIN_M * perimeter / (2 * area)  # inradius = 2 area / perimeter
     return np.asarray(centre[:, None] + factor[:, None, None] * (corner - centre[:, None]))
 
 
 @njit(cache=True)
-def _touching(corner, plane):
-    """Pairs ``(P, 2)`` of triangles that touch, cross or overlap; of those in one plane, all whose boxes overlap."""
+def _touching_pairs(corner, plane):
+    """Pairs ``(P, 2)`` of triangles that touch, cross or overlap. Coplanar ones count if their boxes overlap."""
     count, size = len(corner), 0
     low, high = np.empty((count, 3)), np.empty((count, 3))
     for i in range(count):
@@ -108,7 +107,7 @@ def _touching(corner, plane):
                 low[i, 0] <= high[j, 0] and low[j, 0] <= high[i, 0]
                 and low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
                 and low[i, 2] <= high[j, 2] and low[j, 2] <= high[i, 2]
-                and (_pierces(corner, plane, i, j) or _pierces(corner, plane, j, i))
+                and (_edge_meets(corner, plane, i, j) or _edge_meets(corner, plane, j, i))
             ):  # fmt: skip
                 if size == len(pair):
                     pair = np.concatenate((pair, np.empty_like(pair)))
@@ -118,44 +117,51 @@ def _touching(corner, plane):
 
 
 @njit(cache=True)
-def _pierces(corner, plane, i, j):
-    """Whether an edge of triangle ``i`` meets triangle ``j``, or all of them lie in its plane."""
+def _edge_meets(corner, plane, i, j):
+    """Whether an edge of triangle ``i`` meets triangle ``j``, or the two are coplanar."""
     flat = True
     for k in range(3):
         a, b = corner[i, k], corner[i, (k + 1) % 3]
-        from_a, from_b = _height(plane[j], a), _height(plane[j], b)
+        from_a, from_b = _signed_distance(plane[j], a), _signed_distance(plane[j], b)
         flat = flat and abs(from_a) <= TOUCH_M
         if abs(from_a) > TOUCH_M and from_a * from_b > 0.0 and abs(from_b) > TOUCH_M:
             continue
         share = 0.0 if abs(from_a) <= TOUCH_M else min(max(from_a / (from_a - from_b), 0.0), 1.0)
-        place = a + share * (b - a)
-        if _holds(corner, plane, j, place[0], place[1], place[2]):
+        point = a + share * (b - a)
+        if _contains(corner, plane, j, point[0], point[1], point[2]):
             return True
     return flat
 
 
 @njit(cache=True)
-def _height(plane, place):
-    """Height of a place above a plane."""
-    return plane[0] * place[0] + plane[1] * place[1] + plane[2] * place[2] - plane[3]
+def _signed_distance(plane, point):
+    """Signed distance of a point to a plane."""
+    return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3]
 
 
 def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
     """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
-    −1 for the ground and for none. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
+    −1 for the ground and for no hit. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
     flat = ray.reshape(-1, 3).astype(np.float32)
-    bundle = np.empty((len(T_world_sensor), len(flat), 6), dtype=np.float32)
-    bundle[:, :, :3] = T_world_sensor[:, None, :3, 3]
-    for k, T in enumerate(T_world_sensor):
-        np.matmul(flat, T[:3, :3].T.astype(np.float32), out=bundle[k, :, 3:])
-    hit, shape = cast_bundle(scene, bundle), (len(T_world_sensor), *ray.shape[:2])
+    hit = cast_bundle(scene, world_rays(T_world_sensor, np.broadcast_to(flat, (len(T_world_sensor), *flat.shape))))
+    shape = len(T_world_sensor), *ray.shape[:2]
     return hit.range_m.reshape(shape), hit.member.reshape(shape)
 
 
+def world_rays(T_world_sensor: Array, ray: np.ndarray) -> np.ndarray:
+    """Origins and directions ``(K, N, 6)`` float32, world frame, of rays ``(K, N, 3)`` float32 in the sensor frame,
+    cast from the poses ``(K, 4, 4)``."""
+    bundle = np.empty((*ray.shape[:2], 6), dtype=np.float32)
+    bundle[:, :, :3] = T_world_sensor[:, None, :3, 3]
+    for k, T in enumerate(T_world_sensor):
+        np.matmul(ray[k], T[:3, :3].T.astype(np.float32), out=bundle[k, :, 3:])
+    return bundle
+
+
 class Hits(NamedTuple):
-    """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for none; ``normal
-    (..., 3)`` float32, unit normals of the triangles hit, of either sign, zero for no hit; ``triangle (...)``, the
-    number of triangles for no hit."""
+    """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for no hit; ``normal
+    (..., 3)`` float32, unit normals of either sign, zero for no hit; ``triangle (...)``, the number of triangles for no
+    hit."""
 
     range_m: np.ndarray
     member: IntArray
@@ -164,36 +170,36 @@ class Hits(NamedTuple):
 
 
 def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
-    """What rays ``(..., 6)`` float32, origins and unit directions in the world frame, hit first.
+    """The first hits of rays ``(..., 6)`` float32: origins and unit directions in the world frame.
 
-    Embree's traversal and its distances hold the processor's approximate reciprocal, which differs from vendor to
-    vendor. So it is only asked which triangle may be hit, of a mesh a little too large. Whether the true one is hit is
-    decided in float64; where it is not, the ray goes on behind it. Of several triangles that are hit in one place the
-    last is taken. The distance is that to its plane, to the nearest 2⁻¹⁶ m (15 µm).
+    Embree uses the processor's approximate reciprocal, which differs between vendors. It therefore only proposes
+    triangles, from a slightly enlarged mesh. Whether a ray hits the true triangle is decided in float64; if it misses,
+    it restarts behind it. Where several triangles are hit at one point, the last one counts. The range is the distance
+    to its plane, rounded to 2⁻¹⁶ m (15 µm).
     """
     tensor, shape = import_open3d().core.Tensor.from_numpy, bundle.shape[:-1]
     ray = bundle.reshape(-1, 6)
     hit = Hits(np.empty(len(ray), np.float32), np.empty(len(ray), np.int64), np.empty((len(ray), 3), np.float32),
                np.empty(len(ray), np.int64))  # fmt: skip
-    left, onward = np.arange(len(ray)), ray
-    while len(left):
-        seen = scene.mesh.cast_rays(tensor(onward), nthreads=1)
-        missed = _measure(ray, left, seen["primitive_ids"].numpy(), *scene[1:], *hit)
-        left, onward, behind_m = left[missed], onward[missed], seen["t_hit"].numpy()[missed] + STEP_M
+    pending, onward = np.arange(len(ray)), ray
+    while len(pending):
+        proposed = scene.mesh.cast_rays(tensor(onward), nthreads=1)
+        missed = _resolve_hits(ray, pending, proposed["primitive_ids"].numpy(), *scene[1:], *hit)
+        pending, onward, behind_m = pending[missed], onward[missed], proposed["t_hit"].numpy()[missed] + RESTART_M
         onward[:, :3] += behind_m[:, None] * onward[:, 3:]
-    return Hits(*(found.reshape(*shape, *found.shape[1:]) for found in hit))
+    return Hits(*(array.reshape(*shape, *array.shape[1:]) for array in hit))
 
 
 @njit(cache=True)
-def _measure(
-    rays, left, named, member_of, corner, plane, begin, touching, range_m, member, normal, triangle
+def _resolve_hits(
+    rays, pending, proposed, member_of, corner, plane, begin, touching, range_m, member, normal, triangle
 ):  # fmt: skip
-    """Fill in `Hits` of those of the ``rays (N, 6)`` that are ``left (L,)``, each of which may hit the triangle
-    ``named (L,)``, beyond the last for none. Gives the places in ``left`` of those that do not."""
+    """Fill in `Hits` of the ``pending (L,)`` ones of the ``rays (N, 6)``, each with its ``proposed (L,)`` triangle, a
+    number beyond the last for no hit. Returns the indices into ``pending`` of the rays that miss."""
     ray = np.empty(6)
-    missed, count = np.empty(len(left), np.int64), 0
-    for m in range(len(left)):
-        i, t = left[m], np.int64(named[m])
+    missed, count = np.empty(len(pending), np.int64), 0
+    for m in range(len(pending)):
+        i, t = pending[m], np.int64(proposed[m])
         if t >= len(corner):
             range_m[i], member[i], triangle[i] = np.inf, -1, len(corner)
             normal[i, 0] = normal[i, 1] = normal[i, 2] = 0.0
@@ -202,18 +208,18 @@ def _measure(
             ray[k] = rays[i, k]
         distance = _distance(ray, corner[t], plane[t])
         x, y, z = ray[0] + distance * ray[3], ray[1] + distance * ray[4], ray[2] + distance * ray[5]
-        found, s, own = np.int64(-1), begin[t], False
+        found, s, t_is_checked = np.int64(-1), begin[t], False
         while s < begin[t + 1] and found < 0:
             u = touching[s]
-            if u < t and not own:
-                own = True
-                if _holds(corner, plane, t, x, y, z):
+            if u < t and not t_is_checked:
+                t_is_checked = True
+                if _contains(corner, plane, t, x, y, z):
                     break
             height = plane[u, 0] * x + plane[u, 1] * y + plane[u, 2] * z - plane[u, 3]
-            if abs(height) < TOUCH_M and _holds(corner, plane, u, x, y, z):
+            if abs(height) < TOUCH_M and _contains(corner, plane, u, x, y, z):
                 found = u
             s += 1
-        if found < 0 and _holds(corner, plane, t, x, y, z):
+        if found < 0 and _contains(corner, plane, t, x, y, z):
             found = t
         if found < 0:
             missed[count] = m
@@ -230,8 +236,7 @@ def _measure(
 
 @njit(cache=True)
 def _distance(ray, corner, plane):
-    """Distance along a ``ray (6,)`` to a plane; no nearer or farther than the triangle, of which the ray hits a corner
-    where it grazes."""
+    """Distance along a ``ray (6,)`` to a plane, clamped to the range of the triangle's corners, for grazing rays."""
     nearest, farthest = np.inf, -np.inf
     for k in range(3):
         along = 0.0
@@ -241,13 +246,13 @@ def _distance(ray, corner, plane):
     slope = plane[0] * ray[3] + plane[1] * ray[4] + plane[2] * ray[5]
     if slope == 0.0:
         return nearest
-    return min(max(-_height(plane, ray) / slope, nearest), farthest)
+    return min(max(-_signed_distance(plane, ray) / slope, nearest), farthest)
 
 
 @njit(cache=True)
-def _holds(corner, plane, t, x, y, z):
-    """Whether a place in the plane of triangle ``t`` lies in it, or as near to it as float32 can tell. Its corners run
-    to the left about the normal."""
+def _contains(corner, plane, t, x, y, z):
+    """Whether a point in the plane of triangle ``t`` lies within it or `TOUCH_M` of it. Its corners run anticlockwise
+    about the normal."""
     for k in range(3):
         n = (k + 1) % 3
         ax, ay, az = corner[t, k, 0], corner[t, k, 1], corner[t, k, 2]

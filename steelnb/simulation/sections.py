@@ -9,18 +9,18 @@ import numpy as np
 from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
-"""In place of a member: the ground, which is no steel; and a plate, which is steel, but no bar."""
+"""Stand in for a member's number: the ground, and a steel plate, which is no bar."""
 SIDES = 16
-"""Sides of a round rod: its surface is within 1.3 % of the radius of the circle's."""
+"""Sides of a round rod; its surface is within 1.3 % of the circle's radius."""
 
 
 @dataclass(frozen=True)
 class Member:
     """A straight bar. The axis of an angle is its heel, the outer corner; that of a round rod is its centre line.
 
-    ``kind`` leg, ring, bracing, arm or secondary; ``section_m`` width and thickness of the flanges, or diameter and
-    radius; ``joints`` on it, from end to end; ``flange_a``, ``flange_b`` unit vectors from the heel along the flanges,
-    world frame, which for a round rod are just two directions across the axis.
+    ``kind``: leg, ring, bracing, arm or secondary; ``section_m``: width and thickness of the flanges, or diameter and
+    radius; ``joints``: numbers of its joints from end to end; ``flange_a``, ``flange_b``: unit vectors from the heel
+    along the flanges, world frame; for a round rod, any two directions perpendicular to the axis.
     """
 
     kind: str
@@ -32,34 +32,30 @@ class Member:
 
 
 def unit(vector: Array) -> Array:
-    """A vector of length 1 in the same direction."""
+    """A vector scaled to length 1."""
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 Vector = tuple[float, float, float]
 
 
-def across(axis: Array, first: Array, second: Array) -> tuple[Vector, Vector]:
-    """Unit vectors across a unit ``axis``, at a right angle to each other: ``second`` is turned the least."""
+def orthonormal_flanges(axis: Array, first: Array, second: Array) -> tuple[Vector, Vector]:
+    """Unit vectors perpendicular to a unit ``axis`` and to each other, by Gram-Schmidt: ``second`` before ``first``."""
     second = unit(second - (second @ axis) * axis)
     first = first - (first @ axis) * axis
     first = unit(first - (first @ second) * second)
     return tuple(first.tolist()), tuple(second.tolist())
 
 
-def mesh_members(
-    joints: Array, members: Sequence[Member], sides: int = SIDES, closed: bool = True
-) -> tuple[Array, IntArray, IntArray]:
-    """Prisms over the outlines of the sections: vertices ``(V, 3)``, triangles ``(T, 3)`` and their members ``(T,)``.
-
-    The vertices of a member follow each other, those at its first joint first. ``closed``: round rods have ends.
-    """
+def mesh_members(joints: Array, members: Sequence[Member]) -> tuple[Array, IntArray, IntArray]:
+    """Closed prisms with the outlines of the sections: vertices ``(V, 3)``, triangles ``(T, 3)`` and the member of each
+    ``(T,)``. The vertices of a member are consecutive, those at its first joint first."""
     vertices, triangles, count = [], [], 0
     for member in members:
         outline, prism = _angle(*member.section_m), _ANGLE_PRISM
         start, end = joints[[member.joints[0], member.joints[-1]]]
         if member.section == "round":
-            outline, prism = _circle(member.section_m[0] / 2, sides), _round_prism(sides, closed)
+            outline, prism = _circle(member.section_m[0] / 2), _ROUND_PRISM
             if np.cross(member.flange_a, member.flange_b) @ (end - start) < 0:
                 prism = prism[:, ::-1]
         offset = outline @ np.array([member.flange_a, member.flange_b])
@@ -77,18 +73,24 @@ def _angle(width: float, thickness: float) -> Array:
 _SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
 _ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
 _ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
-"""Triangles of a closed prism over an L-shaped outline of six corners, the lower one first."""
+"""Triangles of a closed prism with an L-shaped outline: corners 0–5 at the start, 6–11 at the end."""
 
 
-def _circle(radius_m: float, sides: int) -> Array:
-    """A regular polygon of the same area as the circle."""
-    angle, reach = 2 * np.pi * np.arange(sides) / sides, np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
+def _circle(radius_m: float) -> Array:
+    """A regular polygon with the area of the circle."""
+    angle, reach = 2 * np.pi * np.arange(SIDES) / SIDES, np.sqrt(2 * np.pi / (SIDES * np.sin(2 * np.pi / SIDES)))
     return np.asarray(radius_m * reach * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _round_prism(sides: int, closed: bool) -> IntArray:
-    low = np.arange(sides)
-    high = (low + 1) % sides
-    wall = [np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)]
+def _round_prism() -> IntArray:
+    low = np.arange(SIDES)
+    high = (low + 1) % SIDES
     end = np.stack([np.zeros_like(low[2:]), low[1:-1], low[2:]], 1)
-    return np.concatenate([*wall, end[:, ::-1], sides + end] if closed else wall)
+    return np.concatenate([
+        np.stack([low, high, low + SIDES], 1), np.stack([high, high + SIDES, low + SIDES], 1),
+        end[:, ::-1], SIDES + end,
+    ])  # fmt: skip
+
+
+_ROUND_PRISM = _round_prism()
+"""The same with the outline of `_circle`."""

@@ -1,4 +1,4 @@
-"""A lattice tower, from a list of its members or tapered by a few numbers: members, joints and surface mesh."""
+"""A lattice tower, built from a list of members or from a few dimensions: members, joints and surface mesh."""
 
 import itertools
 from dataclasses import dataclass, field
@@ -7,14 +7,14 @@ import numpy as np
 
 from steelnb.settings import TowerSettings
 from steelnb.simulation.lattice import build_lattice, leg_half_width
-from steelnb.simulation.sections import Member, across, mesh_members, unit
+from steelnb.simulation.sections import Member, mesh_members, orthonormal_flanges, unit
 from steelnb.types import Array, IntArray
 
 
 @dataclass(frozen=True)
 class Tower:
-    """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)``,
-    ``triangles (T, 3)``, ``triangle_member (T,)``, which is `PLATE` for a plate."""
+    """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)`` metres,
+    ``triangles (T, 3)`` and the member of each, ``triangle_member (T,)``, `PLATE` for a plate."""
 
     joints: Array
     members: tuple[Member, ...]
@@ -25,13 +25,13 @@ class Tower:
 
     @property
     def axes(self) -> Array:
-        """End points of the member axes, ``(M, 2, 3)`` metres."""
+        """End points of the member axes, ``(M, 2, 3)`` metres, world frame."""
         return np.array([self.joints[[member.joints[0], member.joints[-1]]] for member in self.members])
 
 
 def half_width(settings: TowerSettings, z: float) -> float:
-    """Distance of the body's faces to its axis at height ``z``, metres: that of the legs in a list of members, else two
-    tapers that meet at the waist. Raises `InputError`."""
+    """Distance of the body's faces from its axis at height ``z``, metres: from the legs in a list of members, else from
+    the two tapers that meet at the waist. Raises `InputError`."""
     if settings.members is not None:
         return leg_half_width(settings.members, z)
     heights = (0.0, settings.waist_height_m, settings.height_m)
@@ -62,28 +62,30 @@ class _Builder:
         return np.array([CORNERS[k % 4][0] * half, CORNERS[k % 4][1] * half, z])
 
     def add(self, kind: str, points: list[Array], flange_a: Array, flange_b: Array) -> None:
-        """Add a bar through ``points``; the flanges are turned across the axis, ``flange_b`` first."""
+        """Add a bar through ``points``; its flanges are made perpendicular to the axis, ``flange_b`` first."""
         joints = tuple(self.joint(point) for point in points)
-        flanges = across(unit(self.joints[joints[-1]] - self.joints[joints[0]]), flange_a, flange_b)
+        flanges = orthonormal_flanges(unit(self.joints[joints[-1]] - self.joints[joints[0]]), flange_a, flange_b)
         size = getattr(self.settings, f"{kind}_section_m")
         self.members.append(Member(kind, size, joints, *flanges, self.settings.section))
 
     def in_face(self, kind: str, k: int, points: list[Array]) -> None:
-        """Add a bar that lies in face ``k``: one flange in the face, the other pointing inwards."""
+        """Add a bar in face ``k`` with one flange in the face and one pointing inwards."""
         inward = -np.array([*np.add(CORNERS[k], CORNERS[(k + 1) % 4]) / 2.0, 0.0])
         axis = unit(points[-1] - points[0])
         self.add(kind, points, np.cross(axis, inward), inward)
 
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
-    """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres; arms
-    reach along ±x. The mesh holds a closed prism for each member. No randomness. Raises `InputError`."""
+    """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
+
+    Arms extend along ±x. The mesh has a closed prism for each member. Nothing is random. Raises `InputError`.
+    """
     settings = settings or TowerSettings()
-    return _build_tapered(settings) if settings.members is None else Tower(*build_lattice(settings), settings)
+    return Tower(*(_build_tapered(settings) if settings.members is None else build_lattice(settings)), settings)
 
 
-def _build_tapered(settings: TowerSettings) -> Tower:
-    """X-bracing up to the waist, K-bracing between the arms, single bracing in their depth; centred on the z axis."""
+def _build_tapered(settings: TowerSettings) -> tuple[Array, tuple[Member, ...], Array, IntArray, IntArray]:
+    """X-bracing up to the waist, K-bracing between the arms, single bracing over their depth; centred on the z axis."""
     build = _Builder(settings)
     lower = _panel_levels(settings)
     upper = [settings.waist_height_m]
@@ -94,11 +96,11 @@ def _build_tapered(settings: TowerSettings) -> Tower:
 
     for k in range(4):
         _braced_face(build, k, lower, upper)
-    middles = {z: None for z in upper[1::2]}  # K-bracing meets the rings of these levels in their middle
     for z in (*lower[1:], *upper[1:]):
         for k in range(4):
             a, b = build.corner(k, z), build.corner(k + 1, z)
-            build.in_face("ring", k, [a, (a + b) / 2, b] if z in middles else [a, b])
+            # K-bracing meets the rings of every second upper level at mid-length
+            build.in_face("ring", k, [a, (a + b) / 2, b] if z in upper[1::2] else [a, b])
     for k in range(4):
         inwards = -np.array([*CORNERS[k], 0.0])
         flanges = inwards * [1, 0, 0], inwards * [0, 1, 0]
@@ -109,12 +111,11 @@ def _build_tapered(settings: TowerSettings) -> Tower:
             _arm(build, z, reach, side)
 
     joints = np.array(build.joints)
-    vertices, triangles, owner = mesh_members(joints, build.members)
-    return Tower(joints, tuple(build.members), vertices, triangles, owner, settings)
+    return joints, tuple(build.members), *mesh_members(joints, build.members)
 
 
 def _panel_levels(settings: TowerSettings) -> list[float]:
-    """Heights of the rings below the waist: panels about 0.8 times as high as wide."""
+    """Heights of the rings up to the waist: panels are about 0.8 times as high as wide."""
     levels = [0.0]
     while levels[-1] < settings.waist_height_m:
         levels.append(levels[-1] + 0.8 * 2 * half_width(settings, levels[-1]))
@@ -138,7 +139,7 @@ def _braced_face(build: _Builder, k: int, lower: list[float], upper: list[float]
 
 
 def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
-    """A pyramid arm: two level lower chords, two sloping upper chords, three bays of webs."""
+    """A pyramid arm: two level bottom chords, two sloping top chords, three bays of webs."""
     tip = np.array([side * reach, 0.0, z])
     up, out = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
     shares = (1 / 3, 2 / 3)
@@ -156,16 +157,3 @@ def _arm(build: _Builder, z: float, reach: float, side: int) -> None:
     for bay in (1, 2):
         build.add("arm", [points[-1, 0][bay], points[1, 0][bay]], side * np.array([-1.0, 0, 0]), up)
         build.add("arm", [points[-1, 0][bay - 1], points[1, 0][bay]], side * np.array([1.0, 0, 0]), up)
-
-
-def build_tubes(axes: Array, radius_m: float, sides: int = 48) -> Tower:
-    """Round tubes along ``axes (M, 2, 3)``, metres, world frame, as open prisms with so many sides, of the same area as
-    the circle."""
-    axes, members = np.asarray(axes, dtype=np.float64), []
-    for k, (start, end) in enumerate(axes):
-        first = unit(np.cross(end - start, np.eye(3)[np.argmin(np.abs(end - start))]))
-        second = np.cross(unit(end - start), first)
-        flanges = tuple(first.tolist()), tuple(second.tolist())
-        members.append(Member("tube", (2 * radius_m, radius_m), (2 * k, 2 * k + 1), *flanges, "round"))
-    joints = axes.reshape(-1, 3)
-    return Tower(joints, tuple(members), *mesh_members(joints, members, sides, closed=False), TowerSettings())

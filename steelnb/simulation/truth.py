@@ -1,4 +1,4 @@
-"""The truth about a flight, for metrics and figures alone: trajectory, tower, and the part of each member seen."""
+"""The truth about a flight, for metrics and figures only: trajectory, tower, and the observed part of each member."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from steelnb.types import Array, IntArray, Trajectory
 
 SLICE_M = 0.05
 RETURNS_MIN, LENGTH_MIN_M = 100, 0.3
-"""A member is observed when at least this many returns lie on it and at least this length of it was seen."""
+"""A member is observed if it gave at least this many returns, over at least this length."""
 SCAN_RETURNS_MIN = 30
-"""The same for a single scan. A flight sees a member in tens of scans; in one scan of 43,200 pixels 100 returns would
-leave out half of the members with 30, which detectors find, and at an eighth of the density all but one to five."""
+"""Minimum number of returns in a single scan. With 100, half of the members that detectors find would be left out in a
+scan of 43,200 pixels, and all but one to five at an eighth of the density."""
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """Returns from each of the M members of a tower. ``slices``: for each member the number of returns ``(S,)`` from
-    the slices of 5 cm along its axis, counted from its first joint."""
+    """Number of returns from each of the M members of a tower: ``slices`` holds, for each member, the returns ``(S,)``
+    from slices of 5 cm along its axis, from its first joint on."""
 
     slices: tuple[IntArray, ...]
 
@@ -30,11 +30,11 @@ class Visibility:
 
     @property
     def length_m(self) -> Array:
-        """Seen length of each member ``(M,)``: that of all slices with a return."""
+        """Observed length of each member ``(M,)``, metres: that of all slices with a return."""
         return np.array([SLICE_M * np.count_nonzero(part) for part in self.slices])
 
     def observed(self, returns_min: int = RETURNS_MIN) -> NDArray[np.bool_]:
-        """The members ``(M,)`` over which every recall is taken: enough returns over enough of their length."""
+        """Mask ``(M,)`` of the members with enough returns over enough of their length. Every recall refers to them."""
         return (self.returns >= returns_min) & (self.length_m >= LENGTH_MIN_M - 1e-9)
 
 
@@ -49,10 +49,10 @@ class SliceCounter:
         self._count = np.zeros(self._first[-1], dtype=np.int64)
 
     def add(self, points: Array, member: IntArray) -> None:
-        """Count surface points ``(N, 3)`` of the members ``(N,)``."""
+        """Count surface points ``(N, 3)``, world frame, of the members ``(N,)``."""
         along = np.einsum("ni,ni->n", points - self._begin[member], self._axis[member])
-        place = np.clip((along / SLICE_M).astype(np.int64), 0, self._size[member] - 1)
-        self._count += np.bincount(self._first[member] + place, minlength=len(self._count))
+        slice_index = np.clip((along / SLICE_M).astype(np.int64), 0, self._size[member] - 1)
+        self._count += np.bincount(self._first[member] + slice_index, minlength=len(self._count))
 
     def visibility(self) -> Visibility:
         """The counts so far."""

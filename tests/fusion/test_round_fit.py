@@ -11,10 +11,11 @@ from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import map_scans
 from steelnb.metrics.matching import match_members
 from steelnb.settings import StructureSettings
-from steelnb.simulation import Tower, build_tubes
+from steelnb.simulation import Tower
 from steelnb.simulation.sections import mesh_members
 from tests import naive
 from tests.fusion.made import around, small_tower
+from tests.lattice import build_tubes
 
 AXES = np.array([
     [[-0.7, -0.7, 0.3], [-0.7, -0.7, 3.4]], [[0.7, 0.6, 0.3], [0.7, 0.6, 3.4]], [[0.6, -0.8, 0.4], [0.8, -0.6, 3.3]],

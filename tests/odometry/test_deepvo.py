@@ -8,7 +8,16 @@ from steelnb import experiment
 from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import DeepVoOdometry, make_odometry, run
-from steelnb.odometry.deepvo import COLUMNS, MIRROR, ROWS, TAN_SIDE, TAN_UP, derotated, motions, paired
+from steelnb.odometry.deepvo import (
+    COLUMNS,
+    MIRROR,
+    ROWS,
+    TAN_HALF_HEIGHT,
+    TAN_HALF_WIDTH,
+    derotated,
+    level_pair,
+    motions,
+)
 from steelnb.odometry.network import STRIDES, VERSION, WEIGHTS, convolved, read_network, write_network
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
@@ -32,13 +41,13 @@ def places(steps):
 
 
 @pytest.mark.parametrize(("size", "stride"), [(1, 1), (3, 1), (3, 2), (5, 2)])
-def test_a_convolution_is_what_its_definition_says(size, stride):
+def test_a_convolution_equals_its_slow_twin(size, stride):
     draw = np.random.default_rng(size + stride)
     x, kernel = draw.normal(size=(2, 8, 6, 3)), draw.normal(size=(4, 3, size, size))
     np.testing.assert_allclose(convolved(x, kernel, stride), naive.convolution(x, kernel, stride), atol=1e-12)
 
 
-def test_the_network_gives_what_a_learning_library_gives():
+def test_the_network_equals_a_learning_library():
     torch = pytest.importorskip("torch")
     network, images = read_network(), np.random.default_rng(1).random((3, 4, ROWS, COLUMNS), dtype=np.float32)
     x = torch.from_numpy(images)
@@ -51,7 +60,7 @@ def test_the_network_gives_what_a_learning_library_gives():
     np.testing.assert_allclose(network(images), x.numpy(), atol=2e-4)
 
 
-def test_weights_are_small_and_survive_being_written(tmp_path):
+def test_weights_are_small_and_survive_writing(tmp_path):
     assert WEIGHTS.stat().st_size <= 2_000_000
     network = read_network()
     write_network(tmp_path / "own.npz", network)
@@ -84,7 +93,7 @@ def test_weights_that_do_not_fit_are_refused_by_name_in_one_line(tmp_path, chang
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_file_of_weights_is_refused(tmp_path):
+def test_a_file_without_weights_is_refused(tmp_path):
     (tmp_path / "text.npz").write_text("weights")
     with pytest.raises(InputError, match=r"text\.npz: not weights of version"):
         read_network(tmp_path / "text.npz")
@@ -94,32 +103,33 @@ def test_what_is_no_file_of_weights_is_refused(tmp_path):
         DeepVoOdometry(OdometrySettings.preset("best"))
 
 
-def test_a_point_is_where_the_levelled_camera_sees_it():
-    """A point on the centre of a pixel fills that one; one between four is shared by them."""
-    y, z = TAN_SIDE * (1 - 2 * 10.5 / COLUMNS), TAN_UP * (1 - 2 * 20.5 / ROWS)
+def test_a_point_fills_its_pixel_of_the_levelled_camera():
+    """A point at the centre of a pixel fills that pixel; a point between four pixels is distributed over them."""
+    y, z = TAN_HALF_WIDTH * (1 - 2 * 10.5 / COLUMNS), TAN_HALF_HEIGHT * (1 - 2 * 20.5 / ROWS)
     turn = Rotation.from_euler("xyz", (0.2, -0.3, 0.1)).as_matrix()
     point = np.array([[2.0, 2 * y, 2 * z], [np.nan] * 3]) @ turn
     image = derotated(point, turn) * (240 * 180) / (ROWS * COLUMNS)
     assert image[0, 20, 10] == pytest.approx(1.0, abs=1e-6)
     assert image[1, 20, 10] == pytest.approx(1 / np.linalg.norm(point[0]), abs=1e-6)
     assert image[0].sum() == pytest.approx(1.0, abs=1e-6)
-    point[0] += turn.T @ [0.0, -2 * TAN_SIDE / COLUMNS, -2 * TAN_UP / ROWS]  # half a pixel to the right and down
+    # half a pixel to the right and down
+    point[0] += turn.T @ [0.0, -2 * TAN_HALF_WIDTH / COLUMNS, -2 * TAN_HALF_HEIGHT / ROWS]
     np.testing.assert_allclose(derotated(point, turn)[0, 20:22, 10:12] * 14.0625, 0.25, atol=1e-6)
     assert not derotated(-point, turn).any(), "what lies behind is not seen"
 
 
-def test_a_turn_of_the_drone_alone_leaves_both_images_alike(world):
+def test_a_rotation_of_the_drone_does_not_change_the_derotated_images(world):
     flight, _ = world
     points = flight.scans[0].points
     turned = Rotation.from_euler("zyx", (0.15, 0.05, -0.04)).as_matrix()
-    same = paired((points, points @ turned), (np.eye(3), turned)).images
+    same = level_pair((points, points @ turned), (np.eye(3), turned)).images
     np.testing.assert_allclose(same[:2], same[2:], atol=1e-5)
 
 
-def test_what_stands_still_has_no_motion_and_backwards_or_mirrored_motion_is_its_counterpart(world):
+def test_rest_has_no_motion_and_reversed_or_mirrored_motion_is_consistent(world):
     flight, _ = world
     network, attitude = read_network(), flight.prior.T_world_drone[0, :3, :3]
-    pairs = [paired((flight.scans[k].points, flight.scans[40].points), (attitude,) * 2).images for k in (40, 41)]
+    pairs = [level_pair((flight.scans[k].points, flight.scans[40].points), (attitude,) * 2).images for k in (40, 41)]
     still, moved = motions(network, np.array(pairs))[0]
     np.testing.assert_allclose(still, 0.0, atol=1e-7)
     assert np.linalg.norm(moved) > 0.02
@@ -130,7 +140,7 @@ def test_what_stands_still_has_no_motion_and_backwards_or_mirrored_motion_is_its
     np.testing.assert_allclose(mirrored, MIRROR * moved, atol=1e-6)
 
 
-def test_black_frames_add_no_motion_and_say_so(world):
+def test_black_frames_add_no_motion_and_have_a_reason(world):
     flight, _ = world
     scans, black = list(flight.scans[:14]), np.full((240, 180, 3), np.nan)
     assert [step.reason for step in flown(flight.first(2), [black, black])[1]] == ["too few returns"] * 2
@@ -148,7 +158,7 @@ def test_black_frames_add_no_motion_and_say_so(world):
     assert np.linalg.norm(sensor[3] - sensor[2]) > 0.01, "a single gap is bridged by the pair around it"
 
 
-def test_of_the_prior_only_the_first_pose_and_the_attitude_are_used(world):
+def test_only_first_pose_and_attitude_of_the_prior_are_used(world):
     flight, _ = world
     prior = flight.prior.T_world_drone.copy()
     steps = flown(flight)[1]
@@ -158,7 +168,7 @@ def test_of_the_prior_only_the_first_pose_and_the_attitude_are_used(world):
     np.testing.assert_array_equal(places(flown(flight, prior=prior)[1]), places(steps))
 
 
-def test_a_flight_is_the_same_again_and_nearer_to_the_truth_than_a_constant_velocity(world):
+def test_a_flight_is_deterministic_and_better_than_constant_velocity(world):
     flight, truth = world
     estimate = run(flight, make_odometry(OdometrySettings.preset("deepvo"), flight.T_drone_sensor))
     np.testing.assert_allclose(estimate.corrected.position, places(flown(flight)[1]), atol=1e-12)

@@ -21,7 +21,7 @@ def flown(flight):
     return odometry, steps, Trajectory(flight.prior.stamp_s, np.array([step.T_world_drone for step in steps]))
 
 
-def test_a_turn_around_the_tower_errs_less_than_the_drift(world):
+def test_the_error_around_the_tower_is_less_than_the_drift(world):
     flight, truth = world
     error, raw = (position_error_m(T, truth.trajectory).max() for T in (flown(flight)[2], flight.prior))
     assert raw > 0.1
@@ -42,8 +42,8 @@ def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the
     assert odometry.update(scans[2], prior[2]).used
 
 
-def test_a_wall_is_followed_by_loam_across_itself_alone():
-    """Planes say nothing along themselves: there the pose stays where the prior has it."""
+def test_a_wall_constrains_only_the_direction_of_its_normal():
+    """In the directions within the plane, the pose remains the prior's."""
     ray = np.ones((40, 60, 3))
     ray[..., 1], ray[..., 2] = np.meshgrid(np.linspace(0.6, -0.6, 60), np.linspace(0.4, -0.4, 40))
     noise, prior = np.random.default_rng(1), np.tile(np.eye(4), (6, 1, 1))
@@ -59,7 +59,7 @@ def test_a_wall_is_followed_by_loam_across_itself_alone():
 
 
 def test_clouds_of_a_spinning_lidar_are_sorted_into_their_lines():
-    """A room seen by sixteen lasers from two places, its points in any order."""
+    """A room seen by sixteen lasers from two positions, its points in random order."""
     noise = np.random.default_rng(1)
     elevation, azimuth = np.meshgrid(np.radians(np.arange(-15, 16, 2.0)), np.radians(np.arange(0, 360, 0.5)))
     ray = np.stack(
@@ -76,7 +76,7 @@ def test_clouds_of_a_spinning_lidar_are_sorted_into_their_lines():
     np.testing.assert_allclose(step.T_world_drone[:3, 3], [0.1, -0.06, 0.04], atol=0.02)
 
 
-def test_the_same_scans_give_the_same_poses_and_later_ones_change_none(world):
+def test_poses_are_deterministic_and_do_not_depend_on_later_scans(world):
     flight, _ = world
     short, longer = (flown(flight.first(n))[2].T_world_drone for n in (10, 14))
     np.testing.assert_array_equal(short, longer[:10])

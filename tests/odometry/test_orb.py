@@ -45,13 +45,13 @@ def test_a_short_flight_stays_within_twelve_millimetres(loops_with_images, estim
     assert len(estimate.segments) == 0
 
 
-def test_roll_and_pitch_stay_the_prior_s(loops_with_images, estimate):
+def test_roll_and_pitch_remain_the_prior_s(loops_with_images, estimate):
     up = [path.T_world_drone[:, 2, :3] for path in (estimate.corrected, loops_with_images[1].prior)]
     np.testing.assert_allclose(*up, atol=1e-9)
 
 
-def test_a_tilted_prior_is_set_upright(loops_with_images):
-    """Roll and pitch, off by 1° from the second scan on, are found where they are said to be uncertain."""
+def test_a_tilted_prior_is_corrected(loops_with_images):
+    """With ``tilt_sigma_rad``, roll and pitch errors of 1° from the second scan on are corrected."""
     settings, flight, truth = loops_with_images
     prior = flight.first(8).prior
     off = Rotation.from_rotvec(np.radians([1.0, -1.0, 0.0])).as_matrix()
@@ -69,7 +69,7 @@ def test_a_tilted_prior_is_set_upright(loops_with_images):
     assert np.abs(angle[0.0175]).max() < np.radians(0.4)
 
 
-def test_black_images_are_named_and_the_prior_is_followed(loops_with_images, estimate):
+def test_black_images_have_a_reason_and_follow_the_prior(loops_with_images, estimate):
     _, flight, _ = loops_with_images
     stamp_s = flight.prior.stamp_s
     dark = (stamp_s >= BLIND_S[0]) & (stamp_s < BLIND_S[1])
@@ -109,7 +109,7 @@ def test_the_same_images_give_the_same_estimate(loops_with_images, estimate):
 
 
 def wall(edge_m=None):
-    """Points of a wall 2 m ahead that leans, the right half of it ``edge_m`` further away."""
+    """Points of an inclined wall 2 m ahead; its right half is ``edge_m`` farther away."""
     ray = rays(TOF)
     depth = 2.0 / (1.0 - 0.15 * ray[..., 1] / ray[..., 0])
     if edge_m:
@@ -119,7 +119,7 @@ def wall(edge_m=None):
     return noisy[..., None] * ray / ray[..., :1]
 
 
-def test_depths_are_those_of_smooth_surfaces_alone():
+def test_only_smooth_surfaces_have_depths():
     place = np.random.default_rng(3).uniform([120, 60], [300, 260], (400, 2))
     flat = DepthImage(wall(), np.eye(4), K, SHAPE)
     exact = 2.0 / (1.0 + 0.15 * (place[:, 0] - K[0, 2]) / K[0, 0])
@@ -135,7 +135,7 @@ def test_depths_are_those_of_smooth_surfaces_alone():
     assert np.isfinite(depth[away_px > 8]).mean() > 0.85
 
 
-def test_fits_of_depths_are_those_of_least_squares():
+def test_depth_fits_equal_least_squares():
     place = np.random.default_rng(4).uniform([120, 60], [300, 260], (40, 2))
     image = DepthImage(wall(), np.eye(4), K, SHAPE)
     depth = image.depth_at(place)
@@ -144,7 +144,7 @@ def test_fits_of_depths_are_those_of_least_squares():
     np.testing.assert_allclose(depth[np.isfinite(depth)], expected[np.isfinite(depth)], rtol=1e-9)
 
 
-def test_a_match_is_the_nearest_descriptor_of_the_features_near_by():
+def test_a_match_has_the_nearest_descriptor_among_near_features():
     random = np.random.default_rng(5)
     pixel, expected = random.uniform(0, 60, (80, 2)), random.uniform(0, 60, (50, 2))
     octave, wanted_octave = random.integers(0, 3, 80), random.integers(0, 3, 50)
@@ -164,7 +164,7 @@ def test_a_match_is_the_nearest_descriptor_of_the_features_near_by():
 
 
 def sightings(T_world_drone, T_drone_camera, outliers=0.0, seed=6):
-    """Landmarks before a camera as it sees them, half with depth, some with the place of another."""
+    """Observations of landmarks, half of them with depth, some with the position of another landmark."""
     random = np.random.default_rng(seed)
     T = T_world_drone @ T_drone_camera
     point = random.uniform([1.0, -0.8, -0.6], [4.0, 0.8, 0.6], (120, 3)) * [1, 1.5, 1.5]
@@ -181,7 +181,7 @@ def no_term(T, centre):
 
 
 @pytest.mark.parametrize(("dof", "turn"), [("se3", (0.02, -0.03, 0.04)), ("xyz_yaw", (0.0, 0.0, 0.04))])
-def test_the_pose_of_exact_sightings_is_found(dof, turn):
+def test_exact_observations_determine_the_pose(dof, turn):
     true, mount = np.eye(4), TRACKING.T_drone_camera
     true[:3, :3] = Rotation.from_euler("ZYX", [1.0, 0.1, -0.05]).as_matrix()
     true[:3, 3] = 3, -2, 5
@@ -200,14 +200,14 @@ def test_the_pose_of_exact_sightings_is_found(dof, turn):
         assert found.weight[~wrong].min() > 0.99
 
 
-def test_nothing_seen_determines_no_pose():
+def test_without_observations_the_pose_is_undetermined():
     seen = Sighting(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
     found = solve_pose(seen, K, np.eye(4), np.eye(4), np.eye(6), [no_term], np.zeros(3), 2.0)
     assert not found.determined
     np.testing.assert_array_equal(found.T_world_drone, np.eye(4))
 
 
-def test_a_map_keeps_the_landmarks_seen_last_and_drops_those_never_found_again():
+def test_a_map_drops_old_landmarks_and_those_that_are_not_found_again():
     landmarks = LandmarkMap(50)
     random = np.random.default_rng(7)
     for now in range(4):
@@ -227,7 +227,7 @@ def test_a_map_keeps_the_landmarks_seen_last_and_drops_those_never_found_again()
     assert landmarks.missed[:4].tolist() == [0, 0, 1, 1]
 
 
-def test_a_landmark_is_expected_from_the_side_it_was_seen_from():
+def test_a_landmark_is_expected_only_from_a_similar_direction():
     landmarks = LandmarkMap(50)
     features = Features(np.zeros((1, 2)), np.zeros(1, np.int64), np.zeros((1, 4), np.uint64), np.ones(1))
     landmarks.insert(np.array([[2.0, 0, 0]]), features, np.zeros(3), 0)
@@ -240,8 +240,8 @@ def test_a_landmark_is_expected_from_the_side_it_was_seen_from():
     assert len(landmarks.expected(np.eye(4), K, SHAPE, 1.5).number) == 0
 
 
-def test_features_of_a_coarser_level_are_where_the_finest_has_them():
-    """Symmetric about its middle, an image has the features of each level symmetric about it, too."""
+def test_features_of_all_levels_have_consistent_positions():
+    """The features of each level of a symmetric image are symmetric, too."""
     random = np.random.default_rng(8)
     quarter = np.kron(random.integers(0, 2, (40, 53)), np.full((4, 4), 200.0)).astype(np.uint8)[:160, :211]
     quarter = import_opencv().blur(quarter, (3, 3))

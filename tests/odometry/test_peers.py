@@ -24,7 +24,7 @@ def method(request):
     return request.param
 
 
-def test_it_takes_most_of_the_drift_out_and_has_a_map(world, method):
+def test_it_removes_most_of_the_drift_and_has_a_map(world, method):
     flight, truth = world
     odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
     found = run(flight, odometry)
@@ -52,7 +52,7 @@ def test_a_scan_without_returns_follows_the_motion_of_the_prior(world, method):
     assert odometry.update(flight.scans[5], T[5]).used
 
 
-def test_a_flight_that_begins_in_the_dark_begins_at_its_first_returns(world, method):
+def test_a_flight_without_returns_at_first_starts_with_its_first_returns(world, method):
     flight = world[0]
     odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
     T = flight.prior.T_world_drone

@@ -43,7 +43,7 @@ def clouds(method="report-gicp", *switched, T_drone_sensor=None):
 
 
 def told(odometry, step, **other):
-    """Let an odometry find one step whatever it sees."""
+    """Make an odometry find the given step for every scan."""
     fields = {"converged": True, "iterations": 1, "inliers": 100, **other}
     odometry.registered = lambda points: Aligned(step, **fields)
 
@@ -58,7 +58,7 @@ def test_without_drift_the_correction_stays_near_the_identity(method):
 
 
 @pytest.mark.parametrize("method", CLOUDS)
-def test_a_shifted_prior_is_brought_back(method):
+def test_a_shifted_prior_is_corrected(method):
     odometry = clouds(method)
     for k in range(3):
         odometry.update(corner(seed=k), pose())
@@ -67,7 +67,7 @@ def test_a_shifted_prior_is_brought_back(method):
     assert np.linalg.norm(step.T_world_drone[:3, 3]) < 0.5 * np.linalg.norm(shifted[:3, 3])
 
 
-def test_the_order_of_composition_shows_once_the_correction_is_turned():
+def test_the_order_of_composition_matters_for_a_rotated_correction():
     first, second = pose((0.1, 0.0, 0.0), (0, 0, 0.2)), pose((0.0, 0.2, 0.0), (0, 0.1, 0))
     for switched, expected in (((), first @ second), (("order",), second @ first)):
         odometry = clouds("report-gicp", *switched)
@@ -82,7 +82,7 @@ def test_the_order_of_composition_shows_once_the_correction_is_turned():
 @pytest.mark.parametrize(
     ("step", "reason"), [(pose((1.01, 0, 0)), "jump"), (pose(turn=(0, 0, 0.4)), "turn"), (np.eye(4), "too few pairs")]
 )
-def test_a_refused_scan_leaves_correction_and_map(step, reason):
+def test_a_rejected_scan_does_not_change_correction_and_map(step, reason):
     odometry = clouds()
     odometry.update(corner(), pose())
     told(odometry, pose((0.1, 0.0, 0.0)))
@@ -97,7 +97,7 @@ def test_a_refused_scan_leaves_correction_and_map(step, reason):
     np.testing.assert_array_equal(refused.T_world_drone, correction)
 
 
-def test_the_gates_can_be_left_out_and_take_steps_just_within():
+def test_gates_accept_steps_just_within_and_can_be_switched_off():
     for step, switched in ((pose((1.01, 0, 0)), ("gates",)), (pose((0.99, 0, 0), (0, 0, 0.39)), ())):
         odometry = clouds("report-gicp", *switched)
         odometry.update(corner(), pose())
@@ -117,7 +117,7 @@ def test_three_dof_drops_the_rotation_but_maps_the_turned_cloud():
     assert cKDTree(odometry.map_points()).query(expected)[0].max() < 1e-9
 
 
-def test_an_old_voxel_weighs_as_one_point():
+def test_an_old_voxel_has_the_weight_of_one_point():
     odometry = clouds()
     odometry.update(corner(), pose())
     told(odometry, np.eye(4))
@@ -129,7 +129,7 @@ def test_an_old_voxel_weighs_as_one_point():
         assert cKDTree(odometry.map_points()).query(expected)[0].max() < 1e-9
 
 
-def test_what_is_placed_follows_box_floor_thinning_and_mount():
+def test_placed_points_respect_box_floor_thinning_and_mount():
     points = np.array([[2.0, 0, 0], [2.01, 0, 0], [-0.2, 0, 0], [4.1, 0, 0], [2, 3.1, 0], [2, 0, -3.1], [np.nan] * 3])
     prior, mount = pose((0.0, 0.0, 0.2)), pose((0.07, 0.0, 0.04))
     placed = {}
@@ -152,7 +152,7 @@ def test_other_traits_find_the_pose_too(switched):
 
 
 def test_icp_stops_at_a_step_below_the_root_of_epsilon():
-    # PCL compares epsilon with the square of the step: 1e-3 is content with 3 cm, which one step leaves here.
+    # PCL compares epsilon with the squared step, so 1e-3 accepts the 3 cm that remain here after one step.
     target = Target(build_kdtree(corner(seed=1)))
     source = corner(seed=1) + np.array([0.025, 0.0, 0.0])
     once, more = icp_as_pcl(source, target, 0.5, 150, 1e-3), icp_as_pcl(source, target, 0.5, 150, 1e-9)
@@ -179,7 +179,7 @@ def test_iterations_that_run_out_count_as_converged_and_too_few_pairs_do_not(sol
 
 @pytest.fixture
 def paired():
-    """Points, their partners, and metrics of planes, as a GICP has them; single precision."""
+    """Points, their correspondences and the metrics of planes of a GICP, in single precision."""
     rng = np.random.default_rng(4)
     source, covariance = corner(400, seed=3), regularised(neighbour_covariances(corner(400, seed=3)))
     moved = source @ pose(turn=(0.02, -0.01, 0.03))[:3, :3].T + [0.03, 0.01, -0.02] + rng.normal(0, 0.005, source.shape)
@@ -187,7 +187,7 @@ def paired():
 
 
 @pytest.mark.kernels
-def test_the_cost_and_its_gradient_are_those_of_numpy(paired):
+def test_cost_and_gradient_equal_numpy(paired):
     x, gradient, step = np.array([0.02, -0.03, 0.01, 0.05, -0.04, 0.1]), np.empty(6), 1e-6
     assert bfgs.mean_cost(x, *paired, gradient) == pytest.approx(naive.gicp_cost(x, *paired), rel=1e-4)
     numeric = [
@@ -198,7 +198,7 @@ def test_the_cost_and_its_gradient_are_those_of_numpy(paired):
 
 
 @pytest.mark.kernels
-def test_the_minimum_is_that_of_scipy_within_the_tolerance_of_the_gradient(paired):
+def test_the_minimum_equals_scipy_s_within_the_gradient_tolerance(paired):
     x = np.zeros(6)
     for _ in range(5):
         bfgs.minimise(x, *paired)
@@ -215,7 +215,7 @@ BARS = np.array(
 
 @pytest.fixture
 def segments(monkeypatch):
-    """An odometry whose Hough transform finds `BARS` in every scan, moved by what its ``seen_at`` says."""
+    """An odometry whose Hough transform finds `BARS`, translated by ``seen_at``, in every scan."""
 
     def make(*switched):
         overrides = {"report_segments.switched": switched}
@@ -246,7 +246,7 @@ def test_segments_log_the_pose_before_the_update(segments):
     assert np.linalg.norm(put_out[False][0]) < 0.8 * np.linalg.norm(drift)
 
 
-def test_a_step_is_the_gain_times_the_mean_offset_across_the_bars(segments):
+def test_a_step_is_the_gain_times_the_mean_offset_perpendicular_to_the_bars(segments):
     drift = np.array([0.1, 0.05, -0.04])
     odometry = segments()
     odometry.update(corner(30), pose())
@@ -269,7 +269,7 @@ def test_segments_are_mapped_before_the_update_and_hardly_move_their_bars(segmen
     np.testing.assert_allclose(moved["mapping"], 0.005 * drift[0], atol=1e-12)
 
 
-def test_segments_match_where_both_ends_are_near_and_they_overlap(segments):
+def test_segments_match_if_both_ends_are_near_and_they_overlap(segments):
     odometry = segments()
     odometry.update(corner(30), pose())
     for shift, matches in (((0.3, 0, 0), 3), ((0.34, 0, 0), 0), ((0.0, 0, 0.9), 1), ((0.0, 0, 1.1), 0)):
@@ -277,14 +277,14 @@ def test_segments_match_where_both_ends_are_near_and_they_overlap(segments):
         assert len(odometry.bars.offsets(seen)) == matches, shift
 
 
-def test_segments_on_the_floor_do_not_count(segments):
+def test_segments_on_the_floor_are_ignored(segments):
     odometry = segments()
     odometry.update(corner(30), pose((0.0, 0.0, -1.0)))
     assert len(odometry.map_segments()) == 2  # the horizontal one lies below 0.3 m, the others end above it
 
 
 @pytest.mark.parametrize("method", [*CLOUDS, "report-segments"])
-def test_nothing_in_sight_keeps_the_correction(method):
+def test_an_empty_scan_does_not_change_the_correction(method):
     odometry = make_odometry(OdometrySettings.preset(method, "report"), np.eye(4))
     for scan in (np.full((4, 4, 3), np.nan), np.zeros((0, 3))):
         step = odometry.update(scan, pose((1.0, 2.0, 3.0)))
@@ -293,7 +293,7 @@ def test_nothing_in_sight_keeps_the_correction(method):
     assert len(odometry.map_points()) == len(odometry.map_segments()) == 0
 
 
-def test_a_program_is_one_method_alone():
+def test_each_program_has_one_method():
     for kind, other in ((ReportCloudOdometry, "report-segments"), (ReportSegmentOdometry, "report-gicp")):
         with pytest.raises(InputError, match=f"{other}.*expected one such as"):
             kind(OdometrySettings.preset(other, "report"))

@@ -8,7 +8,8 @@ from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, tuning_map
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.paths import waypoints
-from steelnb.simulation.views import Viewer, pose_on_path
+from steelnb.simulation.tof import TofCamera
+from steelnb.simulation.views import pose_on_path, take_view
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +38,9 @@ def test_noise_clutter_and_density_are_as_asked_and_change_nothing_else(scenes):
 
 
 def test_range_noise_has_its_standard_deviation(scenes):
-    viewer = Viewer(scenes.tower, TofSettings.preset("starling2").replace(sigma_floor_m=0.02, sigma_relative=0.0))
+    tof = TofSettings.preset("starling2").replace(sigma_floor_m=0.02, sigma_relative=0.0)
     T = pose_on_path(scenes.tower, FlightSettings.preset("zigzag"), 0.3)
-    view = viewer.view(T, np.random.default_rng(0))
+    view = take_view(TofCamera(scenes.tower, tof, 0), T, np.random.default_rng(0))
     off = np.linalg.norm(view.points - T[:3, 3], axis=1) - np.linalg.norm(view.surface - T[:3, 3], axis=1)
     assert off.std() == pytest.approx(0.02, rel=0.05)
     assert abs(off.mean()) < 0.001

@@ -9,7 +9,7 @@ from steelnb.images import project
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, TRACKING, Camera, build_tower, cameras, photograph
 from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.texture import SIZE, _look_up, make_texture
+from steelnb.simulation.texture import SIZE, _sample_tile, make_texture
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
@@ -24,7 +24,7 @@ def pose(x=-3.2, y=0.2, z=5.0, yaw=0.0, pitch=0.0):
 
 
 def moving(velocity=(0.0, 0.4, 0.0), yaw_rate=0.0):
-    """Two seconds before a face of the tower."""
+    """Two seconds in front of a face of the tower."""
     stamp_s = 0.008 * np.arange(251)
     T = np.array([pose(y=-0.4 + velocity[1] * t, z=5.0 + velocity[2] * t, yaw=yaw_rate * t) for t in stamp_s])
     return Trajectory(stamp_s, T)
@@ -46,7 +46,7 @@ def test_the_tracking_camera_looks_down():
     np.testing.assert_allclose(TRACKING.T_drone_camera[:3, 0], [0.5**0.5, 0, -(0.5**0.5)])
 
 
-def test_rendered_ranges_are_those_of_cast_rays():
+def test_rendered_ranges_equal_cast_rays():
     for T in (pose(), pose(z=1.0, yaw=0.3, pitch=0.4)):
         exact, member = cast_rays(make_scene(TOWER), T[None], rays(SMALL))
         (seen,) = render(SMALL, T)
@@ -56,7 +56,7 @@ def test_rendered_ranges_are_those_of_cast_rays():
         assert (seen.member >= 0).mean() > 0.05
 
 
-def test_a_seed_makes_the_same_images_in_any_order_and_another_seed_other_noise():
+def test_images_depend_on_the_seed_and_not_on_the_order_of_access():
     images, again, other = (photograph(TOWER, moving(), SMALL, seed).images for seed in (3, 3, 4))
     later = again[4].copy()
     for k in (0, 4):
@@ -73,7 +73,7 @@ def test_a_seed_makes_the_same_images_in_any_order_and_another_seed_other_noise(
 
 
 def test_a_texture_moves_with_its_member():
-    """Patches on steel are found again within a pixel of where depth and motion put them."""
+    """Patches on steel are found within a pixel of the position predicted by depth and motion."""
     settings = FORWARD
     T = pose(x=-2.6), pose(x=-2.55, y=0.26, z=5.03, yaw=0.05)
     first, second = render(settings, *T)
@@ -107,7 +107,7 @@ def test_a_texture_moves_with_its_member():
     assert np.mean(np.array(apart) <= 1.0) > 0.9
 
 
-def test_motion_blurs_along_its_direction_alone(monkeypatch):
+def test_motion_blurs_only_along_its_direction(monkeypatch):
     monkeypatch.setattr(cameras, "READ_NOISE", 0.0)
     monkeypatch.setattr(cameras, "GAIN", 0.0)
     still, moved, found = moving((0.0, 0.0, 0.0)), moving((0.0, 0.4, 0.0)), []
@@ -121,17 +121,17 @@ def test_motion_blurs_along_its_direction_alone(monkeypatch):
     assert np.abs(np.diff(blurred[:90], axis=0)).mean() > across[2]
 
 
-def test_far_textures_are_their_mean_and_near_ones_are_not():
+def test_distant_textures_are_averaged_and_near_ones_are_not():
     pyramid = make_texture(TOWER).pyramid
     tile = pyramid[: SIZE * SIZE].reshape(SIZE, SIZE)
     places = np.random.default_rng(1).uniform(0, 3 * SIZE, (100, 2))
-    near, far = ([_look_up(pyramid, u, v, patch) for u, v in places] for patch in (1.0, 0.9 * SIZE))
+    near, far = ([_sample_tile(pyramid, u, v, patch) for u, v in places] for patch in (1.0, 0.9 * SIZE))
     assert np.std(near) > 0.5
     np.testing.assert_allclose(far, tile.mean(), atol=0.1)
-    assert _look_up(pyramid, 17.5, 33.5, 1.0) == pytest.approx(tile[33, 17])
+    assert _sample_tile(pyramid, 17.5, 33.5, 1.0) == pytest.approx(tile[33, 17])
 
 
-def test_no_image_is_taken_unless_asked_for():
+def test_images_are_rendered_only_for_methods_that_use_them():
     settings = ExperimentSettings.preset(method="best", duration_s=1.0)
     assert experiment.simulate(settings)[0].images is None
     settings = ExperimentSettings.preset(method="orb", duration_s=1.0)

@@ -12,29 +12,29 @@ from steelnb.simulation.exposure import (
     MIDDLE,
     MOMENTS,
     WIGGLE_PERIOD_M,
-    Camera,
+    Calibration,
     Faults,
-    _mix,
-    draw_camera,
+    _mix_phasors,
+    draw_calibration,
     expose,
 )
 from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.tof import measured_ranges
-from steelnb.simulation.views import Viewer, pose_on_path
+from steelnb.simulation.tof import TofCamera, measured_ranges
+from steelnb.simulation.views import pose_on_path, take_view
 from steelnb.types import Trajectory
 from tests import naive
 
 SMALL = TofSettings(
     columns=24, rows=20, fov_horizontal_rad=0.4, fov_vertical_rad=0.3, range_max_m=8.0, sigma_floor_m=0.0
 )
-PERFECT = Camera(0.0, 1.0, 0.0)
+PERFECT = Calibration(0.0, 1.0, 0.0)
 HERE = np.eye(4)
 HERE[2, 3] = 5.0
 TOWER = build_tower()
 
 
 def walls(*corners):
-    """A scene of rectangles, each given by a corner and the two beside it."""
+    """A scene of rectangles, each given by a corner and the two adjacent ones."""
     vertices, triangles = [], []
     for a, b, c in np.array(corners, dtype=float):
         n = len(vertices)
@@ -49,7 +49,7 @@ def walls(*corners):
 
 
 def wall(x, y_from=-6.0, y_to=6.0, lean=0.0):
-    """A wall across the view; ``lean`` is the slope of its x over y."""
+    """A wall perpendicular to the view; ``lean`` is the slope of x over y."""
     return ((x + lean * y_from, y_from, 0), (x + lean * y_to, y_to, 0), (x + lean * y_from, y_from, 10))
 
 
@@ -65,14 +65,14 @@ def moving(velocity, seconds=1.0, step_s=0.008):
     return Trajectory(stamp, T)
 
 
-def test_neither_columns_nor_rows_of_a_pixel_s_rays_go_with_time():
+def test_rows_and_columns_of_a_pixel_s_rays_do_not_correlate_with_time():
     grid = MOMENTS.reshape(3, 3)
     np.testing.assert_allclose([grid.sum(axis=0), grid.sum(axis=1)], 0, atol=1e-12)
     assert MOMENTS[MIDDLE] == 0
     np.testing.assert_allclose(np.diff(np.sort(MOMENTS)), 1 / 9)
 
 
-def test_without_faults_an_exposure_sees_what_the_ideal_camera_sees():
+def test_an_exposure_without_faults_equals_the_ideal_camera():
     scene, T = make_scene(TOWER), pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.3)
     tof = TofSettings.preset("report-4cm")
     exact, member = cast_rays(scene, T[None], rays(tof))
@@ -83,7 +83,7 @@ def test_without_faults_an_exposure_sees_what_the_ideal_camera_sees():
     np.testing.assert_array_equal(found.exact_m, found.range_m)
 
 
-def test_a_flight_without_faults_is_measured_as_ever():
+def test_scans_without_faults_are_exact_ranges_with_noise():
     """Range images are, to the bit, exact ranges with the noise of the stream ("tof", k)."""
     trajectory = Trajectory(*(each[:251] for each in (np.arange(300) * 0.008, np.tile(HERE, (300, 1, 1)))))
     trajectory.T_world_drone[:, 0, 3] -= 3.5
@@ -95,21 +95,21 @@ def test_a_flight_without_faults_is_measured_as_ever():
 
 
 @pytest.mark.kernels
-def test_the_kernel_that_mixes_phasors_does_as_its_slow_twin():
+def test_mixing_phasors_equals_its_slow_twin():
     random = np.random.default_rng(2)
     range_m = random.uniform(1, 4, (9, 40)).astype(np.float32)
     range_m[random.random((9, 40)) < 0.3] = np.inf
     range_m[:, 3] = np.inf
     light = (random.uniform(0, 1, range_m.shape) / range_m**2).astype(np.float32)
-    detour = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
-    detour_light = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
-    mixed, as_far_as = np.empty(40), np.empty(40)
-    _mix(range_m, light, detour, detour_light, mixed, as_far_as)
+    multipath_m = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
+    multipath_amplitude = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
+    mixed, equivalent = np.empty(40), np.empty(40)
+    _mix_phasors(range_m, light, multipath_m, multipath_amplitude, mixed, equivalent)
     expected = np.array(
-        [naive.mixed(*column) for column in zip(range_m.T, light.T, detour.T, detour_light.T, strict=True)]
+        [naive.mixed(*column) for column in zip(range_m.T, light.T, multipath_m.T, multipath_amplitude.T, strict=True)]
     )
     np.testing.assert_allclose(mixed, expected[:, 0], rtol=1e-5)
-    np.testing.assert_allclose(as_far_as, expected[:, 1], rtol=1e-5)
+    np.testing.assert_allclose(equivalent, expected[:, 1], rtol=1e-5)
     assert np.isinf(mixed[3])
 
 
@@ -129,7 +129,7 @@ def test_mixed_pixels_lie_between_two_depths_and_only_at_their_edge():
     apart = 2 * np.pi * 1.5 / 7.5
     share = np.angle(3 / 2**2 + 6 / 3.5**2 * np.exp(1j * apart)) / apart
     np.testing.assert_allclose(((mixed.range_m - near) / (far - near))[edge], share, atol=0.01)
-    assert (mixed.as_far_as_m[edge] > near[edge]).all()
+    assert (mixed.equivalent_range_m[edge] > near[edge]).all()
 
 
 def test_a_wider_footprint_mixes_more_pixels():
@@ -142,7 +142,7 @@ def test_a_wider_footprint_mixes_more_pixels():
     assert 0 < counts[1] < counts[2]
 
 
-def test_light_of_two_ways_makes_corners_too_deep_and_leaves_a_plane_alone():
+def test_multipath_makes_corners_too_deep_and_does_not_change_a_plane():
     plane, corner = (
         walls(wall(3.0)),
         walls(((3, -6, 0), (3, 0.3, 0), (3, -6, 10)), ((3, 0.3, 0), (0.5, 0.3, 0), (3, 0.3, 10))),
@@ -158,7 +158,7 @@ def test_light_of_two_ways_makes_corners_too_deep_and_leaves_a_plane_alone():
     assert 0.4 * inside < half[:, 5:10].mean() < 0.95 * inside
 
 
-def test_a_short_exposure_and_one_at_rest_blur_nothing():
+def test_a_short_exposure_or_one_at_rest_does_not_blur():
     tower_of = make_scene(TOWER)
     T = pose_on_path(TOWER, FlightSettings.preset("loops"), 0.2)
     stamp = np.arange(20) * 0.008
@@ -171,7 +171,7 @@ def test_a_short_exposure_and_one_at_rest_blur_nothing():
     assert (np.isfinite(still) == np.isfinite(held)).mean() > 0.999
 
 
-def test_motion_blurs_edges_and_no_plane_along_it():
+def test_motion_blurs_edges_but_not_a_plane_along_it():
     edge, plane = walls(wall(2.0, -6.0, 0.0), wall(3.5)), walls(wall(2.0))
     flight = moving(np.array([0.0, 2.0, 0.0]))
     faults = Faults(exposure_s=0.03)
@@ -188,8 +188,8 @@ def test_motion_blurs_edges_and_no_plane_along_it():
     np.testing.assert_array_equal(between, expected)
 
 
-def test_scans_of_a_flight_are_exposed_about_their_stamps():
-    """Towards a wall at 2 m/s: the middle of the exposure counts, not its beginning or end."""
+def test_exposures_are_centred_on_the_stamps():
+    """Towards a wall at 2 m/s: the range is that in the middle of the exposure."""
     trajectory = moving(np.array([2.0, 0.0, 0.0]))
     tower = SimpleNamespace(
         vertices=np.array([(4.0, -6, 0), (4, 6, 0), (4, 6, 10), (4, -6, 10)]),
@@ -204,15 +204,15 @@ def test_scans_of_a_flight_are_exposed_about_their_stamps():
     np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm
 
 
-def test_poses_between_others_are_halfway_and_stay_within_the_flight():
+def test_poses_are_interpolated_and_clamped_to_the_flight():
     flight = moving(np.array([1.0, 0.0, 0.0]))
     found = flight.between(np.array([[-1.0, 0.004], [0.008, 9.0]]))
     np.testing.assert_allclose(found[..., 0, 3], [[-0.5, -0.496], [-0.492, 0.5]], atol=1e-12)
 
 
-def test_offset_scale_and_wiggling_of_a_camera_are_found_by_regression():
+def test_regression_recovers_offset_scale_and_wiggle_of_a_camera():
     faults = Faults(wiggle_m=0.006, offset_sigma_m=0.01, scale_sigma=0.004)
-    camera = draw_camera(faults, rng.stream(5, "tof-camera"))
+    camera = draw_calibration(faults, rng.stream(5, "tof-camera"))
     scene = walls(wall(3.0, -1.2, 6.0, lean=2.0))
     tof = SMALL.replace(columns=200, fov_horizontal_rad=1.2)
     exact, measured = (seen(scene, each, tof, camera=c).range_m for each, c in ((Faults(), PERFECT), (faults, camera)))
@@ -227,12 +227,12 @@ def test_offset_scale_and_wiggling_of_a_camera_are_found_by_regression():
     assert np.arctan2(fitted[3], fitted[2]) % (2 * np.pi) == pytest.approx(camera.phase_rad, abs=0.02)
 
 
-def test_cameras_have_the_spread_of_their_kind_and_a_seed_has_one():
+def test_calibrations_have_their_standard_deviations_and_depend_on_the_seed():
     faults = Faults(offset_sigma_m=0.01, scale_sigma=0.004)
-    cameras = np.array([draw_camera(faults, rng.stream(seed, "tof-camera")) for seed in range(400)])
+    cameras = np.array([draw_calibration(faults, rng.stream(seed, "tof-camera")) for seed in range(400)])
     np.testing.assert_allclose(cameras[:, :2].std(axis=0), [0.01, 0.004], rtol=0.12)
     np.testing.assert_allclose(cameras[:, :2].mean(axis=0), [0, 1], atol=0.002)
-    assert draw_camera(faults, rng.stream(3, "tof-camera")) == Camera(*cameras[3])
+    assert draw_calibration(faults, rng.stream(3, "tof-camera")) == Calibration(*cameras[3])
 
 
 def noisy(scene, faults, tof, times=60):
@@ -240,11 +240,11 @@ def noisy(scene, faults, tof, times=60):
     images = []
     for k in range(times):
         one = seen(scene, faults, tof, seed=k)
-        images.append(measured_ranges(one.range_m, tof, rng.stream(k, "noise"), faults, one.as_far_as_m))
+        images.append(measured_ranges(one.range_m, tof, rng.stream(k, "noise"), faults, one.equivalent_range_m))
     return np.array(images), one.exact_m
 
 
-def test_noise_goes_with_range_reflectivity_and_incidence():
+def test_noise_depends_on_range_reflectivity_and_incidence():
     """σ = 1 % of r / √(ρ cos θ)."""
     tof = SMALL.replace(sigma_relative=0.01)
     for x, lean, reflectivity in ((2.0, 0.0, 1.0), (4.0, 0.0, 1.0), (2.0, 0.0, 0.25), (2.0, 2.0, 1.0)):
@@ -255,7 +255,7 @@ def test_noise_goes_with_range_reflectivity_and_incidence():
         assert abs(score.mean()) < 0.03
 
 
-def test_lateral_noise_shows_on_a_slope_and_not_on_a_square_wall():
+def test_lateral_noise_affects_a_slope_and_not_a_perpendicular_wall():
     square, slope = (noisy(walls(wall(2.0, lean=lean)), Faults(lateral_px=0.5), SMALL)[0] for lean in (0.0, 2.0))
     middle = (slice(None), slice(8, 12), slice(10, 14))
     pixel_m = 2 * 2.0 * np.tan(0.2) / 24
@@ -280,7 +280,7 @@ def test_dropout_grows_with_range_and_incidence_and_with_a_darker_surface():
         assert shares[-1] > 0.9
 
 
-def test_an_honest_flight_is_that_of_its_seed_and_begins_as_a_shorter_one():
+def test_scans_with_faults_depend_on_the_seed_and_begin_as_those_of_a_shorter_flight():
     tof = TofSettings.preset("starling2-honest").replace(columns=30, rows=40)
     path = moving(np.array([0.0, 0.5, 0.0]), 2.0)
     path.T_world_drone[:, 0, 3] -= 3.5
@@ -295,11 +295,12 @@ def test_an_honest_flight_is_that_of_its_seed_and_begins_as_a_shorter_one():
     assert np.nanmax(np.abs(a - other)) > 0.01
 
 
-def test_a_view_of_a_camera_with_faults_is_one_of_its_exposures():
+def test_a_view_with_faults_is_an_exposure():
     T = pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.4)
     tof = TofSettings.preset("starling2").replace(columns=45, rows=60, sigma_floor_m=0.0, sigma_relative=0.0)
     ideal, worse = (
-        Viewer(TOWER, tof.replace(faults=faults)).view(T, rng.stream(1, "view")) for faults in ((), ("footprint",))
+        take_view(TofCamera(TOWER, tof.replace(faults=faults), 0), T, rng.stream(1, "view"))
+        for faults in ((), ("footprint",))
     )
     assert np.linalg.norm(ideal.points - ideal.surface, axis=1).max() < 1e-4
     assert np.linalg.norm(worse.points - worse.surface, axis=1).max() > 0.05

@@ -50,7 +50,7 @@ def test_the_imu_integrates_back_to_the_flight(name):
     assert (turned.inv() * Rotation.from_matrix(R[1:])).magnitude().max() < 1e-4
 
 
-def test_a_seed_changes_the_gusts_and_nothing_changes_without_them():
+def test_the_seed_changes_only_the_gusts():
     calm = FlightSettings.preset("zigzag", 5.0).replace(gust_sigma_m_s=0.0)
     a, b = (fly(TOWER, calm, seed)[0].position for seed in (1, 2))
     np.testing.assert_array_equal(a, b)

@@ -5,7 +5,7 @@ from steelnb.settings import FlightSettings
 from steelnb.simulation.gusts import gusts
 
 
-def test_gusts_are_those_of_their_seed_and_begin_calm():
+def test_gusts_depend_on_the_seed_and_start_at_rest():
     settings = FlightSettings()
     a, b, c = (gusts(settings, seed, 500, 0.008) for seed in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
@@ -15,7 +15,7 @@ def test_gusts_are_those_of_their_seed_and_begin_calm():
     assert not gusts(settings.replace(gust_sigma_m_s=0.0), 1, 100, 0.008).any()
 
 
-def test_gusts_are_the_recursion_that_they_always_were():
+def test_gusts_follow_their_recursion_bit_for_bit():
     shocks = rng.stream(3, "gust").standard_normal((50, 3))
     keep, wind = np.exp(-0.008 / 2.0), np.zeros(3)
     for k, expected in enumerate(gusts(FlightSettings(), 3, 50, 0.008)):

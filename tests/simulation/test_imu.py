@@ -24,7 +24,7 @@ def still(stamp, rotation=None):
 
 
 def allan_variance(readings, count):
-    """Of means over ``count`` readings, without overlap, and how many pairs of means it is the mean of."""
+    """Allan variance of means over ``count`` readings, without overlap, and its number of pairs."""
     means = readings[: len(readings) // count * count].reshape(-1, count, 3).mean(axis=1)
     steps = np.diff(means, axis=0)
     return 0.5 * (steps**2).mean(), steps.size
@@ -47,7 +47,7 @@ def test_the_allan_deviation_is_that_of_the_settings(settings):
             assert found == pytest.approx(noise**2 / tau_s + walk**2 * tau_s / 3, rel=4 * np.sqrt(3 / pairs) + 1e-3)
 
 
-def test_biases_are_those_of_calibration_at_the_start_and_each_noise_has_a_stream_of_its_own():
+def test_initial_biases_have_their_standard_deviation_and_each_noise_has_its_own_stream():
     bias = ImuSettings(gyro_bias=1e-3, accelerometer_bias=0.02)
     found = [measured_imu(at_rest(0.016), bias, seed) for seed in range(300)]
     force = np.array([imu.specific_force - [0, 0, 9.81] for imu in found])
@@ -61,7 +61,7 @@ def test_biases_are_those_of_calibration_at_the_start_and_each_noise_has_a_strea
     )
 
 
-def test_readings_are_those_of_their_seed_and_exact_without_errors():
+def test_readings_depend_on_the_seed_and_are_exact_without_errors():
     exact = at_rest(2)
     a, b, c = (measured_imu(exact, STARLING2, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(a.specific_force, b.specific_force)
@@ -77,8 +77,8 @@ def lean(truth, filtered):
     return np.degrees(np.arccos(np.clip(up, -1, 1)))
 
 
-def test_the_filter_finds_the_vertical_that_a_biased_accelerometer_shows():
-    """At rest it turns, with its gain, from the true attitude to the apparent vertical, about a level axis."""
+def test_the_filter_converges_to_the_vertical_of_a_biased_accelerometer():
+    """At rest it turns, with its gain, from the true to the apparent vertical, about a horizontal axis."""
     imu = at_rest(40)
     imu = Imu(imu.stamp_s, imu.specific_force + np.array([0.2, 0.0, 0.0]), imu.angular_rate)
     truth = still(imu.stamp_s, Rotation.from_euler("z", 1.0))
@@ -105,8 +105,8 @@ def test_the_filter_follows_a_turn_of_the_drone():
 
 
 @pytest.mark.parametrize("name", ["zigzag", "loops"])
-def test_roll_and_pitch_wander_as_on_a_drone(name):
-    """From the truth at the start, by tenths of a degree to a few degrees in flight."""
+def test_roll_and_pitch_drift_as_on_a_drone(name):
+    """From zero error at the start, by tenths of a degree to a few degrees in flight."""
     trajectory, exact = fly(build_tower(), FlightSettings.preset(name, 40.0), 2)
     filtered = filtered_attitude(trajectory, measured_imu(exact, STARLING2, 2))
     wrong = lean(trajectory, filtered)

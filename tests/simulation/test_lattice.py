@@ -46,7 +46,7 @@ def width_at(z):
 
 
 def joint_at(tower, x, y, z, near=NEAR_M):
-    """The joint at a place relative to the middle of the tower."""
+    """The joint at a position relative to the middle of the tower."""
     distance = np.linalg.norm(tower.joints - CENTRE - [x, y, z], axis=1)
     assert distance.min() <= near, (x, y, z, distance.min())
     return int(distance.argmin())
@@ -65,7 +65,7 @@ def is_member(tower, start, end, kind, near=NEAR_M):
 
 
 def hit(scene, position, direction):
-    """What a ray from a place relative to the middle of the tower hits: its range, and the member."""
+    """Range and member of the hit of a ray from a position relative to the middle of the tower."""
     ray = np.concatenate([CENTRE + position, direction]).astype(np.float32)
     found = cast_bundle(scene, ray[None])
     return float(found.range_m[0]), int(found.member[0])
@@ -176,7 +176,7 @@ def test_the_floor_is_a_plate_of_six_metres_and_nothing_lies_beyond(scene):
         assert hit(scene, (x, y, 0.5), (0, 0, -1)) == (math.inf, GROUND)
 
 
-def test_the_way_of_the_published_flights_is_free(scene):
+def test_the_published_flights_have_a_clear_path(scene):
     """Corners of both flights, x, y, z; above the ground, from which they start."""
     corners = [(0.5, 2.5, 0.3), (0.5, 2.5, 4.0), (0.5, 2.0, 6.0)]
     corners += [(x, 1.5, z) for z in (9.0, 12.0, 15.0) for x in (0.5, 1.0, -1.5, -0.5, 0.5)]
@@ -188,7 +188,7 @@ def test_the_way_of_the_published_flights_is_free(scene):
         assert distance.min() > math.hypot(*HALF_BOX_M), points[distance.argmin()]
 
 
-def test_members_are_straight_share_joints_and_hang_together(tower):
+def test_members_are_straight_share_joints_and_are_connected(tower):
     for member in tower.members:
         points = tower.joints[list(member.joints)]
         axis = points[-1] - points[0]
@@ -267,7 +267,7 @@ def test_joints_lie_where_members_end_and_cross_but_not_where_they_pass():
     assert len(joints) == 10
 
 
-def test_plates_of_a_list_are_seen_and_are_no_bars(tmp_path):
+def test_plates_of_a_list_return_light_and_are_no_members(tmp_path):
     """A wall of 2 × 2 m before one leg: returns, light between surfaces and grey levels, but of no member."""
     settings = listed(tmp_path, "leg,2,0,0,2,0,3,,,", "plate,1.5,-1,0,1.5,1,0,1.5,-1,2", "triangle,3,0,0,3,1,0,3,0,2")
     tower = build_tower(settings)
@@ -309,7 +309,7 @@ def test_a_list_that_cannot_be_read_is_refused_in_one_line(tmp_path, text):
     assert "\n" not in str(refused.value)
 
 
-def test_a_list_that_is_not_there_and_numbers_beside_a_list_are_refused(tmp_path):
+def test_a_missing_list_and_dimensions_beside_a_list_are_refused(tmp_path):
     for members in ("eiffel", str(tmp_path / "none.csv")):
         with pytest.raises(InputError, match="report-tower"):
             build_tower(TowerSettings(members=members))

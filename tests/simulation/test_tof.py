@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.scene import _distance, _measure, cast_bundle, cast_rays, make_scene, rays
+from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
 from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
@@ -26,7 +26,7 @@ def flight():
 
 
 class Perturbed:
-    """A mesh whose distances are off by some units in the last place, as on a processor of another vendor."""
+    """A mesh whose distances differ by some units in the last place, as on a processor of another vendor."""
 
     def __init__(self, scene, ulps):
         self._mesh, self._ulps = scene.mesh, ulps
@@ -39,7 +39,7 @@ class Perturbed:
 
 
 @pytest.mark.parametrize("ulps", [-2, -1, 1, 2])
-def test_scans_do_not_hang_on_the_last_digits_of_embree_s_distances(ulps):
+def test_scans_do_not_depend_on_the_last_digits_of_embree_s_distances(ulps):
     ray, T = rays(EXACT), pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.3)[None]
     exact, _ = cast_rays(SCENE, T, ray)
     perturbed, _ = cast_rays(SCENE._replace(mesh=Perturbed(SCENE, ulps)), T, ray)
@@ -47,7 +47,7 @@ def test_scans_do_not_hang_on_the_last_digits_of_embree_s_distances(ulps):
     assert np.isfinite(exact).sum() > 1000
 
 
-def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names():
+def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_proposes():
     """A roof whose ridge the rays hit, and a plate that lies in one of its sides."""
     roof = np.array([(0, -1, 1), (0, 1, 1), (1, 1, 2), (1, -1, 2), (2, 1, 1), (2, -1, 1)], dtype=float)
     plate = np.array([(0.3, -0.5, 1.3), (0.3, 0.5, 1.3), (0.7, 0.5, 1.7), (0.7, -0.5, 1.7)])
@@ -60,7 +60,7 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names
     found = []
     for named in [(1, 1), (2, 4)]:
         hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32), np.empty(2, np.int64)
-        missed = _measure(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
+        missed = _resolve_hits(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
         assert not len(missed)
         found.append(hits)
     for one, other in zip(*found, strict=True):
@@ -68,8 +68,8 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_names
     np.testing.assert_array_equal(found[0][0], [3.0, 3.5])
 
 
-def test_a_ray_that_passes_beside_a_triangle_has_not_hit_it_and_goes_on_behind_it():
-    """A wall at x = 2, which Embree takes for a little larger than it is, and a larger one at x = 4."""
+def test_a_ray_that_misses_a_proposed_triangle_continues_behind_it():
+    """A wall at x = 2, which is enlarged for Embree, and a larger wall at x = 4."""
     near, far = ([(x, -y, 5 - y), (x, y, 5 - y), (x, y, 5 + y), (x, -y, 5 + y)] for x, y in ((2, 1), (4, 3)))
     triangles = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)])
     tower = replace(TOWER, vertices=np.array([*near, *far], float), triangles=triangles, triangle_member=[0, 0, 1, 1])
@@ -78,7 +78,7 @@ def test_a_ray_that_passes_beside_a_triangle_has_not_hit_it_and_goes_on_behind_i
     along[:, 3] = 1
     along[:, 1:3] = [(0.5, 4.5), (1 + 5e-6, 4.5), (1 + 1.5e-5, 4.5), (1.5, 4.5)]
     hits = np.empty(4, np.float32), np.empty(4, np.int64), np.empty((4, 3), np.float32), np.empty(4, np.int64)
-    assert _measure(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
+    assert _resolve_hits(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
     np.testing.assert_array_equal(cast_bundle(scene, along).range_m, [2, 2, 4, 4])
 
 
@@ -96,7 +96,7 @@ def distance_to_axes(points):
     return np.linalg.norm(points[:, None] - begin - t[..., None] * axis, axis=2).min(axis=1)
 
 
-def test_rays_are_a_pinhole_s_with_the_given_fields_of_view():
+def test_rays_have_the_fields_of_view_of_a_pinhole_camera():
     ray = rays(TofSettings.preset("starling2"))
     assert ray.shape == (240, 180, 3)
     np.testing.assert_allclose(np.linalg.norm(ray, axis=2), 1)
@@ -125,8 +125,8 @@ def test_exact_returns_lie_on_the_structure_or_the_ground(flight):
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.3, 20), st.floats(-math.pi, math.pi), st.floats(0.2, 1.5), st.floats(-0.5, 0.5))
-def test_ranges_to_the_ground_are_those_of_the_plane(height, yaw, pitch, roll):
-    """Beside the tower, looking down: range = height over the fall of the ray, and no return above the horizon."""
+def test_ranges_to_the_ground_are_exact(height, yaw, pitch, roll):
+    """Beside the tower: range = height / −z of the ray, and no return above the horizon."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     T[:3, 3] = [30, 0, height]
@@ -144,8 +144,8 @@ def test_ranges_to_the_ground_are_those_of_the_plane(height, yaw, pitch, roll):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
-def test_a_ray_hits_the_member_that_it_says(seed):
-    """Aimed at a point on a member from 2 m away: hit there, or before by another one."""
+def test_a_ray_hits_the_reported_member(seed):
+    """A ray aimed at a point on a member from 2 m away hits it there, or another member before."""
     rng = np.random.default_rng(seed)
     m = int(rng.integers(len(TOWER.members)))
     begin, end = TOWER.axes[m]
@@ -184,7 +184,7 @@ def test_noise_has_the_sigma_of_its_settings(flight):
         assert limits.max() <= sensor.range_max_m
 
 
-def test_noise_on_the_depth_is_the_same_at_the_corner_as_in_the_middle():
+def test_noise_on_the_depth_is_the_same_at_the_corner_as_at_the_centre():
     """A wall ahead: each pixel's depth has the noise and the limits, and its range is the depth over the cosine."""
     sensor = TofSettings.preset("report")
     ahead = rays(sensor)[..., 0]

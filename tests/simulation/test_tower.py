@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from steelnb.settings import TowerSettings
-from steelnb.simulation import build_tower, build_tubes
+from steelnb.simulation import build_tower
 from steelnb.simulation.tower import half_width
-from tests.lattice import pieces_of
+from tests.lattice import build_tubes, pieces_of
 
 
 @pytest.fixture(scope="module")

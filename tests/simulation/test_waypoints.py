@@ -35,7 +35,7 @@ def test_rate_and_acceleration_are_the_derivatives_of_the_poses(name):
     np.testing.assert_allclose(np.gradient(rate, 0.008, axis=0)[1:-1], acceleration[1:-1], atol=0.1)
 
 
-def test_the_vertical_flight_is_where_the_report_has_it():
+def test_the_vertical_flight_has_the_report_s_positions():
     start, top, down, foot, end = at("vertical", 0, 210, 325, 335, 408)
     np.testing.assert_allclose(start, [0.5, 2.5, 0.1, -np.pi / 2], atol=1e-9)
     np.testing.assert_allclose(top[:3], [0.5, 1.5, 15.0], atol=1e-9)
@@ -68,7 +68,7 @@ def test_the_drone_follows_the_path_within_centimetres():
     assert flown.T_world_drone[:, 1, 0].max() < -0.999  # looks along −y
 
 
-def test_a_flight_of_one_s_own_turns_the_shorter_way_and_follows_in_time():
+def test_own_waypoints_turn_the_shorter_way_and_are_followed_in_time():
     path = ((2.0, 3.0, 1.0, 170.0, 0.0), (2.0, 3.0, 1.0, -170.0, 4.0), (2.0, 4.0, 1.0, -170.0, 4.0))
     flight = FlightSettings(trajectory="orbit", duration_s=8.0, waypoints=path, gust_sigma_m_s=0.0)
     pose, *_ = minimum_jerk(flight, np.array([0.0, 2.0, 4.0, 6.0, 8.0, 9.0]))
