@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def coloured(path: Path) -> float:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_parameters_calls_and_no_more(path):
+def test_a_notebook_holds_short_cells_and_no_functions(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -37,7 +38,11 @@ def test_a_notebook_is_parameters_calls_and_no_more(path):
     for cell in code:
         assert not cell.outputs
         assert cell.execution_count is None
-        assert not any(line.lstrip().startswith(("def ", "class ")) for line in cell.source.splitlines())
+        lines = cell.source.splitlines()
+        assert not any(line.lstrip().startswith(("def ", "class ")) for line in lines)
+        assert not re.search(r"import .*\b_\w|\w\._\w", cell.source), "something private"
+        statements = [line for line in lines if line and not line.startswith(("import ", "from "))]
+        assert len(statements) <= 20 or "parameters" in cell.metadata.get("tags", [])
 
 
 @pytest.fixture(scope="session")
