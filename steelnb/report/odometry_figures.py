@@ -12,7 +12,6 @@ from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
 from steelnb.report.batch import caption, plot_of, report_curve
 from steelnb.report.style import (
-    BLACK,
     COLOURS,
     LABELS,
     Figure,
@@ -35,7 +34,7 @@ REPORT_FIGURES = {
     "random-walk+yaw-random-walk": {"gicp": "5.2, 5.3"},
 }
 """The report's figures of clouds: noise → method → number."""
-SMOOTHED_S, REACH_M = 10.0, 2.2
+SMOOTHED_S = 10.0
 
 
 @style()
@@ -164,39 +163,13 @@ def figure_comparison(clouds: Mapping[str, tuple[Array, Array]], result: Result)
     return figure
 
 
-@style()
-def figure_slip(results: Mapping[str, Result], clouds: Mapping[str, tuple[Array, Array]], scan: int) -> Figure:
-    """The error over time (left) and, for each label, the built and the true cloud around where the drone was at
-    ``scan`` (right)."""
-    first = next(iter(results.values()))
-    drone = first.truth.trajectory.at(first.corrected.stamp_s).position[scan]
-    cloud = next(iter(clouds.values()))[1]
-    centre = np.median(cloud[np.linalg.norm(cloud - drone, axis=1) < 2 * REACH_M], axis=0)
-    figure = Figure(figsize=(5.6 + 4.2 * len(clouds), 5.6))
-    curve, *panels = figure.subplots(1, 1 + len(clouds), width_ratios=[1.35, *[1.0] * len(clouds)])
-    _draw_errors(curve, results)
-    curve.axvline(first.corrected.stamp_s[scan], color=BLACK, linewidth=1.0, linestyle=":", label="largest slip")
-    for k, gap in enumerate(first.settings.tof.blind_s):
-        label = "no sight of the tower" if k == 0 else None
-        curve.axvspan(*gap, color=COLOURS["report"], alpha=0.2, lw=0, label=label)
-    curve.set(xlabel="time (s)", ylabel="error (m)", ylim=(0, 1.45 * curve.get_ylim()[1]))
-    for panel, (label, (built, true)) in zip(panels, clouds.items(), strict=True):
-        near = (np.abs(true - centre)[:, [0, 2]] < 1.3 * REACH_M).all(axis=1)
-        _draw_clouds(panel, built[near], true[near], results[label].settings.odometry.method, 0, size=2.0)
-        panel.set(xlim=centre[0] + REACH_M * np.array([-1, 1]), ylim=centre[2] + REACH_M * np.array([-1, 1]))
-        panel.set(title=label, ylabel="z (m)")
-    gather_legend(figure, ncols=4)
-    figure.suptitle(caption([first]))
-    return figure
-
-
-def _draw_clouds(panel: Axes, built: Array, true: Array, method: str, across: int, size: float = 0.35) -> None:
+def _draw_clouds(panel: Axes, built: Array, true: Array, method: str, across: int) -> None:
     """The cloud built with a method and the true one, seen along a horizontal axis, their points mixed."""
     clouds = {"truth": thinned(true, POINTS_MAX), method: thinned(built, POINTS_MAX)}
     points = np.concatenate(list(clouds.values()))
     colours = np.repeat([COLOURS[name] for name in clouds], [len(cloud) for cloud in clouds.values()])
     order = np.random.default_rng(0).permutation(len(points))  # neither cloud hides the other
-    panel.scatter(points[order, across], points[order, 2], s=size, c=colours[order], linewidths=0, rasterized=True)
+    panel.scatter(points[order, across], points[order, 2], s=0.35, c=colours[order], linewidths=0, rasterized=True)
     for name, label in {"truth": "at the true poses", method: f"at the poses of {LABELS[method]}"}.items():
         panel.plot([], [], "o", color=COLOURS[name], label=label)
     panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)")

@@ -1,9 +1,8 @@
-"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials, tables, and Hough's parameters."""
+"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials and their tables."""
 
-import itertools
 import math
 import time
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,31 +12,22 @@ import pandas as pd
 
 from steelnb import rng
 from steelnb.errors import InputError
-from steelnb.hough.dx import default_dx
 from steelnb.hough.peers import METHODS
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
-from steelnb.report.batch import flat
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.tof import TofCamera
-from steelnb.simulation.views import View, pose_on_path, take_view
+from steelnb.simulation.views import pose_on_path, take_view
 from steelnb.types import Array, Segments
 
 NOISE_M, CLUTTER = 0.02, 0.1
 USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
 """The conditions at which the methods are compared."""
 CASE = ("scene", "noise_m", "clutter", "kept", "method")
-MEASURES = ("recall", "precision", "duplicates", "angle_deg", "offset_m")
-GOALS = {
-    "recall": (0.95, "at least"), "precision": (0.98, "at least"), "duplicates": (1.0, "at most"),
-    "angle_deg": (0.4, "at most"), "offset_m": (0.012, "at most"),
-}  # fmt: skip
-"""For the Hough transform over seeds, as `batch.goal_table` takes them."""
+MEASURES = ["recall", "precision", "duplicates", "angle_deg", "offset_m"]
 ANGLE_MAX_RAD = math.radians(10)
 """A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
 LEAN_SIGMA_RAD = math.radians(2)
-FIXED, CHOSEN, REFERENCE = "fixed", "from the points", "diagonal/64"
-"""Origin of a dx of `tuning_map`: given, `steelnb.hough.dx.default_dx`, or the reference program's default."""
 Options = Mapping[str, Mapping[str, Any]]
 """Method → its options."""
 
@@ -81,24 +71,19 @@ class Scenes:
         self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
     ) -> list[Scene]:
         """Views from random places on the paths of the two flights, in turn."""
+        self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
         scenes = []
         for k in range(count):
-            place = rng.stream(seed, "place", k)
-            flight = FlightSettings.preset(("zigzag", "loops")[k % 2])  # type: ignore[arg-type]
-            view = self._view(seed, k, flight, place.random(), noise_m)
-            scenes.append(self._scene(seed, k, view, noise_m, clutter, kept))
+            flight = FlightSettings.preset("loops" if k % 2 else "zigzag")
+            share = rng.stream(seed, "place", k).random()
+            lean = rng.stream(seed, "lean", k).normal(scale=LEAN_SIGMA_RAD, size=3)
+            pose = pose_on_path(self.tower, flight, share, lean)
+            view = take_view(self._camera, pose, rng.stream(seed, "tof", k))
+            chosen = rng.stream(seed, "kept", k).random(len(view.points)) < kept
+            members = seen_members(self.tower.axes, view.surface[chosen], view.member[chosen])
+            points = _with_clutter(view.points[chosen], clutter, seed, k)
+            scenes.append(Scene(seed, noise_m, clutter, kept, points, members, view.across))
         return scenes
-
-    def _view(self, seed: int, k: int, flight: FlightSettings, share: float, noise_m: float) -> View:
-        lean = rng.stream(seed, "lean", k).normal(scale=LEAN_SIGMA_RAD, size=3)
-        self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
-        return take_view(self._camera, pose_on_path(self.tower, flight, share, lean), rng.stream(seed, "tof", k))
-
-    def _scene(self, seed: int, k: int, view: View, noise_m: float, clutter: float, kept: float) -> Scene:
-        chosen = rng.stream(seed, "kept", k).random(len(view.points)) < kept
-        members = seen_members(self.tower.axes, view.surface[chosen], view.member[chosen])
-        points = _with_clutter(view.points[chosen], clutter, seed, k)
-        return Scene(seed, noise_m, clutter, kept, points, members, view.across)
 
 
 def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
@@ -116,47 +101,6 @@ def attempt(method: str, scene: Scene, **options: Any) -> Trial:
     members = scene.members
     score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)
     return Trial(method, scene, segments, score, seconds)
-
-
-def attempt_all(
-    methods: Iterable[str],
-    scenes: Iterable[Scene],
-    options: Options,
-    slow: Container[str] = (),
-    every: int = 1,
-    on_progress: Callable[[float], None] | None = None,
-) -> list[Trial]:
-    """A trial of each method, with its ``options``, on each scene in turn; those of ``slow`` methods on the first scene
-    and then on one in ``every``."""
-    scenes, trials = list(scenes), []
-    for k, scene in enumerate(scenes):
-        chosen = [method for method in methods if k % every == 0 or method not in slow]
-        trials += [attempt(method, scene, **options.get(method, {})) for method in chosen]
-        if on_progress:
-            on_progress((k + 1) / len(scenes))
-    return trials
-
-
-def attempt_conditions(
-    scenes: Scenes,
-    seeds: Sequence[int],
-    count: int,
-    levels: Mapping[str, Iterable[float]],
-    methods: Sequence[str],
-    options: Options,
-    slow: Container[str] = (),
-    on_progress: Callable[[float], None] | None = None,
-) -> list[Trial]:
-    """The methods under other values of one of `USUAL` at a time, ``levels``, on ``count`` views a seed; slow ones on
-    the first view alone."""
-    found = []
-    others = [(name, value) for name, values in levels.items() for value in values if value != USUAL[name]]
-    for k, (name, value) in enumerate(others):
-        views = [scene for seed in seeds for scene in scenes.frames(seed, count, **{name: value})]
-        found += attempt_all(methods, views, options, slow, every=len(views))
-        if on_progress:
-            on_progress((k + 1) / len(others))
-    return found
 
 
 def warm_up(scene: Scene, methods: Iterable[str], options: Options) -> None:
@@ -214,17 +158,6 @@ def _median_of_all(arrays: pd.Series) -> float:
     return float(np.median(values)) if len(values) else math.nan
 
 
-def over_cases(rows: pd.DataFrame) -> pd.DataFrame:
-    """Means over the seeds of `trial_table`, a row a case."""
-    return rows.groupby(list(CASE), sort=False)[["points", "bars", "segments", *MEASURES]].mean().reset_index()
-
-
-def segmentation_metrics(rows: pd.DataFrame) -> dict[str, float]:
-    """The finite means over the seeds at the usual noise, clutter and density, ``<scene>.<method>.<metric>``."""
-    usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
-    return flat(over_cases(rows[usual]), ("scene", "method"), MEASURES)
-
-
 def frame_runs(folder: Path) -> pd.DataFrame:
     """The results of the segmentation methods as runs, so that claims on single frames are judged like the others.
 
@@ -245,26 +178,3 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
     case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "variant": "", "blind": ""}
     return rows.assign(f1=f1, status="ok", **case)
-
-
-def tuning_map(scenes: Mapping[float, Sequence[Scene]], dx: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
-    """Hough on the scenes of each noise with every dx × every least number of votes: means over all frames, a row each.
-
-    The two rules for dx that need no tuning are tried too; ``dx_m`` is then their mean, and ``rule`` says which.
-    """
-    rules = [*((FIXED, width) for width in dx), (CHOSEN, math.nan), (REFERENCE, math.nan)]
-    rows = []
-    for noise_m, (rule, width), votes in itertools.product(scenes, rules, min_votes):
-        own = [_dx(rule, width, scene.points) for scene in scenes[noise_m]]
-        trials = [
-            attempt("hough", scene, points_min=votes, dx=each) for scene, each in zip(scenes[noise_m], own, strict=True)
-        ]
-        means = over_cases(trial_table(trials)).iloc[0][list(MEASURES)].to_dict()
-        rows.append({"noise_m": noise_m, "rule": rule, "dx_m": float(np.mean(own)), "min_votes": votes, **means})
-    return pd.DataFrame(rows)
-
-
-def _dx(rule: str, width: float, points: Array) -> float:
-    if rule == CHOSEN:
-        return default_dx(points)
-    return width if rule == FIXED else float(np.linalg.norm(np.ptp(points, axis=0))) / 64

@@ -52,8 +52,12 @@ METHODS = {
 """Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
 by images red, learned lime, of others nearly black."""
 DETECTORS = {
-    "hough": INDIGO, "ransac-lines": GREEN, "ransac-planes": GREY, "gmm": PINK, "dbscan": OLIVE,
-}  # fmt: skip
+    "hough": ("Hough", INDIGO),
+    "ransac-lines": ("RANSAC lines", GREEN),
+    "ransac-planes": ("RANSAC planes", GREY),
+    "gmm": ("GMM", PINK),
+    "dbscan": ("DBSCAN", OLIVE),
+}
 """Methods of segmentation, which no figure shows beside odometries."""
 KINDS = {
     "leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "secondary": GREEN, "zigzag": WINE, "loops": ORANGE,
@@ -62,15 +66,31 @@ KINDS = {
 PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
 """Flights that a planner steers and those beside them, which no figure shows beside odometries."""
 COLOURS = {
-    **VERDICTS, **{name: colour for name, (_, colour) in METHODS.items()}, **DETECTORS, **KINDS, **PLANNED,
+    **VERDICTS, **{name: colour for name, (_, colour) in (METHODS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
     "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
     "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
-LABELS = {name: label for name, (label, _) in METHODS.items()}
+LABELS = {name: label for name, (label, _) in (METHODS | DETECTORS).items()}
 REPORT_BAND: dict[str, Any] = {"fc": "#ececec", "ec": "#cccccc", "hatch": "////", "linewidth": 0, "zorder": 0}
 """Look of a range of values that a figure of the report shows, behind everything else."""
+LOOK: Any = {
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.min_exponent": 5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+}
+"""Settings of matplotlib for all figures."""
+DRIFT: Any = {"fc": COLOURS["none"], "ec": COLOURS["none"], "alpha": 0.25, "height": 0.84, "lw": 1}
+"""Look of the range of errors without correction, behind the errors with it."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
@@ -89,25 +109,19 @@ class Figure(matplotlib.figure.Figure):
         return file.getvalue()
 
 
+def use() -> None:
+    """Set the look of all figures that follow, whatever the user's matplotlibrc says, and the seed of their jitter."""
+    np.random.seed(0)  # noqa: NPY002 (of seaborn's dots)
+    mpl.rcdefaults()
+    mpl.rcParams.update(LOOK)
+
+
 @contextmanager
 def style() -> Iterator[None]:
-    """Settings that every figure is drawn with, whatever the user's matplotlibrc says; ``@style()`` as a decorator."""
+    """Draw one figure with the look of all; ``@style()`` as a decorator."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(
-            {
-                "font.size": 11,
-                "axes.titlesize": 12,
-                "axes.grid": True,
-                "grid.alpha": 0.3,
-                "axes.spines.top": False,
-                "axes.spines.right": False,
-                "legend.frameon": False,
-                "lines.linewidth": 1.6,
-                "figure.facecolor": "white",
-                "figure.constrained_layout.use": True,
-            }
-        )
+        mpl.rcParams.update(LOOK)
         yield
 
 

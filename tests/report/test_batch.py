@@ -6,7 +6,8 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.report import batch, false_convergence
+from steelnb.report import batch
+from steelnb.report.basin import find_basin
 from steelnb.row import paired_clouds
 from steelnb.settings.report_plots import read_report_plots
 
@@ -52,35 +53,16 @@ def test_paired_clouds_hold_the_same_returns_at_two_poses(runs):
     assert off.max() > 0
 
 
-def test_an_error_that_jumps_is_a_slip_at_its_scan(runs):
-    run = runs[0]
-    moved = run.corrected.T_world_drone.copy()
-    moved[:, :3, 3] = run.truth.trajectory.at(run.corrected.stamp_s).position
-    moved[20:, 0, 3] += 0.5
-    off = experiment.Result(**{**vars(run), "corrected": type(run.corrected)(run.corrected.stamp_s, moved)})
-    slip = false_convergence.find_slips([off]).iloc[0]
-    assert slip["slip_m"] == pytest.approx(0.5)
-    assert 0 <= slip["slip_s"] - run.corrected.stamp_s[20] <= 1.0
-    paired = run.matches > 0
-    assert slip["wrong_share"] == pytest.approx(paired[20:].sum() / paired.sum())
-
-
 def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     flight, truth = experiment.simulate(runs[0].settings)
     starts = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    basin = false_convergence.find_basin(runs[0].settings, flight, truth, 15, starts)
+    basin = find_basin(runs[0].settings, flight, truth, 15, starts)
     assert basin["right"].tolist() == [True, True, False]
     assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
     assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
-    table = false_convergence.basin_table({"3-DoF ICP": basin})
-    assert table["radius_m"].tolist() == [0.03]
-    assert table["right_share"].tolist() == [pytest.approx(2 / 3)]
-    grid = false_convergence.offset_grid(0.2, 0.1)
-    assert np.ptp(grid, axis=0) == pytest.approx([0.4, 0.0, 0.4])
-    assert len(grid) == 25
     segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
     with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
-        false_convergence.find_basin(segments, flight, truth, 0, starts)
+        find_basin(segments, flight, truth, 0, starts)
 
 
 def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
@@ -90,21 +72,6 @@ def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
     (found,) = batch.ranking(rows, ["a", "b", "c"]).to_dict("records")
     assert (found["order"], found["as_claimed"]) == ("b < c < a", False)
     assert found["pairs_as_claimed"] == pytest.approx(2 / 3)
-
-
-def test_basins_and_flights_of_the_search_are_named_and_have_their_gaps():
-    slow = {"tof.rate_hz": 2.5}
-    basins = false_convergence.basin_cases("loops", "report-4cm", "random-walk", [0.1, 0.5], 1, 20.0, slow)
-    assert list(basins) == ["3-DoF ICP, 0.1 m", "3-DoF ICP, 0.5 m", "GICP, 0.3 m", "best"]
-    assert {case.tof.rate_hz for case in basins.values()} == {2.5}
-    gaps = [[5.0, 8.0], [15.0, 25.0]]  # the second outlasts the flight
-    search = false_convergence.search_cases(
-        ["loops", "zigzag"], "report-4cm", ["random-walk"], [0.1, 0.5], [1, 2], 20.0, gaps, {}
-    )
-    assert [case.seed for case in search] == [1] * 12 + [2] * 12
-    assert [len(case.tof.blind_s) for case in search[:12]] == [0, 0, 0, 1, 1, 1] * 2
-    assert [case.odometry.max_correspondence_m for case in search[:2]] == [0.1, 0.5]
-    assert search[2].odometry.method == "report-icp-3dof"
 
 
 def test_the_report_s_experiments_have_its_samples_and_its_curves():
@@ -125,14 +92,3 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     assert batch.report_range("random-walk", "best", "zigzag") is None
     early = next(plot for plot in read_report_plots() if plot.earlier_samples)
     assert (batch.report_curve(early)[0] >= early.start_s - 1e-9).all(), "nothing of the earlier run"
-
-
-def test_the_worst_flight_is_flown_again_with_best_on_the_same_scans(runs):
-    pair, clouds = false_convergence.beside_best(runs[0], SHORT)
-    assert list(pair) == list(clouds) == ["3-DoF ICP, 0.1 m", "best"]
-    one, best = pair.values()
-    assert one is runs[0]
-    assert best.settings.odometry.method == "best"
-    np.testing.assert_array_equal(best.prior.T_world_drone, one.prior.T_world_drone)
-    for built, true in clouds.values():
-        assert built.shape == true.shape

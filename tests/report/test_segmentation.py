@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from steelnb.report import segmentation
-from steelnb.report.segmentation import CHOSEN, FIXED, REFERENCE, tuning_map
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.paths import waypoints
@@ -83,27 +82,6 @@ def test_trials_become_rows(scenes):
     assert "median_ms" not in table
     timing = segmentation.trial_timing(trials)
     assert set(timing["method"]) == {"hough", "dbscan"}
-    metrics = segmentation.segmentation_metrics(table)
-    assert metrics["frame.hough.recall"] == pytest.approx(hough["recall"].mean())
-
-
-def test_slow_methods_see_the_first_scene_and_then_one_in_so_many(scenes):
-    views = scenes.frames(5, 3)
-    seen: list[float] = []
-    trials = segmentation.attempt_all(["dbscan", "hough-once"], views, {}, ["hough-once"], 2, seen.append)
-    assert [(trial.method, views.index(trial.scene)) for trial in trials] == [
-        ("dbscan", 0), ("hough-once", 0), ("dbscan", 1), ("dbscan", 2), ("hough-once", 2)
-    ]  # fmt: skip
-    assert seen == pytest.approx([1 / 3, 2 / 3, 1.0])
-
-
-def test_conditions_differ_from_the_usual_in_one_thing(scenes):
-    levels, slow = {"noise_m": [segmentation.NOISE_M, 0.01], "kept": [0.5, 1.0]}, ["hough-once"]
-    found = segmentation.attempt_conditions(scenes, [5, 6], 1, levels, ["dbscan", *slow], {}, slow)
-    assert [(trial.method, trial.scene.seed, trial.scene.noise_m, trial.scene.kept) for trial in found] == [
-        ("dbscan", 5, 0.01, 1.0), ("hough-once", 5, 0.01, 1.0), ("dbscan", 6, 0.01, 1.0),
-        ("dbscan", 5, 0.02, 0.5), ("hough-once", 5, 0.02, 0.5), ("dbscan", 6, 0.02, 0.5),
-    ]  # fmt: skip
 
 
 def test_a_frame_without_a_segment_has_precision_0(scenes):
@@ -111,13 +89,3 @@ def test_a_frame_without_a_segment_has_precision_0(scenes):
     row = segmentation.trial_table([nothing]).iloc[0]
     assert row["precision"] == row["recall"] == row["segments"] == 0
     assert math.isnan(row["angle_deg"])
-
-
-def test_the_map_holds_every_dx_and_both_rules(scenes):
-    frame = scenes.frames(21, 1)[0]
-    table = tuning_map({0.02: [frame]}, [0.05, 0.1], [15])
-    assert table["rule"].tolist() == [FIXED, FIXED, CHOSEN, REFERENCE]
-    recall = table.set_index("rule")["recall"]
-    assert recall[CHOSEN] > recall[REFERENCE], "the points tell a dx better than the size of the cloud"
-    reference = table[table["rule"] == REFERENCE].iloc[0]
-    assert reference["dx_m"] == pytest.approx(np.linalg.norm(np.ptp(frame.points, axis=0)) / 64)

@@ -1,0 +1,57 @@
+"""Notebook 05: the basin of convergence of a registration."""
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+
+from steelnb.odometry import CloudOdometry
+from steelnb.points import preprocess_scan
+from steelnb.settings import ExperimentSettings
+from steelnb.simulation import Truth
+from steelnb.types import Array, Flight
+
+RIGHT_M = 0.1
+"""An end within this distance of the truth is right: the edge of the report's voxel."""
+MAP_EVERY = 4
+
+
+def find_basin(
+    settings: ExperimentSettings,
+    flight: Flight,
+    truth: Truth,
+    frame: int,
+    offset_m: Array,
+    on_progress: Callable[[float], None] | None = None,
+) -> pd.DataFrame:
+    """Basin of convergence: register scan ``frame`` from starts ``offset_m (N, 3)`` beside its true pose, to a map of
+    one in `MAP_EVERY` of the other scans at their true poses; a row a start.
+
+    ``x_m``, ``y_m``, ``z_m`` of the start and ``error_m`` of the end from the truth; ``refused`` by the odometry; else
+    ``right`` within `RIGHT_M`, or ``wrong``, of which those ``stayed`` that hardly left their start, since the
+    registration trusts its prior, while the others ``locked`` onto something else.
+    Raises `InputError` for an odometry without clouds.
+    """
+    odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
+    true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    for k in range(0, len(flight.scans), MAP_EVERY):
+        if k != frame:
+            points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
+            odometry.insert(points, true[k])
+    ends, used = [], []
+    for k, offset in enumerate(offset_m):
+        start = true[frame].copy()
+        start[:3, 3] += offset
+        step = copy.deepcopy(odometry).update(flight.scans[frame], start)
+        ends.append(step.T_world_drone[:3, 3] - true[frame][:3, 3])
+        used.append(bool(step.used))
+        if on_progress:
+            on_progress((k + 1) / len(offset_m))
+    error, moved = np.linalg.norm(ends, axis=1), np.linalg.norm(np.array(ends) - offset_m, axis=1)
+    taken, close = np.array(used), error <= RIGHT_M
+    wrong, still = taken & ~close, moved <= RIGHT_M
+    basin = pd.DataFrame(offset_m, columns=["x_m", "y_m", "z_m"])
+    return basin.assign(
+        error_m=error, right=taken & close, wrong=wrong, stayed=wrong & still, locked=wrong & ~still, refused=~taken
+    )
