@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_structure
     from steelnb.odometry import (
         CloudOdometry,
-        CombinedOdometry,
         DeepVoOdometry,
         FaceOdometry,
         LoamOdometry,
@@ -46,7 +45,6 @@ _MODULES = {
     "io": ("read_cloud", "read_flight", "read_truth", "write_flight", "write_structure"),
     "odometry": (
         "CloudOdometry",
-        "CombinedOdometry",
         "DeepVoOdometry",
         "FaceOdometry",
         "LoamOdometry",
@@ -62,7 +60,7 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "CloudOdometry", "CombinedOdometry", "DeepVoOdometry", "Estimate", "ExperimentSettings", "FaceOdometry", "Flight",
+    "CloudOdometry", "DeepVoOdometry", "Estimate", "ExperimentSettings", "FaceOdometry", "Flight",
     "InputError", "Lines", "LoamOdometry", "OdometrySettings", "OdometryStep", "OrbOdometry", "PeerOdometry",
     "RegistrationResult", "Result", "Scan", "SegmentMap", "SegmentOdometry", "Segments", "SteelnbError", "Structure",
     "StructureSettings", "Trajectory", "__version__", "detect_lines", "detect_segments", "make_odometry", "read_cloud",

@@ -3,14 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from steelnb.cache import cached
 from steelnb.closed_loop import OnboardPilot
-from steelnb.metrics import score_gaps, score_segments, score_trajectory
+from steelnb.metrics import score_estimate
 from steelnb.noise import drifting
-from steelnb.odometry import make_odometry
-from steelnb.odometry import run as run_odometry
+from steelnb.odometry import correct
 from steelnb.settings import ExperimentSettings, OrbSettings
 from steelnb.settings.presets import members_file
 from steelnb.simulation import (
@@ -89,36 +86,14 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
-    odometry = make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu, flight.images)
     if isinstance(flight.scans, RangeScans) and flight.images is None:
         given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu
         key = "estimate", settings.odometry.model_dump_json(), *given
-        found = cached(lambda: run_odometry(flight, odometry, on_step), *key)
+        found = cached(lambda: correct(flight, settings.odometry, on_step), *key)
     else:  # neither images nor scans of a recording can be told apart quickly
-        found = run_odometry(flight, odometry, on_step)
+        found = correct(flight, settings.odometry, on_step)
     if on_progress:
         on_progress(1.0)  # an estimate that was kept makes no steps
-    return Result(**vars(found), settings=settings, truth=truth, metrics=measure(settings, found, truth))
-
-
-def measure(settings: ExperimentSettings, estimate: Estimate, truth: Truth) -> dict[str, float]:
-    """The numbers of a run; lengths in metres, angles in degrees."""
-    corrected, segments = estimate.corrected, estimate.segments
-    raw = score_trajectory(estimate.prior, truth.trajectory)
-    numbers = {
-        "raw_ate_rmse_m": raw["ate_rmse_m"],
-        "raw_error_final_m": raw["error_final_m"],
-        **score_trajectory(corrected, truth.trajectory),
-    }
-    if settings.tof.blind_s:
-        numbers |= score_gaps(corrected, truth.trajectory, settings.tof.blind_s)
-    if len(segments):
-        score = score_segments(segments, truth.tower.axes, observed=truth.visibility.observed())
-        numbers |= {
-            "segments": float(len(segments)),
-            "segment_recall": score.recall,
-            "segment_precision": score.precision,
-            "segment_angle_median_deg": float(np.degrees(score.angle_median_rad)),
-            "segment_offset_median_m": score.offset_median_m,
-        }
-    return numbers
+    return Result(
+        **vars(found), settings=settings, truth=truth, metrics=score_estimate(found, truth, settings.tof.blind_s)
+    )

@@ -16,7 +16,7 @@ NOISE = "random-walk+yaw-random-walk"
 
 @pytest.mark.parametrize("sensor", ["starling2", "starling2-honest"])
 def test_scans_during_a_flight_equal_those_of_the_whole_flight_bit_for_bit(sensor):
-    settings = ExperimentSettings.preset("planned", NOISE, "combined", sensor, seed=3, duration_s=2.0)
+    settings = ExperimentSettings.preset("planned", NOISE, "best", sensor, seed=3, duration_s=2.0)
     tower = build_tower(settings.tower)
     pilot = OnboardPilot(settings, tower)
     true, _ = fly(tower, settings.flight, settings.seed, pilot)
@@ -32,7 +32,7 @@ def test_scans_during_a_flight_equal_those_of_the_whole_flight_bit_for_bit(senso
 @pytest.fixture(scope="module")
 def around():
     """A quarter of the way around the tower: settings, pilot and true poses."""
-    settings = ExperimentSettings.preset("planned", "random-walk", "combined", seed=5, duration_s=12.0)
+    settings = ExperimentSettings.preset("planned", "random-walk", "best", seed=5, duration_s=12.0)
     tower = build_tower(settings.tower)
     pilot = OnboardPilot(settings, tower)
     return settings, pilot, fly(tower, settings.flight, settings.seed, pilot)[0]

@@ -165,7 +165,7 @@ def test_the_accuracy_notebook_measures_seeds_and_gaps(smoke):
     assert usual.groupby(["trajectory", "case", "method"])["seed"].nunique().ge(5).all()
     others = table[table["world"] != "as preset"]
     assert others["world"].nunique() >= 8
-    ours = others[others["method"] == "combined"]
+    ours = others[others["method"] == "faces"]
     assert (ours["ate_rmse_m"] < ours["raw_ate_rmse_m"]).all()
     assert {path.name for path in (smoke / "accuracy").glob("*.png")} == {
         f"fig_{name}_zigzag.png" for name in ("accuracy", "bands", "worlds")

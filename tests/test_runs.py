@@ -229,7 +229,7 @@ def test_the_study_has_enough_seeds_and_no_development_seeds():
         name = case["sensor"], case["duration_s"], case["blind"], case["trajectory"], case["noise"], case["variant"]
         by_case.setdefault((*name, case["method"]), set()).add(case["seed"])
     seeds = {case: len(found) for case, found in by_case.items()}
-    ours = {"best", "combined", "faces"}
+    ours = {"best", "faces"}
     few = ours | {"loam"}
     report = {case: count for case, count in seeds.items() if case[0] == "report-4cm" and case[-1] not in few}
     other_worlds = {case: count for case, count in report.items() if case[5].startswith(("tower.", "flight."))}

@@ -181,9 +181,9 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     own = tmp_path / "mine.toml"
     text = (PRESETS / "sensors" / "starling2.toml").read_text()
     own.write_text(text.replace("range_max_m = 6.0", "range_max_m = 5.0").replace("crop_m = 6.0", "crop_m = 5.0"))
-    settings = ExperimentSettings.preset(sensor=str(own), method="combined")
+    settings = ExperimentSettings.preset(sensor=str(own), method="least_squares_yaw")
     assert (settings.tof.range_max_m, settings.odometry.preprocess.crop_m) == (5.0, 5.0)
-    assert settings.odometry.robust_scale_m == ExperimentSettings.preset(method="combined").odometry.robust_scale_m
+    assert settings.odometry.robust_scale_m == 0.03
     own.write_text('based_on = "starling2-honest"\n[tof]\nfaults = ["exposure"]\n')
     honest = ExperimentSettings.preset(sensor="starling2-honest", overrides={"tof.faults": ["exposure"]})
     assert ExperimentSettings.preset(sensor=str(own)).replace(sensor=honest.sensor) == honest
@@ -192,7 +192,7 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
         ExperimentSettings.preset(sensor=str(own))
     own.write_text("[hough]\ndxm = 1.0\n")
     with pytest.raises(InputError, match="dxm"):
-        ExperimentSettings.preset(sensor=str(own), method="combined")
+        ExperimentSettings.preset(sensor=str(own), method="average")
 
 
 def test_the_mount_of_the_sensor_is_a_setting():
@@ -251,24 +251,24 @@ def test_a_message_about_a_very_long_value_is_short() -> None:
 
 
 def test_a_method_inherits_the_sensor_s_additions_to_its_base():
-    combined, smoothed = (OdometrySettings.preset(method, "starling2") for method in ("combined", "smoothed"))
-    assert smoothed == combined.model_copy(update={"method": "smoothed", "smooth": True})
-    assert smoothed.robust_scale_m != OdometrySettings.preset("average", "starling2").robust_scale_m
+    faces, smoothed = (OdometrySettings.preset(method, "report") for method in ("faces", "smoothed"))
+    assert smoothed == faces.model_copy(update={"method": "smoothed", "smooth": True})
+    assert faces.robust_scale == OdometrySettings.preset("best", "report").robust_scale == 100.0
 
 
-def test_methods_by_clouds_and_bars_use_the_imu_beside_a_sensor():
+def test_methods_by_front_faces_use_the_imu_beside_a_sensor():
     assert OdometrySettings.preset("smoothed").inertial is None
-    for method, uses in (("combined", True), ("faces", True), ("smoothed", True), ("best", False), ("average", False)):
+    for method, uses in (("faces", True), ("smoothed", True), ("best", False), ("average", False)):
         honest = ExperimentSettings.preset(sensor="starling2-honest", method=method)
         assert getattr(honest.odometry, "inertial", None) == (honest.imu if uses else None)
-    off = OdometrySettings.preset("combined", "starling2-honest", {"inertial": False})
-    assert off == OdometrySettings.preset("combined", "starling2-honest", {"inertial": None})
+    off = OdometrySettings.preset("faces", "starling2-honest", {"inertial": False})
+    assert off == OdometrySettings.preset("faces", "starling2-honest", {"inertial": None})
     assert off.inertial is None
     noise = {"gyro_noise": 1e-4, "accelerometer_noise": 1e-3}
     for method, inertial, says in (
         ("least_squares_yaw", noise, "unknown setting 'inertial'.*'segments'"),
-        ("combined", {"gyro_noise": 1e-4}, "an IMU without noise"),
-        ("combined", True, "inertial"),
+        ("faces", {"gyro_noise": 1e-4}, "an IMU without noise"),
+        ("faces", True, "inertial"),
     ):
         with pytest.raises(InputError, match=says):
             OdometrySettings.preset(method, overrides={"inertial": inertial})

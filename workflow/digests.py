@@ -20,11 +20,10 @@ from steelnb.errors import InputError
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
-from steelnb.odometry import make_odometry
-from steelnb.odometry.run import run
+from steelnb.odometry import correct
 from steelnb.odometry.segments import shared_segments
 from steelnb.points import preprocess_scan
-from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, MapSettings, StructureSettings
+from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, SegmentSettings, StructureSettings
 from steelnb.types import Array, Flight
 
 PATH = Path("tests", "digests.json")
@@ -91,16 +90,16 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
         flight = replace(flight, images=replace(whole.images, stamp_s=stamp_s[taken], images=images))
         yield f"{name}/images", digest(*images)
     by_segments = configured("least_squares").odometry
-    assert isinstance(by_segments, MapSettings)
+    assert isinstance(by_segments, SegmentSettings)
     yield from _bars(name, flight, by_segments)
     smoothed = None
     with shared_segments():
         for method in METHODS:
             chosen, odometry = flight, configured(method).odometry
-            if isinstance(odometry, FaceSettings):
+            if isinstance(odometry, FaceSettings) and not odometry.smooth:
                 chosen = whole.first(settings["scans_of_faces"])
                 odometry = odometry.override({"refit_s": settings.get("refit_s", odometry.refit_s)})
-            found = run(chosen, make_odometry(odometry, chosen.T_drone_sensor, chosen.imu, chosen.images))
+            found = correct(chosen, odometry)
             smoothed = found.corrected if method == "smoothed" else smoothed
             yield f"{name}/{method}", digest(found.corrected.T_world_drone)
     assert smoothed is not None
@@ -109,7 +108,7 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
     yield f"{name}/structure joints", digest(structure.joint, structure.tie)
 
 
-def _bars(name: str, flight: Flight, settings: MapSettings) -> Iterator[tuple[str, str]]:
+def _bars(name: str, flight: Flight, settings: SegmentSettings) -> Iterator[tuple[str, str]]:
     k = len(flight) - 1
     points: Array = preprocess_scan(
         flight.scans[k], flight.prior.T_world_drone[k], flight.T_drone_sensor, settings.preprocess

@@ -13,18 +13,7 @@ from scipy.sparse import csr_array
 
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.poses import (
-    AXES,
-    DRIFT_PERIOD_S,
-    DRIFT_SIGMA,
-    FIXED,
-    POSE,
-    pose_size,
-    pose_step,
-    tilt_of,
-    tilt_stays,
-    yaw_of,
-)  # fmt: skip
+from steelnb.fusion.poses import FIXED, POSE, drift_variance, pose_size, pose_step, tilt_decay, tilt_of, yaw_of
 from steelnb.fusion.problem import BAR, Bars, Problem
 from steelnb.types import Array, IntArray
 
@@ -100,8 +89,8 @@ def as_bars_move(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
     beside = (across @ sensor[:, :, None])[:, :, 0]
     ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
     result = np.zeros((len(bar), size, BAR))
-    result[:, :3, :2] = -across.transpose(0, 2, 1)
-    for row, axis in zip(range(3, size), AXES, strict=False):
+    result[:, -3:, :2] = -across.transpose(0, 2, 1)
+    for row, axis in enumerate(range(6 - size, 3)):
         up, along = across[:, :, axis], direction[:, axis]
         result[:, row, 0] = -ahead * up[:, 1] - along * beside[:, 1]
         result[:, row, 1] = ahead * up[:, 0] + along * beside[:, 0]
@@ -144,24 +133,24 @@ def prior_errors(
     prior's. Its roll and pitch are held only if it is ``upright``; otherwise they have the
     standard deviation of all others."""
     size = pose_size(tilt_sigma_rad)
+    tilt, yaw, shift = slice(0, size - POSE), size - POSE, slice(size - 3, size)
     error, weight = np.zeros((2, len(T), size))
     error[0], weight[0] = pose_step(prior[0], T[0], size), FIXED
     if not upright:
-        weight[0, POSE:] = tilt_sigma_rad**-2.0
+        weight[0, tilt] = tilt_sigma_rad**-2.0
     gap_s = np.maximum(np.diff(stamp_s), 1e-6)
     turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
     expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
     apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error[1:, :3] = np.diff(T[:, :3, 3], axis=0) - expected
-    error[1:, 3] = yaw_of(apart)
-    weight[1:, :POSE] = DRIFT_SIGMA**-2.0 / (gap_s / DRIFT_PERIOD_S)[:, None]
+    error[1:, yaw], error[1:, shift] = yaw_of(apart), np.diff(T[:, :3, 3], axis=0) - expected
+    weight[1:, yaw:] = 1.0 / drift_variance(gap_s)
     before = np.tile(-np.eye(size), (len(gap_s), 1, 1))
-    before[:, 0, 3], before[:, 1, 3] = expected[:, 1], -expected[:, 0]
+    before[:, yaw + 1, yaw], before[:, yaw + 2, yaw] = expected[:, 1], -expected[:, 0]
     if tilt_sigma_rad:
-        turn, stays = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_stays(gap_s)[:, None]
-        error[1:, POSE:] = stays * turn[:-1] - turn[1:]
-        weight[1:, POSE:] = tilt_sigma_rad**-2.0 / (1.0 - stays**2)
-        before[:, POSE:, POSE:] = -stays[:, :, None] * np.eye(2)
+        off, decay = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_decay(gap_s)[:, None]
+        error[1:, tilt] = decay * off[:-1] - off[1:]
+        weight[1:, tilt] = tilt_sigma_rad**-2.0 / (1.0 - decay**2)
+        before[:, tilt, tilt] = -decay[:, :, None] * np.eye(2)
     return PriorErrors(error, weight, before)
 
 

@@ -22,9 +22,6 @@ from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 POSE, STATE = 6, 15
 """Degrees of freedom of a pose with roll and pitch; and with velocity and the biases of gyroscope and accelerometer."""
-TILT_SIGMA_RAD = 0.0175
-"""Standard deviation of the prior's roll and pitch beside an IMU, 1°, where none is stated: it is the IMU that tells
-them, and most priors have theirs from a filter on its readings."""
 VELOCITY_SIGMA_M_S = 100.0
 """Standard deviation of each velocity beforehand: nothing is known of it."""
 SIGMA_MIN = 1e-7

@@ -12,7 +12,7 @@ from numba import njit
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import equations, noise_ratio
-from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, POSE, moved_poses, pose_size, pose_step, tilt_stays
+from steelnb.fusion.poses import DRIFT_PERIOD_S, POSE, drift_variance, moved_poses, pose_size, pose_step, tilt_decay
 from steelnb.fusion.problem import BAR, Bars
 from steelnb.types import Array, IntArray, Scan
 
@@ -23,8 +23,8 @@ SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
 of its flange. Chosen on the development seeds 11 and 12."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
-STEP_MIN = np.array([2e-4, 2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
-"""A step below this, metres and radians, ends the search."""
+STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
+"""A step below this, radians and metres, ends the search."""
 SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
 """Minimum share of the points that lie on front faces, number of bars, points a bar, and points a scan; below them a
 registration is refused. Chosen on the development seeds 11 and 12."""
@@ -33,8 +33,8 @@ RATIO = (1.0, 6.0)
 
 
 class Fit(NamedTuple):
-    """The registered pose of the sensor; its information ``(D, D)`` about x, y, z and yaw, and for D = 6 roll and
-    pitch; the number of bars matched, the share of the points on them, and the range noise as a multiple of that in
+    """The registered pose of the sensor; its information ``(D, D)`` about a step from it (`fusion.poses`), D = 4
+    or 6; the number of bars matched, the share of the points on them, and the range noise as a multiple of that in
     `points.ranges`. ``reason`` says why it is refused, else it is empty."""
 
     T_world_sensor: Array
@@ -63,9 +63,9 @@ class Locator:
         passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
-        self.variance[:POSE] += DRIFT_SIGMA**2 * passed_s / DRIFT_PERIOD_S
-        stays = tilt_stays(2.0 * passed_s)
-        self.variance[POSE:] = stays * self.variance[POSE:] + (1.0 - stays) * self.tilt_sigma_rad**2
+        self.variance[-POSE:] += drift_variance(passed_s)
+        decay = tilt_decay(2.0 * passed_s)
+        self.variance[:-POSE] = decay * self.variance[:-POSE] + (1.0 - decay) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
         """Register ``points (N, 3)``, sensor frame, from a predicted sensor pose. Each step assigns the points to
@@ -78,7 +78,7 @@ class Locator:
             pulled = vector - (apart / self.variance if known is None else known @ apart)
             step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
-            if (np.abs(step) < STEP_MIN[:size]).all():
+            if (np.abs(step) < STEP_MIN[-size:]).all():
                 break
         near, on = self._matched(points, T)
         bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
@@ -92,9 +92,8 @@ class Locator:
         self.variance = np.diag(np.linalg.inv(fit.information))
 
     def _equations(self, points: Array, T_world_sensor: Array, size: int) -> tuple[Array, Array, Array]:
-        """Normal equations ``(size, size)``, ``(size,)`` of the pose of a scan (x, y, z, yaw, and if size is 6 roll and
-        pitch) from its ``points (N, 3)``, sensor frame, and the histogram of their residuals
-        (`fusion.factors.equations`).
+        """Normal equations ``(size, size)``, ``(size,)`` of the step of a scan's pose (`fusion.poses`) from its
+        ``points (N, 3)``, sensor frame, and the histogram of their residuals (`fusion.factors.equations`).
 
         The degrees of freedom of each bar are marginalised with their standard deviations, so the points of one bar
         tell the pose no better than the bar itself is known.

@@ -43,7 +43,9 @@ def reconstruct(
     T_drone_sensor: Array | None = None,
     settings: StructureSettings | None = None,
 ) -> Structure:
-    """Bars and joints of a structure from all scans of a flight and their corrected poses.
+    """Bars and joints of a structure from all scans of a flight and their smoothed or corrected poses.
+
+    Two passes: the bars that stand out, and the shorter ones that show between them once their sections are fitted.
 
     Parameters
     ----------
@@ -54,13 +56,12 @@ def reconstruct(
 
     The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
     (`fusion.round_fit`); a bar with too few points to tell its section and its direction is left out. With ``adjust``,
-    poses and bars are adjusted together (`fusion.problem`). Returns a `Structure` in the world frame, metres; an empty
-    one has the reason. Raises `InputError` for poses that do not fit the scans or are not finite, and for scans
-    without any return above the floor.
+    poses and bars are adjusted together first (`fusion.problem`), as smoothing does better. Returns a `Structure` in
+    the world frame, metres; an empty one has the reason. Raises `InputError` for poses that do not fit the scans or are
+    not finite, and for scans without any return above the floor.
     """
     settings = settings or StructureSettings()
     T_world_sensor = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
-    # A quick reconstruction first: enough to know the sections of most bars, and by them to adjust the poses.
     if settings.adjust:
         flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
         if fitted is not None:

@@ -9,7 +9,8 @@ import numpy as np
 from steelnb.errors import InputError
 from steelnb.fusion import problem, solver, uncertainty
 from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.inertial import TILT_SIGMA_RAD, Inertial, check_imu
+from steelnb.fusion.inertial import Inertial, check_imu
+from steelnb.fusion.poses import TILT_SIGMA_RAD
 from steelnb.fusion.problem import Bars
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.settings import ImuSettings, StructureSettings

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.errors import InputError
 from steelnb.fusion.factors import PointEquations, summed
-from steelnb.fusion.poses import AXES, POSE, pose_size
+from steelnb.fusion.poses import POSE, pose_size
 from steelnb.fusion.problem import BAR, Problem
 from steelnb.fusion.sections import frames
 from steelnb.fusion.solver import Chain, schur, state_equations
@@ -41,8 +41,8 @@ HOLD = 1e-6
 
 
 class Marginals(NamedTuple):
-    """Marginal covariances: ``pose (K, D, D)`` of x, y, z, yaw of the sensor, and for D = 6 of roll and pitch, the
-    first one zero since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
+    """Marginal covariances: ``pose (K, D, D)`` of the steps of the sensor's poses (`fusion.poses`), the first one zero
+    since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
     bar's frame ``across``, turn and flange.
     What a bar's points do not tell has the standard deviation of `problem.BAR_SIGMA`, half a metre a metre."""
 
@@ -73,7 +73,7 @@ def marginals(
     by_bars = chain.backward(forward)[:, :size]
     pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
-    check_covariances(pose[1:], "pose", ("x", "y", "z", "yaw", "roll", "pitch"), first=1)
+    check_covariances(pose[1:], "pose", ("roll", "pitch", "yaw", "x", "y", "z")[-size:], first=1)
     bars = np.arange(n)
     return Marginals(pose, inverse.reshape(n, BAR, n, BAR)[bars, :, bars])
 
@@ -101,9 +101,9 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
     arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
     size = pose.shape[1]
     moved = np.tile(np.eye(size), (len(pose), 1, 1))
-    for column, axis in zip(range(3, size), AXES, strict=False):
-        moved[:, :3, column] = np.cross(np.eye(3)[axis], arm)
-    result, order = np.zeros((len(pose), 6, 6)), np.array([0, 1, 2, *(3 + axis for axis in AXES)])[:size]
+    for column, axis in enumerate(range(6 - size, 3)):
+        moved[:, -3:, column] = np.cross(np.eye(3)[axis], arm)
+    result, order = np.zeros((len(pose), 6, 6)), np.array([3, 4, 5, 0, 1, 2])[-size:]
     result[:, order[:, None], order] = moved @ pose @ moved.transpose(0, 2, 1)
     if size == POSE:
         result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2

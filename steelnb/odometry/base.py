@@ -13,7 +13,7 @@ S = TypeVar("S", bound=OdometrySettings)
 
 
 class Odometry(Protocol):
-    """Corrects a drifting pose, scan by scan, and builds a map. A class of ours inherits what it does not define."""
+    """Corrects a drifting pose, scan by scan, and builds a map. Only `update` has to be defined."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan and add the scan to the map.
@@ -24,10 +24,11 @@ class Odometry(Protocol):
         """
 
     def map_points(self) -> Array:
-        """The map as points ``(N, 3)``, world frame."""
+        """The map as points ``(N, 3)``, world frame; none by default."""
+        return np.zeros((0, 3))
 
     def map_segments(self) -> Segments:
-        """The bars of the map; none where the map is a cloud."""
+        """The bars of the map; none by default."""
         return Segments.empty()
 
 

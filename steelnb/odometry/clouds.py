@@ -13,31 +13,31 @@ from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import AnyTarget, Target, Term, align, free_directions
+from steelnb.registration import AnyTarget, Target, align, free_directions
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
 NEIGHBOURS = 20
 """Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
 INLIER_SHARE_MIN = 0.3
-"""With fewer of a scan's points paired, the scan corrects nothing. LOAM as published has no such bound."""
+"""Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
-"""Whether the prediction has a stated uncertainty → the number of points below which a scan says too little. Eight by
-eight pixels never say enough: they sample a surface more coarsely than the map's voxels."""
+"""Whether the prediction has a stated uncertainty → minimum number of points of a scan. Eight by eight pixels are never
+enough: they sample a surface more coarsely than the map's voxels."""
 NORMALS_MIN = 0.05
-"""With a prediction of stated uncertainty: the share of normals below which a shift is the prediction's
-(`unobserved_shifts`). Before a wall, with noise, it is up to 0.02; before the report's tower 0.18 at least, with the
-report's sensor 0.06. On a tower 6 m wide it falls to 0.03 now and then."""
+"""Minimum share of normals along a direction in which a scan corrects the prediction, if that has a stated uncertainty
+(`unobserved_shifts`). The share is up to 0.02 along a wall, with noise, at least 0.18 before the report's tower, and
+0.06 there with the report's sensor. On a tower 6 m wide it falls to 0.03 now and then."""
 JUMP_MAX_VOXELS = 10
-"""A step of more than so many voxels of the map is refused."""
+"""Largest accepted distance of a registration from its prediction, in voxels of the map."""
 STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
-"""``fast`` → the rotation (rad) and translation (m) below which the solver stops."""
+"""``fast`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
 
 
 class Registered(NamedTuple):
-    """The pose of the drone by a scan, or the predicted one and the reason why; the number of pairs, the unit vectors
-    ``(u, 3)`` along which the pose is the prediction's, and the information ``(6, 6)`` about turn and place of the
-    drone by scan and prediction together."""
+    """Result of a registration. ``T_world_drone (4, 4)`` is the predicted pose if there is a ``reason``. ``unobserved
+    (u, 3)`` are unit vectors along which the pose is the prediction's. ``information (6, 6)`` about rotation and
+    position of the drone is that of scan and prediction together."""
 
     T_world_drone: Array
     reason: str
@@ -47,13 +47,13 @@ class Registered(NamedTuple):
 
 
 class CloudOdometry(Odometry):
-    """Corrects a drifting pose by registering each scan to the map of those before it.
+    """Registers each scan to the map of the scans before it.
 
     Parameters
     ----------
     settings : of the family of clouds or faces, default ``OdometrySettings.preset("best")``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-    imu : readings in the axes of the drone, used up to the scan at hand where the settings have ``inertial``.
+    imu : readings in the drone frame, used up to the current scan if the settings have ``inertial``.
     """
 
     BY_FEATURES = False
@@ -101,8 +101,8 @@ class CloudOdometry(Odometry):
         return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
-        """Points ``(N, 3)`` of a scan in the drone frame as the map takes them: denoised, filtered, moved by the
-        near-side shift so far. ``T_world_drone (4, 4)``, an estimate, serves to cut the floor."""
+        """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
+        near-side shift. ``T_world_drone (4, 4)`` is an estimate, to cut off the floor."""
         if self.settings.sigma_filter_px:
             scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.settings.sigma_filter_px), scan.fault)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
@@ -126,7 +126,8 @@ class CloudOdometry(Odometry):
         return Target.of_voxels(tree, shapes), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
-        """Range noise along each ray, and the floor across it, upper triangles ``(N, 6)`` in the drone frame."""
+        """Covariances of points, drone frame: range noise along each ray, half of its floor across. Upper triangles
+        ``(N, 6)``."""
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
@@ -140,22 +141,21 @@ class CloudOdometry(Odometry):
         )  # fmt: skip
 
     def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        s, known = self.settings, self.predictor.known
-        whole = not self.BY_FEATURES
-        inliers_min = INLIER_SHARE_MIN * len(points) if whole else 0.0
-        if len(points) < POINTS_MIN[known and whole]:
+        s, known = self.settings, self.predictor.known and not self.BY_FEATURES
+        inliers_min = 0.0 if self.BY_FEATURES else INLIER_SHARE_MIN * len(points)
+        if len(points) < POINTS_MIN[known]:
             return Registered(T_init, "too few points")
         if not self.mapped:
             return Registered(T_init, "first scan")
         if target is None:
             return Registered(T_init, "no map in sight")
         rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
-        terms = [*self._terms(points), *self.predictor.terms(T_init, points)]
+        terms = self.predictor.terms(T_init, points)
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
             s.robust_scale or np.inf, s.iterations_max,
             rotation_epsilon_rad, translation_epsilon_m, s.fast, terms,
-            NORMALS_MIN if known and whole and s.error == "gicp" else 0.0,
+            NORMALS_MIN if known and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < inliers_min:
@@ -168,19 +168,15 @@ class CloudOdometry(Odometry):
         information = self.predictor.information_of(result.H, T, result.centre)
         return Registered(T, "", result.inliers, result.unobserved, information)
 
-    def _terms(self, points: Array) -> list[Term]:
-        """Costs of the pose of the scan's ``points (N, 3)``, beside that of the distance from the prediction."""
-        return []
-
     def insert(self, points: Array, T_world_drone: Array) -> None:
-        """Add preprocessed points ``(N, 3)`` of the drone frame to the map at a pose that is known."""
+        """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
         touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
         if self.settings.map == "measured":
             self.map.update_shapes(touched)
 
     @property
     def mapped(self) -> bool:
-        """Whether there is anything in the map."""
+        """Whether the map has points."""
         return len(self.map) > 0
 
     def map_points(self) -> Array:

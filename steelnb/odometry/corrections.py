@@ -107,20 +107,15 @@ TURN_ARM_M = 3.0
 
 @dataclass(frozen=True)
 class BarEquations:
-    """Normal equations ``H (D, D)``, ``b (D,)`` of (yaw, x, y, z), behind which come roll and pitch for D = 6, their
-    loss, and the number of pairs."""
+    """Normal equations ``H (4, 4)``, ``b (4,)`` of (yaw, x, y, z), and the number of pairs."""
 
     H: Array
     b: Array
-    loss: float
     matches: int
 
 
-def bar_equations(
-    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, tilt: bool = False
-) -> BarEquations:
-    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars; with
-    ``tilt`` of turns about the level axes, too.
+def bar_equations(seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> BarEquations:
+    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
 
     A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
     Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
@@ -129,17 +124,16 @@ def bar_equations(
     segments, bars = _paired(seen, known, SIGHTINGS_MIN)
     count = np.minimum(segments.count, POINTS_MAX)
     information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
-    loss, H, b = _bar_equations(
-        shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m,
-        6 if tilt else 4,
-    )  # fmt: skip
-    return BarEquations(H, b, loss, len(bars))
+    H, b = _bar_equations(
+        shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m
+    )
+    return BarEquations(H, b, len(bars))
 
 
 @njit(cache=True)
-def _bar_equations(ends, start, direction, information, centre, scale_m, size):  # type: ignore[no-untyped-def]
-    """The loss and the normal equations ``(size, size)`` and ``(size,)`` of ends ``(P, 2, 3)`` beside bars."""
-    loss, H, b, J = 0.0, np.zeros((size, size)), np.zeros(size), np.zeros((6, 3))
+def _bar_equations(ends, start, direction, information, centre, scale_m):  # type: ignore[no-untyped-def]
+    """Normal equations ``(4, 4)`` and ``(4,)`` of ends ``(P, 2, 3)`` beside bars."""
+    H, b, J = np.zeros((4, 4)), np.zeros(4), np.zeros((4, 3))
     for pair in range(len(ends)):
         ux, uy, uz = direction[pair, 0], direction[pair, 1], direction[pair, 2]
         for end in range(2):
@@ -149,26 +143,23 @@ def _bar_equations(ends, start, direction, information, centre, scale_m, size): 
             x, y, z = x - t * ux, y - t * uy, z - t * uz
             square = x * x + y * y + z * z
             robust = 1.0 / (1.0 + square / (scale_m * scale_m))
-            loss += 0.5 * information[pair] * square * robust
             weight = information[pair] * robust * robust
-            px, py, pz = px - centre[0], py - centre[1], pz - centre[2]
-            # How a step of yaw, x, y, z, roll and pitch moves the end, and that across the bar.
+            px, py = px - centre[0], py - centre[1]
+            # How a step of yaw, x, y and z moves the end, and that across the bar.
             J[0, 0], J[0, 1], J[0, 2] = -py, px, 0.0
             J[1, 0], J[1, 1], J[1, 2] = 1.0, 0.0, 0.0
             J[2, 0], J[2, 1], J[2, 2] = 0.0, 1.0, 0.0
             J[3, 0], J[3, 1], J[3, 2] = 0.0, 0.0, 1.0
-            J[4, 0], J[4, 1], J[4, 2] = 0.0, -pz, py
-            J[5, 0], J[5, 1], J[5, 2] = pz, 0.0, -px
-            for r in range(size):
+            for r in range(4):
                 t = J[r, 0] * ux + J[r, 1] * uy + J[r, 2] * uz
                 J[r, 0], J[r, 1], J[r, 2] = J[r, 0] - t * ux, J[r, 1] - t * uy, J[r, 2] - t * uz
                 b[r] += weight * (J[r, 0] * x + J[r, 1] * y + J[r, 2] * z)
                 for c in range(r + 1):
                     H[r, c] += weight * (J[r, 0] * J[c, 0] + J[r, 1] * J[c, 1] + J[r, 2] * J[c, 2])
-    for r in range(size):
+    for r in range(4):
         for c in range(r):
             H[c, r] = H[r, c]
-    return loss, H, b
+    return H, b
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:

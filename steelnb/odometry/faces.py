@@ -15,14 +15,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.fusion.inertial import TILT_SIGMA_RAD
 from steelnb.fusion.keyframes import Keyframes, Readings
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, moved_poses, pose_size, pose_step
+from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD, moved_poses, pose_size, pose_step
 from steelnb.fusion.problem import Problem
 from steelnb.odometry.base import scan_of, settings_of
-from steelnb.odometry.combined import by_clouds
-from steelnb.odometry.inertial_prediction import NONE, SCAN_SHARE, information_at
+from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.inertial_prediction import NONE, information_at
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
@@ -33,10 +32,8 @@ ADOPT_S = 2.0
 on the machine's speed; an adjustment takes up to 2 s on one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Number of points registered from a scan, and kept of a keyframe to fit bars to."""
-REFITTED_SIGMA = np.array([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
-"""Standard deviation of the latest pose in the adjusted bars, metres and radians."""
-STEP_OF_TWIST, TWIST_OF_STEP = [3, 4, 5, 2, 0, 1], [4, 5, 3, 0, 1, 2]
-"""Where x, y, z, yaw, roll and pitch are in (turn, shift), and the other way round."""
+REFITTED_SIGMA = np.array([0.001, 0.001, 0.001, 0.003, 0.003, 0.003])
+"""Standard deviation of the latest pose in the adjusted bars, radians and metres."""
 GATE = {4: 18.5, 6: 22.5}
 """Degrees of freedom → gate on the squared Mahalanobis distance of a registration from its prediction: the 99.9 %
 quantile of chi-squared. A larger distance means that wrongly fitted bars led the registration astray."""
@@ -59,7 +56,7 @@ class FaceOdometry:
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
         self.settings = settings_of(settings, FaceSettings, "faces")
-        self.clouds = by_clouds(self.settings, T_drone_sensor, imu)
+        self.clouds = CloudOdometry(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor
         seen, self.predictor = self.settings.preprocess, self.clouds.predictor
         self.inertial = self.predictor.inertial
@@ -70,7 +67,7 @@ class FaceOdometry:
             self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
-        # From the estimate to the output pose: x, y, z, yaw, and roll and pitch where they are free.
+        # The step from the estimate to the output pose.
         self._lag = np.zeros(pose_size(self.tilt_sigma_rad))
         self._adjustment: Future[Problem | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
@@ -123,10 +120,10 @@ class FaceOdometry:
         known, size = None, len(self._lag)
         if self.inertial:
             arm = T_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
-            known = information_at(self.inertial.information, -arm)[np.ix_(STEP_OF_TWIST, STEP_OF_TWIST)]
+            known = information_at(self.inertial.information, -arm)
         fit = self.faces.fit(points, T_sensor, known=known)
         apart = pose_step(T_sensor, fit.T_world_sensor, size)
-        square = (apart**2 / self.faces.variance).sum() if known is None else SCAN_SHARE * apart @ known @ apart
+        square = (apart**2 / self.faces.variance).sum() if known is None else apart @ known @ apart
         if fit.reason or square > GATE[size]:
             return None
         self.faces.accept(fit)
@@ -138,7 +135,7 @@ class FaceOdometry:
         if not self.inertial:
             return np.zeros((6, 6))
         arm = fit.T_world_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
-        return information_at(fit.information[np.ix_(TWIST_OF_STEP, TWIST_OF_STEP)], arm)
+        return information_at(fit.information, arm)
 
     def _add_keyframe(self, scan: Scan, T_world_drone: Array, prior: Array, mapped: bool) -> None:
         """Add a scan to the keyframes, and to the map of points unless it is ``mapped`` already."""
@@ -185,9 +182,9 @@ class FaceOdometry:
         self._insert_waiting(T_correction)
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = Locator(state.bars.sectioned(), self._stamp_s, ratio, self.tilt_sigma_rad)
-        self.faces.variance = REFITTED_SIGMA[: len(self._lag)] ** 2
+        self.faces.variance = REFITTED_SIGMA[-len(self._lag) :] ** 2
         if self.inertial:
-            self.inertial.move(T_correction, REFITTED_SIGMA[TWIST_OF_STEP] ** 2)
+            self.inertial.move(T_correction, REFITTED_SIGMA**2)
         else:
             self.predictor.drift.lose()  # an adjustment is no motion
             self.predictor.drift.correct(T_correction @ T_world_drone, prior)
@@ -195,7 +192,7 @@ class FaceOdometry:
 
     def _output_pose(self, T_world_drone: Array) -> Array:
         """The output pose for an estimate: it lags behind after an adjustment, and catches up."""
-        for part, most in ((slice(0, 3), DRIFT_SIGMA[0]), (slice(3, 6), DRIFT_SIGMA[3])):
+        for part, most in ((slice(-3, None), DRIFT_SIGMA[-1]), (slice(0, -3), DRIFT_SIGMA[0])):
             size = float(np.linalg.norm(self._lag[part]))
             self._lag[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
         return moved_poses(T_world_drone[None], self._lag[None])[0] if self._lag.any() else T_world_drone

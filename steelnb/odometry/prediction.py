@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion.poses import DRIFT_PERIOD_S, TILT_S, tilt_stays
+from steelnb.fusion.poses import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
@@ -23,7 +23,7 @@ class Prediction:
     a constant drift it adds up. After a scan that was not registered the rate is not used, and the correction stays.
 
     With ``tilt_sigma_rad`` above 0 the prior's roll and pitch have errors, a Gauss-Markov process with that standard
-    deviation and the correlation time `TILT_S`: their correction fades, and has no rate.
+    deviation and the correlation time `fusion.poses.TILT_S`: their correction fades, and has no rate.
     """
 
     def __init__(self, follow: bool, tilt_sigma_rad: float = 0.0) -> None:
@@ -39,7 +39,7 @@ class Prediction:
             turn, offset = Rotation.from_rotvec(self.turn_rate).as_matrix() @ turn, offset + self.offset_rate
         if self.tilt_sigma_rad:
             upright = np.cross(turn[:, 2], (0.0, 0.0, 1.0))  # the turn that takes the correction of the tilt back
-            turn = Rotation.from_rotvec((1.0 - tilt_stays(passed_s)) * upright).as_matrix() @ turn
+            turn = Rotation.from_rotvec((1.0 - tilt_decay(passed_s)) * upright).as_matrix() @ turn
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = turn @ T_world_drone_prior[:3, :3], T_world_drone_prior[:3, 3] + offset
         return T
@@ -66,8 +66,7 @@ class Prediction:
 class PosePredictor:
     """Predicts by the drifting prior and the rate of its drift; or, where its ``noise`` is known, by an IMU.
 
-    `pose` changes nothing that a second call would see, `correct` or `lose` does: a prediction may be asked for more
-    than once.
+    `pose` may be called repeatedly; `correct` or `lose` ends the scan.
 
     Parameters
     ----------
@@ -102,8 +101,8 @@ class PosePredictor:
         passed_s = stamp_s - self._stamp_s
         passed_s = passed_s if passed_s > 0 else DRIFT_PERIOD_S  # the first scan, and scans without stamps
         if self.drift.tilt_sigma_rad and self._information is not None:
-            changed = np.sqrt(-np.expm1(-2.0 * passed_s / TILT_S))  # of the error of the prior's roll and pitch
-            self._information[[0, 1], [0, 1]] = float(self.drift.tilt_sigma_rad * changed) ** -2.0
+            changed = 1.0 - tilt_decay(2.0 * passed_s)  # share of the variance of the prior's roll and pitch
+            self._information[[0, 1], [0, 1]] = 1.0 / float(self.drift.tilt_sigma_rad**2 * changed)
         return self.drift.pose(prior, passed_s)
 
     def terms(self, T_predicted: Array, points: Array) -> list[Term]:

@@ -2,15 +2,11 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.fusion.inertial import check_imu
-from steelnb.fusion.smooth import smooth
 from steelnb.odometry.base import Odometry
-from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Trajectory
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
@@ -25,18 +21,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not the odometry's.
 
-    Where the odometry's settings ask for it, the estimate is smoothed at the end (`steelnb.fusion.smooth`).
-
-    Raises `InputError` where fewer scans can be read than the flight has poses, and before the first scan where
-    smoothing is to use readings of an IMU that are in other units or axes.
+    Raises `InputError` where fewer scans can be read than the flight has poses.
     """
-    if getattr(_settings(odometry), "inertial", None) and flight.imu is not None:
-        check_imu(flight.imu, flight.prior)
-    return smoothed(flight, run_online(flight, odometry, on_step), odometry)
-
-
-def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Estimate:
-    """`run` without the smoothing at the end."""
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
     for k, scan in enumerate(flight.scans):
@@ -61,23 +47,3 @@ def run_online(flight: Flight, odometry: Odometry, on_step: OnStep | None = None
         update_s=update_s,
         unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
     )
-
-
-def smoothed(flight: Flight, estimate: Estimate, odometry: Odometry) -> Estimate:
-    """The estimate smoothed if the odometry's settings ask for it; the stage ``smooth`` has an equal share of the time
-    a scan."""
-    settings = _settings(odometry)
-    if settings is None or not settings.smooth:
-        return estimate
-    begin, seen = time.perf_counter(), settings.preprocess
-    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
-    tilt_sigma_rad, noise = getattr(settings, "tilt_sigma_rad", 0.0), getattr(settings, "inertial", None)
-    estimate = smooth(flight, estimate, structure, tilt_sigma_rad, noise)
-    share_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
-    return replace(estimate, seconds={**estimate.seconds, "smooth": share_s})
-
-
-def _settings(odometry: Odometry) -> OdometrySettings | None:
-    """The settings of an odometry of ours; another one need not have any."""
-    settings = getattr(odometry, "settings", None)
-    return settings if isinstance(settings, OdometrySettings) else None

@@ -43,7 +43,8 @@ def checked_pose(T: object, name: str) -> Array:
     if np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise InputError(f"{name}: last row {array[3].tolist()}; expected 0, 0, 0, 1")
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID_TOLERANCE:
-        raise InputError(f"{name}: the rotation is not orthonormal; expected a rotation without scale or shear")
+        length = np.linalg.norm(R, axis=0).round(4).tolist()
+        raise InputError(f"{name}: axes of length {length}, not orthonormal; expected a rotation, no scale or shear")
     if np.linalg.det(R) < 0:
         raise InputError(f"{name}: a reflection (determinant {np.linalg.det(R):.3f}); expected a right-handed frame")
     return array

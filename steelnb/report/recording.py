@@ -5,7 +5,6 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -105,10 +104,9 @@ def run_recording(
 
     with new_folder(output, FILES) as folder:
         on_stage("warming up, which compiles what was not compiled yet")
-        made = partial(odometry.make_odometry, settings.odometry, flight.T_drone_sensor, flight.imu)
-        odometry.run(near.first(WARM_UP_SCANS), made())
+        odometry.correct(near.first(WARM_UP_SCANS), settings.odometry)
         on_stage("correcting the poses")
-        found = odometry.run(near, made(), observe)
+        found = odometry.correct(near, settings.odometry, observe)
         on_stage("reconstructing the bars")
         built = _reconstructed(near, found, structure).moved(origin)
         estimate = replace(

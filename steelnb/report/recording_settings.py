@@ -111,8 +111,8 @@ def recording_settings(
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
     also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
-    # Poses that no odometry corrected are not adjusted.
-    return settings, StructureSettings().replace(adjust=method != "none", **also)
+    # Poses that no odometry corrected are not adjusted, and smoothed ones have been.
+    return settings, StructureSettings(adjust=method != "none" and not settings.odometry.smooth, **also)
 
 
 def settings_line(settings: ExperimentSettings) -> str:

@@ -112,7 +112,7 @@ def rebuild(
 ) -> list[Rebuilt]:
     """The structure from each of some `POSES` by each of some methods of `BUILDS`, scored. Raises `InputError`.
 
-    The drifting poses are taken as they are: the final reconstruction does not adjust them.
+    The final reconstruction adjusts poses which were corrected and not smoothed; drifting ones are taken as they are.
     """
     for label, values, known in (("poses", poses, POSES), ("structure_method", method, BUILDS)):
         for value in values:
@@ -122,7 +122,7 @@ def rebuild(
     for k, (each, name) in enumerate(itertools.product(poses, method), start=1):
         began = time.perf_counter()
         if name == "final":
-            chosen = StructureSettings().replace(adjust=False) if each == "raw" else StructureSettings()
+            chosen = StructureSettings(adjust=each != "raw" and not source.result.settings.odometry.smooth)
             structure = reconstruct(flight.scans, source.poses[each], flight.T_drone_sensor, chosen)
         else:
             structure = _frame_by_frame(source, each)

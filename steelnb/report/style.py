@@ -41,7 +41,6 @@ METHODS = {
     "loam": ("LOAM", "#775511"),
     "best": ("best", MAGENTA),
     "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
-    "combined": ("combined", INDIGO),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
     "orb": ("ORB features", "#DD0044"),

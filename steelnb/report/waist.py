@@ -15,7 +15,7 @@ from steelnb.odometry.segments import segments_in
 from steelnb.points import preprocess_scan
 from steelnb.report.batch import caption, case_of, plot_of, report_curve, report_range
 from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, gather_legend, style
-from steelnb.settings import MapSettings
+from steelnb.settings import SegmentSettings
 from steelnb.types import Flight
 
 KINDS = ("leg", "ring", "bracing", "arm", "secondary")
@@ -32,7 +32,7 @@ def pairs_of(run: Result, flight: Flight, every: int = 5) -> pd.DataFrame:
     A bar of the map belongs to the member of the first segment that is paired with it.
     """
     settings, tower = run.settings.odometry, run.truth.tower
-    if not isinstance(settings, MapSettings):
+    if not isinstance(settings, SegmentSettings):
         raise ValueError(f"method {settings.method!r}: expected one that finds bars")
     true = run.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     rows = []

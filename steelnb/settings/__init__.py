@@ -16,7 +16,6 @@ from steelnb.settings.odometry import (
     HoughSettings,
     LibrarySettings,
     LoamSettings,
-    MapSettings,
     OdometrySettings,
     OrbSettings,
     PreprocessSettings,
@@ -46,7 +45,7 @@ METHODS = method_names()
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "LibrarySettings", "LoamSettings", "MapSettings", "Noise", "OdometrySettings", "OrbSettings",
+    "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings",
     "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
     "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
     "parse_parameter", "read_report_plots", "read_tables", "read_toml",

@@ -87,8 +87,8 @@ class OdometrySettings(Settings):
 
     @staticmethod
     def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
-        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by clouds and bars,
-        or by image features, uses the IMU beside the sensor. Raises `InputError`.
+        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by front faces or by
+        image features uses the IMU beside the sensor. Raises `InputError`.
 
         >>> settings = OdometrySettings.preset("faces")
         >>> settings.family, settings.refit_s
@@ -102,7 +102,7 @@ class OdometrySettings(Settings):
         kind = FAMILIES[family]
         values |= {name: of_sensor.get(name, {}) for name in ("hough", "fusion") if name in kind.model_fields}
         values["preprocess"] = of_sensor.get("preprocess", {}).get(kind.crop, {}) | values.get("preprocess", {})
-        if values.get("bars_weight") or kind is OrbSettings:
+        if kind in (FaceSettings, OrbSettings):
             values["inertial"] = of_sensor.get("imu")
         return kind(**values).override(overrides or {})
 
@@ -122,33 +122,28 @@ class OdometrySettings(Settings):
         return changed
 
 
-class MapSettings(OdometrySettings):
-    """What methods by segments, clouds and faces share.
+class SegmentSettings(OdometrySettings):
+    """Correction by segments; the method is the rule (`steelnb.odometry.corrections`).
 
-    ``near_side`` moves points behind the surfaces seen (`steelnb.odometry.near_side`); ``prior_sigma`` are the standard
-    deviations of a correction from its prediction, metres and radians, which then follows the rate of the drift; None
-    if the drift is assumed to be constant. ``hough``, ``fusion`` and ``robust_scale_m``, the robust scale
-    (Geman-McClure) of all rules but ``average``, are those of bars.
+    ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``. ``near_side`` moves
+    points behind the surfaces seen (`steelnb.odometry.near_side`). ``prior_sigma``: standard deviations of a correction
+    from its prediction, metres and radians, which then follows the rate of the drift; None if the drift is taken for
+    constant.
     """
 
+    family: Literal["segments"] = "segments"
+    method: SegmentMethod
     near_side: bool = False
     prior_sigma: tuple[Positive, Positive] | None = None
     hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
     fusion: Annotated[FusionSettings, table(FusionSettings)] = FusionSettings()
     robust_scale_m: Positive = 0.05
 
-
-class SegmentSettings(MapSettings):
-    """Correction by segments; the method is the rule (`steelnb.odometry.corrections`)."""
-
-    family: Literal["segments"] = "segments"
-    method: SegmentMethod
-
     prefix: ClassVar[str] = "segments"
     crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 
-class RegistrationSettings(MapSettings):
+class RegistrationSettings(OdometrySettings):
     """Registration of each scan to a voxel map.
 
     ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``map``: it
@@ -157,12 +152,14 @@ class RegistrationSettings(MapSettings):
     noise along each ray instead of those of the nearest neighbours, regularised to planes. ``fast`` extrapolates the
     solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm.
     ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation, and inserts
-    the rotated cloud. ``bars_weight``: with more than 0, pairs of bars with that weight join the solve
-    (`steelnb.odometry.combined`). With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged
+    the rotated cloud. With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged
     with those of its surface that many pixels around (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard
-    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them.
+    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them. ``near_side`` and
+    ``prior_sigma`` as in `SegmentSettings`.
     """
 
+    near_side: bool = False
+    prior_sigma: tuple[Positive, Positive] | None = None
     error: Literal["point", "plane", "gicp"] = "gicp"
     dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
     robust_scale: Positive | None = None
@@ -172,7 +169,6 @@ class RegistrationSettings(MapSettings):
     map_voxel_m: Positive = 0.1
     fast: bool = False
     drop_rotation: bool = False
-    bars_weight: NotNegative = 0.0
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
     tilt_sigma_rad: NotNegative = 0.0
     inertial: Inertial = None
@@ -181,7 +177,7 @@ class RegistrationSettings(MapSettings):
 
 
 class CloudSettings(RegistrationSettings):
-    """Odometry by clouds, and with ``bars_weight`` by bars beside them."""
+    """Odometry by clouds (`steelnb.odometry.clouds`)."""
 
     family: Literal["clouds"] = "clouds"
 

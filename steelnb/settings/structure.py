@@ -7,9 +7,9 @@ class StructureSettings(Settings):
     """The final reconstruction (`steelnb.fusion.reconstruct`).
 
     Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: adjust poses and
-    bars together.
+    bars together first, for poses that were corrected and not smoothed.
     """
 
     floor_m: Finite = 0.2
     range_max_m: Positive = 6.0
-    adjust: bool = True
+    adjust: bool = False

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.fusion import inertial, smooth
+from steelnb.fusion import inertial, poses, smooth
 from steelnb.fusion.poses import moved_poses
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, ImuSettings
@@ -150,7 +150,7 @@ def flown():
     """A flight of 16 s about the tower whose ranges are 2 % too long, with a real IMU and roll and pitch of a filter on
     it."""
     settings = ExperimentSettings.preset(
-        "loops", "random-walk", seed=12, duration_s=16.0, method="combined", overrides={"imu": SHEET.model_dump()}
+        "loops", "random-walk", seed=12, duration_s=16.0, method="best", overrides={"imu": SHEET.model_dump()}
     )
     flight, truth = experiment.simulate(settings)
     scans = flight.scans
@@ -175,7 +175,7 @@ def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown
     assert ate_m(found, truth) < ate_m(without, truth)
     sigma = np.sqrt(found.pose_covariance[1:, [3, 4], [3, 4]])
     assert sigma.min() > 0
-    assert sigma.max() < inertial.TILT_SIGMA_RAD
+    assert sigma.max() < poses.TILT_SIGMA_RAD
 
 
 def test_a_flight_without_readings_is_smoothed_without(flown):

@@ -37,11 +37,7 @@ def run(world):
     return fly
 
 
-CLOUDS_ALONE = [
-    method
-    for method in METHODS
-    if (s := OdometrySettings.preset(method)).family in ("clouds", "loam") and not getattr(s, "bars_weight", 0)
-]
+CLOUDS_ALONE = [method for method in METHODS if OdometrySettings.preset(method).family in ("clouds", "loam")]
 
 
 @pytest.mark.parametrize("method", CLOUDS_ALONE)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
-from steelnb.odometry.inertial_prediction import BIAS, POSE, SCAN_SHARE, InertialPrediction, information_at
+from steelnb.odometry.inertial_prediction import BIAS, POSE, InertialPrediction, information_at
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
@@ -33,9 +33,9 @@ def drifted(T, rng):
     walk = np.cumsum(DRIFT_SIGMA * rng.normal(size=(len(T), 4)), axis=0)
     prior = T.copy()
     for k in range(1, len(T)):
-        prior[k, :3, :3] = Rotation.from_euler("z", walk[k, 3]).as_matrix() @ T[k, :3, :3]
+        prior[k, :3, :3] = Rotation.from_euler("z", walk[k, 0]).as_matrix() @ T[k, :3, :3]
         step = prior[k - 1, :3, :3] @ T[k - 1, :3, :3].T @ (T[k, :3, 3] - T[k - 1, :3, 3])
-        prior[k, :3, 3] = prior[k - 1, :3, 3] + step + walk[k, :3] - walk[k - 1, :3]
+        prior[k, :3, 3] = prior[k - 1, :3, 3] + step + walk[k, 1:] - walk[k - 1, 1:]
     return prior
 
 
@@ -44,7 +44,7 @@ def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
     prediction, found = InertialPrediction(imu, SHEET), []
     for k, T in enumerate(true):
         T_init = prediction.pose(prior[k], stamp_s[k])
-        ahead = prediction.ahead
+        ahead = prediction.predicted
         found.append((apart(T_init, T), ahead))
         if k == 0 or not registered(k):
             prediction.lose()
@@ -54,7 +54,7 @@ def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
         # The most likely pose, as a registration with the filter's term finds it.
         before = np.linalg.inv(ahead.covariance[POSE, POSE])
         step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
-        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, (before + TOLD) / SCAN_SHARE)
+        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, before + TOLD)
     return prediction, found
 
 
@@ -109,9 +109,9 @@ def test_a_shift_that_a_scan_does_not_observe_stays_as_unsure_as_it_was():
     true, stamp_s, imu = at_scans(6)
     prediction, _ = flown(imu, true, stamp_s, true, registered=lambda k: k < 5)
     prediction.pose(true[5], stamp_s[5])
-    before = prediction.ahead.covariance
+    before = prediction.predicted.covariance
     along = np.array([[0.6, 0.8, 0.0]])
-    prediction.correct(prediction.ahead.T_world_drone, prediction.information + TOLD / SCAN_SHARE, along)
+    prediction.correct(prediction.predicted.T_world_drone, prediction.information + TOLD, along)
     after = prediction.state.covariance
     pose = np.linalg.inv(after[POSE, POSE]) - np.linalg.inv(before[POSE, POSE])
     u = np.append(np.zeros(3), along)
@@ -152,7 +152,7 @@ def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(w
 def test_without_an_imu_the_settings_change_nothing_and_with_one_its_readings_do(world):
     flight = world[0].first(12)
     given, without = (
-        OdometrySettings.preset("combined", overrides={"inertial": each}) for each in (SHEET.model_dump(), False)
+        OdometrySettings.preset("faces", overrides={"inertial": each}) for each in (SHEET.model_dump(), False)
     )
     blind = replace(flight, imu=None)
     plain, unread = (

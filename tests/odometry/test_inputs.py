@@ -31,11 +31,11 @@ def test_arrays_of_another_shape_are_refused(method, scan, says):
         make_odometry(OdometrySettings.preset(method), np.eye(4)).update(scan, np.eye(4))
 
 
-@pytest.mark.parametrize("method", ["average", "best", "combined"])
+@pytest.mark.parametrize("method", ["average", "best", "faces"])
 @pytest.mark.parametrize(
     ("prior", "says"),
     [
-        (np.eye(3), r"\(3, 3\)"), (np.full((4, 4), np.nan), "not finite"), (SHEARED, "right"), (SCALED, "1.01"),
+        (np.eye(3), r"\(3, 3\)"), (np.full((4, 4), np.nan), "not finite"), (SHEARED, "orthonormal"), (SCALED, "1.01"),
         (REFLECTED, "reflection"), (ROW, "last row"), ("pose", r"expected a finite \(4, 4\)"),
     ],
 )  # fmt: skip
@@ -52,7 +52,7 @@ def test_settings_of_another_family_are_refused(method):
         type(make_odometry(settings, np.eye(4)))(OdometrySettings.preset(other))
 
 
-@pytest.mark.parametrize("method", ["average", "best", "combined"])
+@pytest.mark.parametrize("method", ["average", "best", "faces"])
 def test_masked_points_do_not_count(method):
     hidden = np.ma.masked_array(CLOUD, np.ones(CLOUD.shape, dtype=bool))
     odometry = make_odometry(OdometrySettings.preset(method), np.eye(4))
@@ -60,7 +60,7 @@ def test_masked_points_do_not_count(method):
     assert len(odometry.map_points()) == 0
 
 
-@pytest.mark.parametrize("method", ["average", "best", "combined"])
+@pytest.mark.parametrize("method", ["average", "best", "faces"])
 def test_a_scan_in_millimetres_is_not_cropped_away_without_a_word(method):
     step = make_odometry(OdometrySettings.preset(method), np.eye(4)).update(1000 * CLOUD, np.eye(4))
     assert "no point within 6 m (nearest" in step.reason

@@ -45,7 +45,7 @@ def fly(flight, method, sensor):
 
 @pytest.mark.parametrize(
     ("method", "sensor"),
-    [("best", "starling2"), ("combined", "starling2"), ("faces", "starling2"), ("best", "report-4cm")],
+    [("best", "starling2"), ("faces", "starling2"), ("best", "report-4cm")],
 )
 def test_before_a_wall_the_distance_is_corrected_and_along_it_the_prior_is_followed(method, sensor):
     flight, true = before_a_wall(sensor, seed=1)
@@ -62,7 +62,7 @@ def test_in_a_corner_every_direction_is_corrected():
     assert (estimate.unobserved == 0).all()
 
 
-@pytest.mark.parametrize("method", ["best", "combined", "faces"])
+@pytest.mark.parametrize("method", ["best", "faces"])
 def test_eight_by_eight_pixels_follow_the_prior_and_say_so(method):
     flight, _ = before_a_wall("starling2", seed=3, columns=8, rows=8)
     estimate = fly(flight, method, "starling2")

@@ -32,7 +32,7 @@ def shell(radius_m: float, count: int = 2000) -> np.ndarray:
 def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
     settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
     flight, _ = experiment.simulate(settings)
-    for method in ("best", "combined", "least_squares"):
+    for method in ("best", "faces", "least_squares"):
         assert recording_settings(method, sensor, scene=Scene.of(flight)) == recording_settings(method, sensor)
 
 

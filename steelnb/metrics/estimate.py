@@ -1,0 +1,33 @@
+"""All numbers of an estimate: its trajectory and, where its map has bars, its segments."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from steelnb.metrics.members import score_segments
+from steelnb.metrics.trajectory import score_gaps, score_trajectory
+from steelnb.simulation import Truth
+from steelnb.types import Estimate
+
+
+def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
+    """The numbers of a run; lengths in metres, angles in degrees. ``blind_s``: begin and end of each gap in sight."""
+    corrected, segments = estimate.corrected, estimate.segments
+    raw = score_trajectory(estimate.prior, truth.trajectory)
+    numbers = {
+        "raw_ate_rmse_m": raw["ate_rmse_m"],
+        "raw_error_final_m": raw["error_final_m"],
+        **score_trajectory(corrected, truth.trajectory),
+    }
+    if blind_s:
+        numbers |= score_gaps(corrected, truth.trajectory, blind_s)
+    if len(segments):
+        score = score_segments(segments, truth.tower.axes, observed=truth.visibility.observed())
+        numbers |= {
+            "segments": float(len(segments)),
+            "segment_recall": score.recall,
+            "segment_precision": score.precision,
+            "segment_angle_median_deg": float(np.degrees(score.angle_median_rad)),
+            "segment_offset_median_m": score.offset_median_m,
+        }
+    return numbers

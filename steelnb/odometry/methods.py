@@ -1,0 +1,80 @@
+"""From settings to odometries, and from a flight to its estimate."""
+
+import inspect
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from steelnb.fusion.inertial import check_imu
+from steelnb.fusion.smooth import smooth
+from steelnb.images import CameraImages
+from steelnb.odometry.base import Odometry
+from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.deepvo import DeepVoOdometry
+from steelnb.odometry.faces import FaceOdometry
+from steelnb.odometry.loam import LoamOdometry
+from steelnb.odometry.orb import OrbOdometry
+from steelnb.odometry.peers import PeerOdometry
+from steelnb.odometry.report_clouds import ReportCloudOdometry
+from steelnb.odometry.report_segments import ReportSegmentOdometry
+from steelnb.odometry.run import OnStep, run
+from steelnb.odometry.segments import SegmentOdometry
+from steelnb.settings import (
+    CloudSettings,
+    DeepVoSettings,
+    FaceSettings,
+    LibrarySettings,
+    LoamSettings,
+    OdometrySettings,
+    OrbSettings,
+    ReportCloudSettings,
+    ReportSegmentSettings,
+    SegmentSettings,
+    StructureSettings,
+)
+from steelnb.types import Array, Estimate, Flight, Imu
+
+ODOMETRIES: dict[type[OdometrySettings], Callable[..., Odometry]] = {
+    SegmentSettings: SegmentOdometry,
+    CloudSettings: CloudOdometry,
+    FaceSettings: FaceOdometry,
+    LoamSettings: LoamOdometry,
+    OrbSettings: OrbOdometry,
+    DeepVoSettings: DeepVoOdometry,
+    LibrarySettings: PeerOdometry,
+    ReportCloudSettings: ReportCloudOdometry,
+    ReportSegmentSettings: ReportSegmentOdometry,
+}
+"""Settings of a family → its odometry."""
+
+
+def make_odometry(
+    settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
+) -> Odometry:
+    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
+    Readings of the ``imu`` and ``images`` go to those whose constructors take them."""
+    make, given = ODOMETRIES[type(settings)], {"imu": imu, "images": images}
+    parameters = inspect.signature(make).parameters
+    return make(settings, T_drone_sensor, **{name: value for name, value in given.items() if name in parameters})
+
+
+def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None) -> Estimate:
+    """Correct a flight with the method that the settings name: scan by scan, and then, where they say ``smooth``, all
+    poses and bars together (`steelnb.fusion.smooth`), whose time is divided evenly over the scans.
+
+    ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan where readings of an IMU are
+    in other units or axes.
+    """
+    noise = getattr(settings, "inertial", None)
+    if noise and flight.imu is not None:
+        check_imu(flight.imu, flight.prior)
+    estimate = run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images), on_step)
+    if not settings.smooth:
+        return estimate
+    begin, seen = time.perf_counter(), settings.preprocess
+    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+    estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise)
+    smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
+    return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})
