@@ -32,7 +32,7 @@ EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 NOISE, SENSOR, SEED, DURATION_S = "random-walk+yaw-random-walk", "starling2", 1, 200.0
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 Information = tuple[Array, IntArray, IntArray, Array, Array]
-METHODS = ("icp", "gicp", "best", "combined", "faces", "smoothed")
+METHODS = ("icp", "gicp", "best", "faces", "smoothed")
 
 
 def seen(tower: Tower, T_world_drone: Array, tof: TofSettings) -> Iterator[tuple[Array, IntArray]]:
