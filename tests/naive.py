@@ -308,15 +308,13 @@ def pair_distance(new, known, settings, gap_max_m):
     return result
 
 
-def bar_equations(ends, start, direction, information, centre, scale_m, columns):
-    """Loss, H and b of `odometry.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end, in some columns
-    of (yaw, x, y, z, roll, pitch)."""
-    loss, H, b = 0.0, np.zeros((columns, columns)), np.zeros(columns)
+def bar_equations(ends, start, direction, information, centre, scale_m):
+    """Loss, H and b of `odometry.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end."""
+    loss, H, b = 0.0, np.zeros((4, 4)), np.zeros(4)
     for both, at, axis, weight in zip(ends, start, direction, information, strict=True):
         projector = np.eye(3) - np.outer(axis, axis)
         for end in both:
-            turns = [np.cross(about, end - centre) for about in np.eye(3)]
-            J = np.column_stack([turns[2], *np.eye(3), turns[0], turns[1]])[:, :columns]
+            J = np.column_stack([np.cross([0, 0, 1], end - centre), *np.eye(3)])
             across = projector @ (end - at)
             robust = 1 / (1 + across @ across / scale_m**2)
             loss += 0.5 * weight * across @ across * robust

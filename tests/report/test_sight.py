@@ -9,7 +9,7 @@ from steelnb.simulation.truth import SLICE_M
 
 def test_what_was_seen_agrees_with_the_members_that_were():
     small = {"tof.rows": 24, "tof.columns": 24}
-    settings = ExperimentSettings.preset("loops", "random-walk", "combined", "report-4cm", 3, 4.0, small)
+    settings = ExperimentSettings.preset("loops", "random-walk", "best", "report-4cm", 3, 4.0, small)
     flight, truth = experiment.simulate(settings)
     returns, seen = sight(flight, truth, settings.odometry.preprocess.floor_m)
     assert len(returns) == len(seen) == len(flight.scans) == 20
