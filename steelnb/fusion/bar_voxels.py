@@ -21,7 +21,7 @@ from steelnb.types import Array, IntArray, Segments
 
 
 class BarVoxels(NamedTuple):
-    """The bar ``(V,)`` of each voxel around bars, −1 where it is too far or a second one hardly further; the edge of
+    """The bar ``(V,)`` of each voxel around bars, −1 where it is too far or a second one is hardly farther; the edge of
     the voxels, metres; and their hash table."""
 
     bar: IntArray
@@ -32,7 +32,7 @@ class BarVoxels(NamedTuple):
     @classmethod
     def around(cls, bars: Segments, reach_m: float, margin_m: float, voxel_m: float) -> "BarVoxels":
         """The voxels with their centres within ``reach_m + margin_m`` of bars. One within ``reach_m`` belongs to the
-        nearest bar unless a second one is less than ``margin_m`` further away."""
+        nearest bar unless a second one is less than ``margin_m`` farther away."""
         key, bar = _label(bars.start, bars.end, reach_m, margin_m, voxel_m)
         size = 1 << max(10, (2 * len(key)).bit_length())
         table = np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
@@ -49,7 +49,7 @@ class BarVoxels(NamedTuple):
         """Those of a scan's points ``(N, 3)``, sensor frame, that belong to a bar, and their bars."""
         return _points_on_bars(points, T_world_sensor, range_max_m, floor_m, *self)
 
-    def whole(
+    def on_face(
         self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Segments, across: Array, corner: Array,
         sigmas: float, most_m: float,
     ) -> NDArray[np.bool_]:  # fmt: skip
@@ -59,10 +59,10 @@ class BarVoxels(NamedTuple):
 
         ``bars`` have frames ``across (B, 2, 3)`` and outlines ``corner (B, 6, 2)``, see `fusion.sections`.
         """
-        whole = _whole(
+        mask = _on_face(
             points, bar, T_world_sensor, bars.start, bars.direction, bars.length, across, corner, sigmas, most_m, *self
         )
-        return np.asarray(whole)
+        return np.asarray(mask)
 
 
 class Observations(NamedTuple):
@@ -203,7 +203,7 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _whole(  # type: ignore[no-untyped-def]
+def _on_face(  # type: ignore[no-untyped-def]
     points, bar, T, start, direction, length, across, corner, sigmas, most, bar_of_voxel, voxel, table_key, table_slot
 ):
     result, inverse = np.zeros(len(points), np.bool_), 1.0 / voxel

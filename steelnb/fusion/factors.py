@@ -141,8 +141,8 @@ def prior_errors(
     gap_s = np.maximum(np.diff(stamp_s), 1e-6)
     turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
     expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
-    apart = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error[1:, yaw], error[1:, shift] = yaw_of(apart), np.diff(T[:, :3, 3], axis=0) - expected
+    rotation = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error[1:, yaw], error[1:, shift] = yaw_of(rotation), np.diff(T[:, :3, 3], axis=0) - expected
     weight[1:, yaw:] = 1.0 / drift_variance(gap_s)
     before = np.tile(-np.eye(size), (len(gap_s), 1, 1))
     before[:, yaw + 1, yaw], before[:, yaw + 2, yaw] = expected[:, 1], -expected[:, 0]

@@ -83,8 +83,8 @@ class Inertial:
         known[0, 3:] = np.repeat(np.maximum([noise.gyro_bias, noise.accelerometer_bias], SIGMA_MIN) ** -2.0, 3)
         walk = np.maximum([noise.gyro_walk, noise.accelerometer_walk], SIGMA_MIN) ** -2.0
         weight = np.zeros((len(gap_s), STATE, STATE))
-        seen = ~gaps(imu.stamp_s, stamp_s)
-        weight[seen, :9, :9] = np.linalg.inv(integration_covariances(noise, gap_s[seen]))
+        has_readings = ~gaps(imu.stamp_s, stamp_s)
+        weight[has_readings, :9, :9] = np.linalg.inv(integration_covariances(noise, gap_s[has_readings]))
         weight[:, range(9, STATE), range(9, STATE)] = np.repeat(walk, 3) / gap_s[:, None]
         return cls(imu, T_drone_sensor, stamp_s, motion, known, weight)
 
@@ -124,14 +124,14 @@ class Inertial:
         )
         old, new = self.motion[:-1] + before[POSE:], self.motion[1:] + after[POSE:]
         R, read = T0[:, :3, :3], integrated(self.imu, self.stamp_s, old[:, 3:])
-        fallen = np.array([0.0, 0.0, -GRAVITY]) * gap_s
+        by_gravity = np.array([0.0, 0.0, -GRAVITY]) * gap_s
         turned = T1[:, :3, :3] @ (R @ read.turn).transpose(0, 2, 1)
-        gained, gone = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
+        by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
         return np.hstack(
             [
                 Rotation.from_matrix(turned).as_rotvec(),
-                new[:, :3] - old[:, :3] - fallen - gained,
-                T1[:, :3, 3] - T0[:, :3, 3] - gap_s * (old[:, :3] + 0.5 * fallen) - gone,
+                new[:, :3] - old[:, :3] - by_gravity - by_force,
+                T1[:, :3, 3] - T0[:, :3, 3] - gap_s * (old[:, :3] + 0.5 * by_gravity) - shift,
                 new[:, 3:] - old[:, 3:],
             ]
         )
@@ -222,13 +222,13 @@ def check_imu(imu: Imu, prior: Trajectory) -> None:
         says = "upside down" if lean > np.pi - LEAN_MAX_RAD else f"{np.degrees(lean):.0f}° off"
         raise InputError(f"IMU: its vertical is {says}; expected readings in the axes of the drone, by tf")
     gap_s, R = np.diff(prior.stamp_s), prior.T_world_drone[:, :3, :3]
-    told = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
+    prior_rates = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
     steps = imu.angular_rate * np.diff(imu.stamp_s, prepend=imu.stamp_s[0])[:, None]
     turned = [np.interp(prior.stamp_s, imu.stamp_s, column) for column in np.cumsum(steps, axis=0).T]
-    rate, told_rate = (
-        float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(turned).T / gap_s[:, None], told)
+    rate, prior_rate = (
+        float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(turned).T / gap_s[:, None], prior_rates)
     )
-    if rate > RATE_MIN and rate > UNIT_FACTOR * told_rate:
+    if rate > RATE_MIN and rate > UNIT_FACTOR * prior_rate:
         raise InputError(
-            f"IMU: angular rate of {rate:.3g} beside {told_rate:.3g} rad/s of the poses, as of degrees; expected rad/s"
+            f"IMU: angular rate of {rate:.3g} beside {prior_rate:.3g} rad/s of the poses, as of degrees; expected rad/s"
         )

@@ -72,8 +72,8 @@ def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
 
     The points of a strut of half a metre, without those near its ends, which may be its neighbours', tell its direction
     to some degrees. Its joints lie on the axes of longer bars, to some millimetres across these. So where the direction
-    is weakly told, the axis runs through the first and the last joint that tie the bar, if each lies within ``SAME_M``
-    of an end of it.
+    is weakly determined, the axis runs through the first and last joint that tie the bar, if each lies within
+    ``SAME_M`` of an end of it.
     """
     bars = structure.segments
     start, end = bars.start.copy(), bars.end.copy()
@@ -105,10 +105,10 @@ def trim_bends(bars: Segments) -> Segments:
 def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segments:
     start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
     for bar in np.unique(tie[:, 1]):
-        mine = tie[:, 1] == bar
-        along = (joint[tie[mine, 0]] - bars.start[bar]) @ direction[bar]
+        own = tie[:, 1] == bar
+        along = (joint[tie[own, 0]] - bars.start[bar]) @ direction[bar]
         first, last = int(along.argmin()), int(along.argmax())
-        low, high, slack = along[first], along[last], lead[mine] + SAME_M
+        low, high, slack = along[first], along[last], lead[own] + SAME_M
         if -slack[first] <= low <= max(SAME_M, slack[first] - SAME_M) and low < length[bar] / 2:
             start[bar] = bars.start[bar] + low * direction[bar]
         if -max(SAME_M, slack[last] - SAME_M) <= high - length[bar] <= slack[last] and high > length[bar] / 2:

@@ -76,7 +76,7 @@ class Keyframes:
                 imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
             )
         state = problem.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
-        seen = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
-        state, _ = solver.adjusted(state, seen, self._prior, stamp_s, STEPS)
+        observations = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
+        state, _ = solver.adjusted(state, observations, self._prior, stamp_s, STEPS)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

@@ -70,13 +70,13 @@ class Locator:
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
         """Register ``points (N, 3)``, sensor frame, from a predicted sensor pose. Each step assigns the points to
         bars anew. ``known (D, D)`` is the information of the prediction, by default from ``variance``."""
-        held = np.diag(1 / self.variance) if known is None else known
-        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(held)
+        prior = np.diag(1 / self.variance) if known is None else known
+        T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(prior)
         for _ in range(STEPS_MAX):
             matrix, vector, residuals = self._equations(points, T, size)
-            information, apart = matrix + held, pose_step(T_start, T, size)
-            pulled = vector - (apart / self.variance if known is None else known @ apart)
-            step = np.asarray(np.linalg.solve(information, pulled), dtype=np.float64)
+            information, error = matrix + prior, pose_step(T_start, T, size)
+            rhs = vector - (error / self.variance if known is None else known @ error)
+            step = np.asarray(np.linalg.solve(information, rhs), dtype=np.float64)
             T = moved_poses(T[None], step[None])[0]
             if (np.abs(step) < STEP_MIN[-size:]).all():
                 break

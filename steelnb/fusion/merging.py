@@ -73,8 +73,8 @@ def combined(pieces: Segments) -> tuple[np.ndarray, np.ndarray, int, float]:
     """Mean ``(3,)``, axis ``(3,)``, number of points and radius of pieces taken for uniform bars of their points."""
     weight = pieces.count / pieces.count.sum()
     mean = weight @ pieces.middle
-    apart, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
-    spread = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, apart, apart)
+    offset, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
+    spread = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, offset, offset)
     value, vector = np.linalg.eigh(spread)
     across = math.sqrt(max(value[0] + value[1], 0.0) + float(weight @ pieces.radius**2))
     return mean, vector[:, 2], int(pieces.count.sum()), across

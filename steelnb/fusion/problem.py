@@ -98,10 +98,10 @@ def start(
     turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, yaw_of(between)]).as_matrix()
     turn[:3, 3] = prior[0, :3, 3] - turn[:3, :3] @ T_world_sensor[0, :3, 3]
     segments = bars.segments.transformed(turn)
-    moved = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
+    turned = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.turned(turn[:3, :3])
-    return Problem(turn @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
+    return Problem(turn @ T_world_sensor, turned, 1.0, fitted, tilt_sigma_rad, inertial)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:

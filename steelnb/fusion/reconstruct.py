@@ -24,12 +24,12 @@ from steelnb.types import Array, IntArray, Scan, Segments
 
 END_TUBES = 1.2
 """Points within this many tubes of the ends of a bar are left out of the fit of its section."""
-TILT_TOLD_RAD, TILT_MAX_RAD = 0.02, 0.1
+TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first is not turned by the fit of its section, and runs from
 joint to joint in the end; above the second it is left out. Chosen on the development seed 11."""
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
-"""A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly further."""
+"""A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly farther."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
 """How far from the front face of its bar a point of an adjustment may lie, in standard deviations of the range noise,
 and at most. On the development seeds 11 and 12 errors are alike from 2 to 3 of them with ``starling2``; with the
@@ -49,7 +49,7 @@ def reconstruct(
 
     Parameters
     ----------
-    scans: K scans, points in the sensor frame, NaN for no return; gone through several times, one in memory at a time.
+    scans: K scans, points in the sensor frame, NaN for no return; read several times, one in memory at a time.
     T_world_drone: ``(K, 4, 4)``, the corrected poses.
     T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
     settings: see `StructureSettings`.
@@ -79,7 +79,7 @@ def reconstruct(
     if not len(fitted.bars):
         return Structure.empty("no bar was seen well enough to tell its direction")
     structure = _tied(fitted)
-    return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_TOLD_RAD))
+    return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_DETERMINED_RAD))
 
 
 def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
@@ -163,16 +163,16 @@ class MappedScans:
         most_m = FACE_MAX_TUBES * TUBE_M
         for k, points, bar in self.bar_points(voxels, 1, pixels):
             T = self.T_world_sensor[k]
-            whole = voxels.whole(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
-            yield k, points[whole], bar[whole]
+            on_face = voxels.on_face(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
+            yield k, points[on_face], bar[on_face]
 
     def adjusted(self, fitted: "FittedBars") -> Array:
         """The poses after `ADJUST_STEPS` of them and the bars together (`fusion.problem`), by one in `ADJUST_PIXELS` of
         the points. The poses themselves stand for the prior's increments, and the first one stays."""
         T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
         state = problem.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
-        seen = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
-        return solver.adjusted(state, seen, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
+        observations = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
+        return solver.adjusted(state, observations, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
 
     def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
         """Fit sections, angles or circles, to the points of each bar; the axes of the bars move to their centroids."""
@@ -204,8 +204,9 @@ class MappedScans:
         at an acute angle to their chord are no copies of it (`merged`)."""
         bars = trim_bends(bars)
         fitted = self.fit(bars, every=5)
-        told = (fitted.tilt <= TILT_TOLD_RAD)[:, None]
-        start, end = np.where(told, fitted.bars.start, bars.start), np.where(told, fitted.bars.end, bars.end)
+        is_determined = (fitted.tilt <= TILT_DETERMINED_RAD)[:, None]
+        start = np.where(is_determined, fitted.bars.start, bars.start)
+        end = np.where(is_determined, fitted.bars.end, bars.end)
         fitted = replace(fitted, bars=Segments(start, end, bars.count, bars.radius))
         return merged(_tied(fitted).segments, fitted.width)
 

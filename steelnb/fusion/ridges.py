@@ -35,11 +35,11 @@ def ridge_points(
     stay[order] = _ridge(centre[order], weight[order], name, weight[slot], *columns[:2], share_min)
     kept = np.where(stay, weight, 0.0)
     columns = _columns(_offsets(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m))
-    moved = mean.copy()
-    moved[order] = _contract(
+    contracted = mean.copy()
+    contracted[order] = _contract(
         centre[order], mean[order], kept[order], name, mean[slot], kept[slot], *columns, contract_m
     )  # fmt: skip
-    return np.asarray(moved[stay])
+    return np.asarray(contracted[stay])
 
 
 def _offsets(radius_m: float, voxel_m: float) -> IntArray:
@@ -100,7 +100,7 @@ def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ign
 
 @njit(cache=True, nogil=True)
 def _contract(centre, mean, kept, name, others, weight, column, height, rank, radius):  # type: ignore[no-untyped-def]
-    moved = mean.copy()
+    contracted = mean.copy()
     at = np.zeros(len(column), np.int64)
     found = np.empty(rank.max() + 1, np.int64)
     for n in range(len(centre)):
@@ -125,5 +125,5 @@ def _contract(centre, mean, kept, name, others, weight, column, height, rank, ra
                 x += w * others[p, 0]
                 y += w * others[p, 1]
                 z += w * others[p, 2]
-        moved[n, 0], moved[n, 1], moved[n, 2] = x / total, y / total, z / total
-    return moved
+        contracted[n, 0], contracted[n, 1], contracted[n, 2] = x / total, y / total, z / total
+    return contracted

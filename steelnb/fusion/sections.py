@@ -198,10 +198,10 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
     sensor. Beside the depth: its standard deviation by the range noise; the distance to the sensor across the bar;
     cosine and sine of the view; the place beside the axis; height and slope of the face there.
     """
-    square, whole = p * p + q * q, p * p + q * q + w * w
-    if t < 0.0 or t > length or square < 0.1 * whole:
+    square, square_3d = p * p + q * q, p * p + q * q + w * w
+    if t < 0.0 or t > length or square < 0.1 * square_3d:
         return np.nan, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    distance, range_ = math.sqrt(square), math.sqrt(whole)
+    distance, range_ = math.sqrt(square), math.sqrt(square_3d)
     cosine, sine = p / distance, q / distance
     beside = -sine * u + cosine * v
     front, rise = front_face(corner, cosine, sine, beside)

@@ -60,8 +60,8 @@ def smooth(
         voxels = scans.around(fitted.bars)
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
-            seen = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
-            state, equations = solver.adjusted(state, seen, prior, stamp_s, steps)
+            observations = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
+            state, equations = solver.adjusted(state, observations, prior, stamp_s, steps)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""

@@ -100,11 +100,11 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
     """
     arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
     size = pose.shape[1]
-    moved = np.tile(np.eye(size), (len(pose), 1, 1))
+    by_step = np.tile(np.eye(size), (len(pose), 1, 1))
     for column, axis in enumerate(range(6 - size, 3)):
-        moved[:, -3:, column] = np.cross(np.eye(3)[axis], arm)
+        by_step[:, -3:, column] = np.cross(np.eye(3)[axis], arm)
     result, order = np.zeros((len(pose), 6, 6)), np.array([3, 4, 5, 0, 1, 2])[-size:]
-    result[:, order[:, None], order] = moved @ pose @ moved.transpose(0, 2, 1)
+    result[:, order[:, None], order] = by_step @ pose @ by_step.transpose(0, 2, 1)
     if size == POSE:
         result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2
     return result

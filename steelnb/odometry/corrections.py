@@ -33,26 +33,26 @@ class Correction:
 
 
 def no_correction(
-    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
+    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """No correction: the map that drift makes (the report's Figure 3.4a)."""
     return Correction(np.zeros(3), 0)
 
 
-def average(seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array) -> Correction:
+def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array) -> Correction:
     """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
 
     Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
     little as soon as the bars run in different directions.
     """
-    across, _, _ = _pairs(seen, known)
+    across, _, _ = _pairs(observed, known)
     if not len(across):
         return Correction(np.zeros(3), 0)
     return Correction(-GAIN * across.mean(axis=0), len(across))
 
 
 def least_squares(
-    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
+    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
@@ -63,7 +63,7 @@ def least_squares(
     offset = np.zeros(3)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        across, direction, count = _pairs(moved(seen, np.append(0.0, offset), position), known)
+        across, direction, count = _pairs(shifted(observed, np.append(0.0, offset), position), known)
         matches = len(across)
         if not matches:
             return Correction(np.zeros(3), 0)
@@ -80,7 +80,7 @@ def least_squares(
 
 
 def least_squares_yaw(
-    seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
+    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
 ) -> Correction:
     """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
 
@@ -90,7 +90,7 @@ def least_squares_yaw(
     state = np.zeros(4)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        bars = bar_equations(moved(seen, state, position), known, robust_scale_m, position + state[1:])
+        bars = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
         matches = bars.matches
         if not matches:
             return Correction(np.zeros(3), 0)
@@ -114,14 +114,14 @@ class BarEquations:
     matches: int
 
 
-def bar_equations(seen: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> BarEquations:
+def bar_equations(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> BarEquations:
     """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
 
     A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
     Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
     point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
     """
-    segments, bars = _paired(seen, known, SIGHTINGS_MIN)
+    segments, bars = _paired(observed, known, SIGHTINGS_MIN)
     count = np.minimum(segments.count, POINTS_MAX)
     information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
     H, b = _bar_equations(
@@ -180,7 +180,7 @@ CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array, Array], Cor
 }
 
 
-def moved(segments: Segments, state: Array, position: Array) -> Segments:
+def shifted(segments: Segments, state: Array, position: Array) -> Segments:
     """The segments after a turn by yaw ``state[0]`` about ``position (3,)`` and a shift by ``state[1:]``."""
     c, s = np.cos(state[0]), np.sin(state[0])
     T = np.eye(4)
@@ -189,18 +189,18 @@ def moved(segments: Segments, state: Array, position: Array) -> Segments:
     return segments.transformed(T)
 
 
-def _pairs(seen: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
+def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
     """Offsets across ``(P, 3)`` from bar to segment, directions ``(P, 3)`` of the bars, counts ``(P,)``."""
-    segments, bars = _paired(seen, known)
+    segments, bars = _paired(observed, known)
     direction = bars.direction
-    apart = segments.middle - bars.start
-    across = apart - (apart * direction).sum(axis=1)[:, None] * direction
+    offset = segments.middle - bars.start
+    across = offset - (offset * direction).sum(axis=1)[:, None] * direction
     return across, direction, segments.count.astype(np.float64)
 
 
-def _paired(seen: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:
+def _paired(observed: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:
     """The segments that have a bar of enough sightings, and the bar of each."""
-    target = associate(seen, known.segments, known.settings)
+    target = associate(observed, known.segments, known.settings)
     chosen = np.flatnonzero(target >= 0)
     chosen = chosen[known.sightings[target[chosen]] >= sightings_min]
-    return seen.take(chosen), known.segments.take(target[chosen])
+    return observed.take(chosen), known.segments.take(target[chosen])

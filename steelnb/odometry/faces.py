@@ -58,10 +58,10 @@ class FaceOdometry:
         self.settings = settings_of(settings, FaceSettings, "faces")
         self.clouds = CloudOdometry(self.settings, T_drone_sensor, imu)
         self.T_drone_sensor = self.clouds.T_drone_sensor
-        seen, self.predictor = self.settings.preprocess, self.clouds.predictor
+        preprocess, self.predictor = self.settings.preprocess, self.clouds.predictor
         self.inertial = self.predictor.inertial
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
-        bars = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+        bars = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
         if self.inertial:
             self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
@@ -83,14 +83,14 @@ class FaceOdometry:
         fit = self._located(scan, prior)
         if fit is None:
             step = self.clouds.update(scan, prior)
-            T_world_drone, seconds, held = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
+            T_world_drone, seconds, registered = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
         else:
-            T_world_drone, held = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
+            T_world_drone, registered = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
             self.predictor.correct(T_world_drone, prior, NONE, self._at_drone(fit))
             step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
             seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
         output = self._output_pose(T_world_drone)
-        if (held or step.reason == "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
+        if (registered or step.reason == "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
             begin = time.perf_counter()
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
             seconds["map"] += time.perf_counter() - begin
@@ -122,8 +122,8 @@ class FaceOdometry:
             arm = T_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
             known = information_at(self.inertial.information, -arm)
         fit = self.faces.fit(points, T_sensor, known=known)
-        apart = pose_step(T_sensor, fit.T_world_sensor, size)
-        square = (apart**2 / self.faces.variance).sum() if known is None else apart @ known @ apart
+        error = pose_step(T_sensor, fit.T_world_sensor, size)
+        square = (error**2 / self.faces.variance).sum() if known is None else error @ known @ error
         if fit.reason or square > GATE[size]:
             return None
         self.faces.accept(fit)

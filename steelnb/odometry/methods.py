@@ -73,8 +73,8 @@ def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None =
     estimate = run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images), on_step)
     if not settings.smooth:
         return estimate
-    begin, seen = time.perf_counter(), settings.preprocess
-    structure = StructureSettings(floor_m=seen.floor_m, range_max_m=seen.crop_m)
+    begin, preprocess = time.perf_counter(), settings.preprocess
+    structure = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
     estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise)
     smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})

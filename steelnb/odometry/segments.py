@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
 from steelnb.odometry.base import nothing_left, scan_of, settings_of
-from steelnb.odometry.corrections import CORRECTIONS, moved
+from steelnb.odometry.corrections import CORRECTIONS, shifted
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
 from steelnb.points import preprocess_scan
@@ -63,10 +63,10 @@ class SegmentOdometry:
             points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
         clock.append(time.perf_counter())
         found, hough_s = timed_segments(points, s.hough)
-        seen = found.transformed(T_world_drone)
+        observed = found.transformed(T_world_drone)
         clock.append(time.perf_counter())
         position = T_world_drone[:3, 3].copy()
-        correction = CORRECTIONS[s.method](seen, self.map, s.robust_scale_m, position, self.prior)
+        correction = CORRECTIONS[s.method](observed, self.map, s.robust_scale_m, position, self.prior)
         T_world_drone[:3, :3] = Rotation.from_euler("z", correction.yaw_rad).as_matrix() @ T_world_drone[:3, :3]
         T_world_drone[:3, 3] += correction.offset
         if correction.matches:
@@ -76,12 +76,12 @@ class SegmentOdometry:
         clock.append(time.perf_counter())
         reason = ""
         if not correction.matches:
-            reason = "no segment seen" if not len(seen) else "no segment of the map seen"
-            reason = "first scan" if not len(self.map) and len(seen) else reason
+            reason = "no segment seen" if not len(observed) else "no segment of the map seen"
+            reason = "first scan" if not len(self.map) and len(observed) else reason
             reason = (nothing_left(scan, s.preprocess.crop_m) if not len(points) else "") or reason
             reason = "no correction asked for" if s.method == "none" else reason
-        if len(seen):
-            self.map.insert(moved(seen, np.append(correction.yaw_rad, correction.offset), position))
+        if len(observed):
+            self.map.insert(shifted(observed, np.append(correction.yaw_rad, correction.offset), position))
         clock.append(time.perf_counter())
         seconds = dict(zip(("preprocess", "hough", "match", "map"), np.diff(clock).tolist(), strict=True))
         seconds["hough"] = hough_s

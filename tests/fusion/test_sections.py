@@ -124,10 +124,10 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     voxels = BarVoxels.around(bars, 0.144, 0.03, 0.04)
     first = voxels.bar_of(points + sensor) == 0
     none = np.zeros(first.sum(), dtype=np.int64)
-    whole = voxels.whole(points[first], none, T, bars, across, corner, 2.0, 0.06)
-    chosen = noise[first][whole]
+    on_face = voxels.on_face(points[first], none, T, bars, across, corner, 2.0, 0.06)
+    chosen = noise[first][on_face]
     assert len(chosen) > 1000
     assert np.abs(chosen).max() <= 2.0 * 1.05  # the noise of a range grows with it
     assert abs(chosen.mean()) < 3 / np.sqrt(len(chosen))
     assert noise[first].mean() > 0.1
-    assert not voxels.whole(points[first], none, T, bars, across, corner, 0.0, 0.06).any()
+    assert not voxels.on_face(points[first], none, T, bars, across, corner, 0.0, 0.06).any()

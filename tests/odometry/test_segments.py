@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
-from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, moved, shared_ends
+from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, shared_ends, shifted
 from steelnb.settings import OdometrySettings
 from steelnb.types import Scan, Segments
 from tests import naive
@@ -71,9 +71,9 @@ def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypa
 def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch):
     monkeypatch.setattr(corrections, "ITERATIONS_MAX", 60)
     monkeypatch.setattr(corrections, "TOLERANCE_M", 1e-9)
-    away = moved(seen(0), np.append(yaw, offset), DRONE)
+    away = shifted(seen(0), np.append(yaw, offset), DRONE)
     correction = least_squares_yaw(away, known, SCALE_M, DRONE, NONE)
-    back = moved(away, np.append(correction.yaw_rad, correction.offset), DRONE)
+    back = shifted(away, np.append(correction.yaw_rad, correction.offset), DRONE)
     assert correction.yaw_rad == pytest.approx(-yaw, abs=1e-6)
     np.testing.assert_allclose(back.start, BARS[:, 0], atol=1e-5)
     np.testing.assert_allclose(back.end, BARS[:, 1], atol=1e-5)
@@ -91,13 +91,14 @@ def test_bar_equations_are_the_derivatives_of_their_loss(known):
     apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
     b, step = bar_equations(apart, known, SCALE_M, DRONE).b, 1e-6
     for k, axis in enumerate(np.eye(4)):
-        ahead, behind = (equations_by_definition(moved(apart, sign * step * axis, DRONE), known)[0] for sign in (1, -1))
+        ends = (shifted(apart, sign * step * axis, DRONE) for sign in (1, -1))
+        ahead, behind = (equations_by_definition(each, known)[0] for each in ends)
         slack = 1e-3 * np.abs(b).max()  # the ends shared slide a little
         assert (ahead - behind) / (2 * step) == pytest.approx(b[k], abs=slack)
     near, square = seen([3e-4, -2e-4, 1e-4]), 1e6
     here = bar_equations(near, known, square, DRONE)
     for k, axis in enumerate(np.eye(4)):
-        there = bar_equations(moved(near, step * axis, DRONE), known, square, DRONE)
+        there = bar_equations(shifted(near, step * axis, DRONE), known, square, DRONE)
         np.testing.assert_allclose((there.b - here.b) / step, here.H[:, k], atol=2e-3 * np.abs(here.H[:, k]).max())
 
 
