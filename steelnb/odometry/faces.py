@@ -105,8 +105,8 @@ class FaceOdometry:
         return self.clouds.map_points()
 
     def map_segments(self) -> Segments:
-        """The bars with sections of the last adjustment; before the first one, those of the odometry by clouds."""
-        return self.faces.bars.segments if self.faces else self.clouds.map_segments()
+        """The bars with sections of the last adjustment; none before the first one."""
+        return self.faces.bars.segments if self.faces else Segments.empty()
 
     def _located(self, scan: Scan, prior: Array) -> Fit | None:
         """Registration of a scan to front faces; None if it is refused."""
