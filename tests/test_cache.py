@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The names of the functions of `experiment` that were called, in order."""
     found: list[str] = []
-    for name in ("fly", "run_odometry"):
+    for name in ("fly", "correct"):
         call = getattr(experiment, name)
         monkeypatch.setattr(experiment, name, lambda *a, name=name, call=call: (found.append(name), call(*a))[1])
     return found
@@ -62,11 +62,11 @@ def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatc
     for _ in range(2):
         flight, truth = experiment.simulate(settings)
         runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
-    assert made == ["fly", "run_odometry"]
+    assert made == ["fly", "correct"]
     monkeypatch.delenv("STEELNB_CACHE")
     flight, truth = experiment.simulate(settings)
     runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
-    assert made == ["fly", "run_odometry"] * 2
+    assert made == ["fly", "correct"] * 2
     for k, some in enumerate(runs[1:]):
         for one, two in zip(runs[0], some, strict=True):
             assert_same(one, two)
@@ -77,13 +77,13 @@ def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatc
 @pytest.mark.parametrize(
     ("changed", "made_anew"),
     [
-        ({"noise_name": "random-walk:0.5"}, ["run_odometry"]),
-        ({"imu": {"gyro_noise": 1e-3}}, ["run_odometry"]),
-        ({"hough.dx_m": 0.05}, ["run_odometry"]),
-        ({"tof.blind_s": [[1.0, 2.0]]}, ["fly", "run_odometry"]),
-        ({"tof.faults": ["footprint"]}, ["fly", "run_odometry"]),
-        ({"flight.gust_sigma_m_s": 0.01}, ["fly", "run_odometry"]),
-        ({"tower.base_width_m": 4.1}, ["fly", "run_odometry"]),
+        ({"noise_name": "random-walk:0.5"}, ["correct"]),
+        ({"imu": {"gyro_noise": 1e-3}}, ["correct"]),
+        ({"hough.dx_m": 0.05}, ["correct"]),
+        ({"tof.blind_s": [[1.0, 2.0]]}, ["fly", "correct"]),
+        ({"tof.faults": ["footprint"]}, ["fly", "correct"]),
+        ({"flight.gust_sigma_m_s": 0.01}, ["fly", "correct"]),
+        ({"tower.base_width_m": 4.1}, ["fly", "correct"]),
     ],
 )
 def test_a_change_recomputes_only_what_depends_on_it(folder, made, changed, made_anew):

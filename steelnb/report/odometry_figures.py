@@ -126,6 +126,8 @@ def figure_errors(results: Sequence[Result], rows: Sequence[Sequence[str]], smoo
         panel.set(xlim=(0, last_s), ylabel=f"error (m){over}", xlabel="time (s)")
         _draw_report(panel, plot_of(first.settings))
         panel.label_outer()
+    least_m = min(running_rms_m(result, smoothed_s).median() for result in cases.values())
+    panels[0, 0].set_ylim(bottom=min(ERROR_MIN_M, 0.5 * least_m))
     gather_legend(figure, ncols=3)
     figure.suptitle(caption(results))
     return figure
