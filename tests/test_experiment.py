@@ -94,7 +94,8 @@ def test_figures_show_every_curve_with_units(runs):
     methods = [run.settings.odometry.method for run in runs[:3]]
     for panel, run in zip(odometry_figures.figure_errors(runs[:3], [[m] for m in methods]).axes, runs[:3], strict=True):
         low, high = panel.get_ylim()
-        assert (low, high) == (0.005, 12.0), "all panels have one scale"
+        assert (low, high) == panel.figure.axes[0].get_ylim(), "all panels have one scale"
+        assert low <= 0.005
         assert max(line.get_ydata().max() for line in panel.lines) < high, "nothing leaves the panel"
         names = {line.get_label() for line in panel.lines}
         assert {"no correction", LABELS[run.settings.odometry.method]} <= names
