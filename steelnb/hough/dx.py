@@ -39,5 +39,6 @@ def distinct_points(points: Array) -> tuple[Array, Array, Array]:
         raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     if len(points) < 2 or (low == high).all():
-        raise InputError(f"cloud of {len(points)} points: expected at least two distinct points")
+        size = {0: "0 points", 1: "1 point"}.get(len(points), f"{len(points)} identical points")
+        raise InputError(f"cloud of {size}: expected at least two distinct points")
     return points, low, high

@@ -61,7 +61,9 @@ def detect_lines(
     px, py, pz = np.ascontiguousarray((points - centre).T)
     half = float(max(np.linalg.norm(high - centre), np.linalg.norm(low - centre)))
     if 2 * half / dx >= math.isqrt(MAX_CELLS) + 0.5:
-        dx_min = 1.01 * 2 * half / math.isqrt(MAX_CELLS)
+        dx_min = 2 * half / math.isqrt(MAX_CELLS)
+        unit = 10.0 ** (math.floor(math.log10(dx_min)) - 2)  # of the third digit, which is rounded up
+        dx_min = math.ceil(dx_min / unit) * unit
         raise InputError(f"dx = {dx}: the vote image would exceed {MAX_CELLS} cells; expected at least {dx_min:.3g} m")
     columns = int(2 * half / dx + 0.5)
 

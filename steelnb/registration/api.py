@@ -92,7 +92,7 @@ def _prepared(target: Array | Target | VoxelMap, error: str, neighbours: int, po
 
 
 def _positive(name: str, value: float) -> float:
-    if not 0 < value < math.inf:
+    if not isinstance(value, int | float | np.number) or not 0 < value < math.inf:
         raise InputError(f"{name} = {value!r}: expected a positive finite number")
     return float(value)
 

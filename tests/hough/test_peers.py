@@ -67,10 +67,10 @@ def test_a_seed_gives_the_same_bars(method):
 @pytest.mark.parametrize(
     ("points", "options", "error", "message"),
     [
-        (np.zeros((0, 3)), {}, InputError, "two distinct points"),
+        (np.zeros((0, 3)), {}, InputError, "cloud of 0 points: .*two distinct"),
         (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, InputError, "1 of 2"),
-        (np.zeros((1, 3)), {}, InputError, "two distinct points"),
-        (np.ones((40, 3)), {}, InputError, "two distinct points"),
+        (np.zeros((1, 3)), {}, InputError, "cloud of 1 point: .*two distinct"),
+        (np.ones((40, 3)), {}, InputError, "cloud of 40 identical points: .*two distinct"),
         (np.zeros((5, 2)), {}, InputError, "shape"),
         (cloud(), {"dx": 0.0}, InputError, "dx = 0"),
         (cloud(), {"dx": -0.1}, InputError, "dx = -0.1"),
