@@ -85,16 +85,16 @@ class InertialPrediction:
         ``information (6, 6)`` about its rotation and position is that of prediction and registration together. Along
         ``unobserved (u, 3)``, unit vectors, the pose is the prediction's.
         """
-        observed = np.eye(6)
+        observed, prior = np.eye(6), self.information
         observed[3:, 3:] -= unobserved.T @ unobserved
-        registered = observed @ (information - self.information) @ observed
+        registered = observed @ (information - prior) @ observed
         self.lose()
         assert self.state is not None
         P = self.state.covariance
         before = P[POSE, POSE]
         gain = np.linalg.solve(before, P[POSE]).T  # of all errors, given those of the pose
         step = gain @ _difference(self.state.T_world_drone, T_world_drone)
-        P = P + gain @ (np.linalg.inv(np.linalg.inv(before) + registered) - before) @ gain.T
+        P = P + gain @ (np.linalg.inv(prior + registered) - before) @ gain.T
         self.state = self.state._replace(
             T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
             bias=self.state.bias + step[BIAS], covariance=0.5 * (P + P.T),
