@@ -11,7 +11,7 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb.errors import InputError
 from steelnb.report import parameters
-from steelnb.report.parameters import check_settings, fit_parameters
+from steelnb.report.parameters import check_names, check_settings, fit_parameters
 from steelnb.settings import parse_parameter
 from workflow.parameters import read_parameters
 
@@ -180,3 +180,10 @@ def test_notebooks_without_plain_parameters_are_refused(
         read_parameters(tmp_path / "a.ipynb")
     with pytest.raises(InputError, match="none"):
         read_parameters(tmp_path / "none.ipynb")
+
+
+def test_a_name_that_a_parameter_does_not_know_is_refused_with_the_nearest():
+    check_names("flights", ["loops", "planned"], ("loops", "planned", "up a face"))
+    with pytest.raises(InputError, match="flights = 'plannd', did you mean 'planned'") as caught:
+        check_names("flights", ["loops", "plannd"], ("loops", "planned"))
+    assert str(caught.value).endswith("expected one of 'loops', 'planned'")

@@ -130,8 +130,8 @@ def prior_errors(
 ) -> PriorErrors:
     """How poses ``T (K, 4, 4)`` and their increments differ from those of the ``prior (K, 4, 4)``; and roll and pitch,
     if they have a standard deviation, from a Gauss-Markov process about those of the prior. The first pose is the
-    prior's. Its roll and pitch are held only if it is ``upright``; otherwise they have the
-    standard deviation of all others."""
+    prior's. Its roll and pitch are held only if it is ``upright``; otherwise they have the standard deviation of all
+    others."""
     size = pose_size(tilt_sigma_rad)
     tilt, yaw, shift = slice(0, size - POSE), size - POSE, slice(size - 3, size)
     error, weight = np.zeros((2, len(T), size))

@@ -52,7 +52,7 @@ def moved_poses(T: Array, step: Array) -> Array:
 
 
 def pose_step(T_from: Array, T_to: Array, size: int = POSE) -> Array:
-    """The step ``(size,)`` from one pose to another; `moved_poses` takes it, but for products of its angles."""
+    """The step ``(size,)`` from one pose to another: the inverse of `moved_poses` up to products of its angles."""
     rotation = T_to[:3, :3] @ T_from[:3, :3].T
     return np.concatenate([tilt_of(rotation), yaw_of(rotation)[None], T_to[:3, 3] - T_from[:3, 3]])[-size:]
 

@@ -42,9 +42,9 @@ HOLD = 1e-6
 
 class Marginals(NamedTuple):
     """Marginal covariances: ``pose (K, D, D)`` of the steps of the sensor's poses (`fusion.poses`), the first one zero
-    since it is held there; ``bar (B, 6, 6)`` of the middle's place (2) and the direction (2) in the
-    bar's frame ``across``, turn and flange.
-    What a bar's points do not tell has the standard deviation of `problem.BAR_SIGMA`, half a metre a metre."""
+    since it is held there; ``bar (B, 6, 6)`` of the position of a bar's middle (2) and its direction (2) in the frame
+    ``across``, of its turn and flange. What no point of a bar determines has the standard deviation of
+    `problem.BAR_SIGMA`, for directions half a metre per metre."""
 
     pose: Array
     bar: Array

@@ -61,11 +61,11 @@ def make_odometry(
 
 
 def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None) -> Estimate:
-    """Correct a flight with the method that the settings name: scan by scan, and then, where they say ``smooth``, all
-    poses and bars together (`steelnb.fusion.smooth`), whose time is divided evenly over the scans.
+    """Correct a flight with the method of the settings, scan by scan.
 
-    ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan where readings of an IMU are
-    in other units or axes.
+    With ``smooth`` all poses and bars are then adjusted together (`steelnb.fusion.smooth`); smoothing time is divided
+    evenly over the scans. ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan if the
+    readings of an IMU are in other units or axes.
     """
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:

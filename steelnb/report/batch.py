@@ -256,15 +256,6 @@ def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | No
     return {name: float(value) for name, value in named.items() if np.isfinite(value)}
 
 
-def goal_table(means: pd.Series, goals: Mapping[str, tuple[float, str]]) -> pd.DataFrame:
-    """Goals beside means of the same names: ``goal``, ``side``, ``limit``, ``mean``, ``reached``. A goal is a limit and
-    the side of it that is aimed at, ``at least`` or ``at most``."""
-    rows = [(name, side, limit, means[name]) for name, (limit, side) in goals.items()]
-    table = pd.DataFrame(rows, columns=["goal", "side", "limit", "mean"])
-    above, below = table["mean"] >= table["limit"], table["mean"] <= table["limit"]
-    return table.assign(reached=above.where(table["side"] == "at least", below))
-
-
 def ranking(rows: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
     """The order of some methods by their mean error, a row for each flight and noise.
 

@@ -5,12 +5,12 @@ import ast
 import inspect
 import itertools
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from steelnb.errors import InputError
 from steelnb.settings import ExperimentSettings
-from steelnb.settings.base import guess
+from steelnb.settings.base import guess, quoted
 
 FLOAT_MAX = sys.float_info.max
 PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters)
@@ -18,6 +18,13 @@ FOLDER = "results_dir"
 """The parameter that every notebook has, and that the workflow sets."""
 INJECTED = "# Parameters\n"
 """The first line of the cell that papermill inserts behind the one tagged ``parameters``."""
+
+
+def check_names(parameter: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raise `InputError` for the first of the names in a parameter that is not ``known``."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{parameter} = {name!r}{guess(name, known)}: expected one of {quoted(known)}")
 
 
 def validate() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.errors import InputError
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.proposals import find_bars
@@ -23,7 +22,8 @@ from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
 from steelnb.odometry import SegmentOdometry
-from steelnb.report.batch import Progress, case_of, goal_table, share_of
+from steelnb.report.batch import Progress, case_of, share_of
+from steelnb.report.parameters import check_names
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 from steelnb.types import Array, Flight, IntArray, Segments
 
@@ -114,10 +114,8 @@ def rebuild(
 
     The final reconstruction adjusts poses which were corrected and not smoothed; drifting ones are taken as they are.
     """
-    for label, values, known in (("poses", poses, POSES), ("structure_method", method, BUILDS)):
-        for value in values:
-            if value not in known:
-                raise InputError(f"{label} = {value!r}: expected one of {', '.join(map(repr, known))}")
+    check_names("poses", poses, POSES)
+    check_names("structure_method", method, BUILDS)
     flight, runs = source.flight, []
     for k, (each, name) in enumerate(itertools.product(poses, method), start=1):
         began = time.perf_counter()
@@ -202,12 +200,13 @@ def structure_summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def structure_goals(table: pd.DataFrame, trajectory: TrajectoryName) -> pd.DataFrame:
-    """The `batch.goal_table` of some runs on a flight."""
-    of_flight = {
-        name: (limit[trajectory] if isinstance(limit, dict) else limit, side)
-        for name, (limit, side) in STRUCTURE_GOALS.items()
-    }
-    return goal_table(table[list(of_flight)].mean(), of_flight)
+    """The goals of a flight beside the means of some runs: ``goal``, ``side``, ``limit``, ``mean``, ``reached``."""
+    rows = []
+    for name, (limit, side) in STRUCTURE_GOALS.items():
+        of_flight, mean = limit[trajectory] if isinstance(limit, dict) else limit, table[name].mean()
+        reached = mean >= of_flight if side == "at least" else mean <= of_flight
+        rows.append({"goal": name, "side": side, "limit": of_flight, "mean": mean, "reached": reached})
+    return pd.DataFrame(rows)
 
 
 def recall_by_points(runs: Sequence[Rebuilt]) -> pd.DataFrame:

@@ -127,8 +127,7 @@ class SegmentSettings(OdometrySettings):
 
     ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``. ``near_side`` moves
     points behind the surfaces seen (`steelnb.odometry.near_side`). ``prior_sigma``: standard deviations of a correction
-    from its prediction, metres and radians, which then follows the rate of the drift; None if the drift is taken for
-    constant.
+    from its prediction, metres and radians, which then follows the rate of the drift; None assumes a constant drift.
     """
 
     family: Literal["segments"] = "segments"
@@ -152,10 +151,10 @@ class RegistrationSettings(OdometrySettings):
     noise along each ray instead of those of the nearest neighbours, regularised to planes. ``fast`` extrapolates the
     solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm.
     ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation, and inserts
-    the rotated cloud. With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged
-    with those of its surface that many pixels around (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard
-    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them. ``near_side`` and
-    ``prior_sigma`` as in `SegmentSettings`.
+    the rotated cloud. With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of
+    its surface within that many pixels (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard deviation of the
+    prior's roll and pitch, which are then corrected, too; 0 keeps them. ``near_side`` and ``prior_sigma`` as in
+    `SegmentSettings`.
     """
 
     near_side: bool = False
