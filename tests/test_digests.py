@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb.errors import InputError
-from steelnb.report.results import find_root
+from steelnb.results import find_root
 from workflow import digests
 from workflow.digests import SETTINGS, changed, digest, read
 

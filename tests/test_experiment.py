@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb import experiment
+from steelnb import batch, experiment
 from steelnb.metrics import position_error_m
-from steelnb.report import batch, odometry_figures, structure_figures, world
-from steelnb.report.style import LABELS
+from steelnb.plots import LABELS
+from steelnb.report import odometry_figures, structure_figures, world
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight
 

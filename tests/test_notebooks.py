@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.report.claims import read_claims
+from steelnb.claims import read_claims
 from workflow.__main__ import make_plans
 from workflow.task_notebooks import run
 

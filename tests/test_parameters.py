@@ -9,9 +9,9 @@ import papermill
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
+from steelnb import parameters
 from steelnb.errors import InputError
-from steelnb.report import parameters
-from steelnb.report.parameters import check_names, check_settings, fit_parameters
+from steelnb.parameters import check_names, check_settings, fit_parameters
 from steelnb.settings import parse_parameter
 from workflow.parameters import read_parameters
 

@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from steelnb.errors import InputError
-from steelnb.report.results import find_root
+from steelnb.results import find_root
 from workflow import task_notebooks
 from workflow.__main__ import main, make_plans
 from workflow.check import CheckSettings, differences, read_committed, read_results
@@ -59,7 +59,7 @@ results_dir = ""  # empty: show only
 GATE = """
 import ctypes, os, pathlib, sys
 from steelnb.errors import InputError
-from steelnb.report import results
+from steelnb import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
 assert "MPLBACKEND" not in os.environ or "inline" in os.environ["MPLBACKEND"]
@@ -99,7 +99,7 @@ def make_project(root: Path, experiments: str = EXPERIMENTS) -> Path:
     cells[0].metadata["tags"] = ["parameters"]
     (root / "notebooks").mkdir(parents=True)
     nbformat.write(nbformat.v4.new_notebook(cells=cells), root / "notebooks" / "tiny.ipynb")
-    (root / "notebooks" / "experiments.toml").write_text(experiments, encoding="utf-8")
+    (root / "notebooks" / "runs.toml").write_text(experiments, encoding="utf-8")
     (root / "environment.lock").write_text("numpy==2\n")
     return root
 
@@ -205,7 +205,7 @@ def test_deleted_and_spoilt_results_are_restored_without_a_run(project: Path, ca
 
 
 def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    notebook, experiments = project / "notebooks" / "tiny.ipynb", project / "notebooks" / "experiments.toml"
+    notebook, experiments = project / "notebooks" / "tiny.ipynb", project / "notebooks" / "runs.toml"
     (project / "data.csv").write_text("1\n")
     edit(experiments, 'title = "One part"', 'title = "One part"\ninputs = ["data.csv"]')
 
@@ -277,9 +277,9 @@ def test_parameters_of_ones_own_want_a_folder_and_leave_the_results_alone(
 def test_failing_notebooks_are_named_and_the_others_finish(project: Path, capsys: pytest.CaptureFixture) -> None:
     table = '[{0}]\nnotebook = "tiny.ipynb"\ntitle = "fails"\nfull = {{ fail = "{1}" }}\nsmoke = {{}}\n'
     failing = {"wrong": "ValueError", "refused": "InputError", "dead": "exit", "empty": "nothing"}
-    with (project / "notebooks" / "experiments.toml").open("a") as file:
+    with (project / "notebooks" / "runs.toml").open("a") as file:
         file.writelines(table.format(name, error) for name, error in failing.items())
-    edit(project / "notebooks" / "experiments.toml", "value = 3.0", "value = 6.0")
+    edit(project / "notebooks" / "runs.toml", "value = 3.0", "value = 6.0")
     assert main(["reproduce"]) == 1
     shown = capsys.readouterr().err
     assert started(shown) == {*failing, "single"}, "what an edit does not concern should not be run"
@@ -499,7 +499,7 @@ def test_an_experiment_apart_runs_only_when_it_is_named(project: Path) -> None:
     def names(ids: list[str], budget: str) -> list[str]:
         return [plan.experiment.id for plan in make_plans(project, ids, budget)]
 
-    edit(project / "notebooks" / "experiments.toml", "[single]", "[single]\napart = true")
+    edit(project / "notebooks" / "runs.toml", "[single]", "[single]\napart = true")
     assert names([], "full") == ["pair"]
     assert names(["single"], "full") == ["single"]
     assert names([], "smoke") == ["pair", "single"]

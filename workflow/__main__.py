@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from steelnb.errors import InputError, OutputError, SteelnbError
-from steelnb.report.results import find_root
+from steelnb.results import find_root
 from steelnb.settings import parse_parameter
 from workflow.check import differences, read_check_settings, read_committed, read_results, say
 from workflow.experiments import FOLDERS, make_parts, output_folder, read_experiments, select

@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import Field
 
 from steelnb.errors import InputError
-from steelnb.report.results import EXPERIMENTS_FILE
+from steelnb.results import EXPERIMENTS_FILE
 from steelnb.settings import Positive, Settings, read_toml
 
 ABSOLUTE_FLOOR = 1e-12
@@ -20,7 +20,7 @@ Values = dict[str, str]
 
 
 class CheckSettings(Settings):
-    """The table ``[check]`` of `experiments.toml`: tolerance, and glob of ``<id>.<metric or column>`` → reason why that
+    """The table ``[check]`` of `runs.toml`: tolerance, and glob of ``<id>.<metric or column>`` → reason why that
     may differ."""
 
     relative_tolerance: Positive = 1e-6

@@ -22,7 +22,7 @@ import psutil
 import steelnb.errors
 from steelnb.cache import CACHE_VARIABLE
 from steelnb.errors import InputError, OutputError, SteelnbError
-from steelnb.report.results import PROGRESS_VARIABLE
+from steelnb.results import PROGRESS_VARIABLE
 from workflow.experiments import Part
 
 RUN_VARIABLE = "STEELNB_RUN"

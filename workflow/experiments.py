@@ -1,4 +1,4 @@
-"""`notebooks/experiments.toml`: experiments, their parts and the key of each part, checked before anything runs."""
+"""`notebooks/runs.toml`: experiments, their parts and the key of each part, checked before anything runs."""
 
 import hashlib
 import itertools
@@ -15,8 +15,8 @@ from pydantic import Field
 
 from steelnb.cache import digest_sources
 from steelnb.errors import InputError, OutputError
-from steelnb.report.parameters import check_settings, fit_parameters
-from steelnb.report.results import EXPERIMENTS_FILE, file_digest
+from steelnb.parameters import check_settings, fit_parameters
+from steelnb.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, read_toml
 from steelnb.settings.base import guess
 from workflow.parameters import read_cells, read_parameters, source
@@ -30,7 +30,7 @@ def digest(*values: Any) -> str:
 
 
 class Experiment(Settings):
-    """One table of `experiments.toml`: a notebook, its parameters for each budget, and a matrix of parts.
+    """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of parts.
 
     ``inputs`` are files of the project that the notebook reads: when one changes, it runs again. One that is ``apart``
     is too long for every day: at the full budget it runs only when it is named. ``title``, ``about`` and ``figures``

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from steelnb.files import new_folder
-from steelnb.report.results import RESULTS, pictures, result_files, write_json
+from steelnb.results import RESULTS, pictures, result_files, write_json
 
 
 def digests(folder: Path) -> dict[str, str]:

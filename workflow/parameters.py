@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from steelnb.errors import InputError
-from steelnb.report.parameters import FOLDER, literals
+from steelnb.parameters import FOLDER, literals
 
 
 def read_cells(notebook: Path) -> list[dict[str, Any]]:

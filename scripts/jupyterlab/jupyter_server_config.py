@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-PROJECT_FILE = "experiments.toml"
+PROJECT_FILE = "runs.toml"
 """A notebook beside it is one of the project's."""
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},

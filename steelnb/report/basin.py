@@ -1,4 +1,4 @@
-"""Notebook 05: the basin of convergence of a registration."""
+"""Notebook 04: the basin of convergence of a registration."""
 
 import copy
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Notebook 15: how noise and bias of an IMU show in its readings at rest."""
+"""Notebook 09: how noise and bias of an IMU show in its readings at rest."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Notebooks 02 to 06: figures of odometries (3.2, 3.3, 3.5–3.10, 5.2, 5.3): errors, methods side by side, clouds."""
+"""Notebooks 02 to 05: figures of odometries (3.2, 3.3, 3.5–3.10, 5.2, 5.3): errors, methods side by side, clouds."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from steelnb.batch import caption, plot_of, report_curve
 from steelnb.experiment import Result
 from steelnb.metrics import Bend, position_error_m
-from steelnb.report.batch import caption, plot_of, report_curve
-from steelnb.report.style import (
+from steelnb.plots import (
     COLOURS,
     LABELS,
     Figure,

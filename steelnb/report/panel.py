@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from steelnb.batch import at_level
 from steelnb.errors import SteelnbError
-from steelnb.report.batch import at_level
-from steelnb.report.explore import HEIGHT_PX, View, figure_scene, fly, plotly_bundle
-from steelnb.report.style import LABELS
+from steelnb.plots import LABELS
+from steelnb.scene import HEIGHT_PX, View, figure_scene, fly, plotly_bundle
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings, TrajectoryName
 from steelnb.simulation import Tower
 from steelnb.types import Trajectory

@@ -21,8 +21,8 @@ from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
+from steelnb.plots import Figure
 from steelnb.report.recording_figures import figure_path
-from steelnb.report.style import Figure
 from steelnb.report.three_views import figure_segments, orientation
 from steelnb.report.words import counted
 from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings

@@ -3,7 +3,7 @@
 import numpy as np
 
 from steelnb.metrics import position_error_m
-from steelnb.report.style import COLOURS, LABELS, Figure, gather_legend, style
+from steelnb.plots import COLOURS, LABELS, Figure, gather_legend, style
 from steelnb.types import Trajectory
 
 

@@ -1,4 +1,4 @@
-"""Notebooks 07 and 13: methods of segmentation on views of a tower; scenes, trials and their tables."""
+"""Notebooks 06 and 06: methods of segmentation on views of a tower; scenes, trials and their tables."""
 
 import math
 import time

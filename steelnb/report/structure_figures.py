@@ -11,11 +11,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
+from steelnb.batch import caption
 from steelnb.experiment import Result
 from steelnb.metrics import score_segments
-from steelnb.report.batch import caption
-from steelnb.report.structure_tables import Rebuilt, StructureFlight
-from steelnb.report.style import (
+from steelnb.plots import (
     BLACK,
     BLUE,
     COLOURS,
@@ -32,6 +31,7 @@ from steelnb.report.style import (
     project_perspective,
     style,
 )
+from steelnb.report.structure_tables import Rebuilt, StructureFlight
 from steelnb.report.words import worded
 from steelnb.simulation import Tower
 from steelnb.types import Array

@@ -1,4 +1,4 @@
-"""Notebooks 10 and 12: structures from flights at true, drifting and corrected poses, at once and frame by frame; their
+"""Notebooks 07 and 07: structures from flights at true, drifting and corrected poses, at once and frame by frame; their
 tables, the goals set for them, and the near-side bias."""
 
 import itertools
@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.batch import Progress, case_of, share_of
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.proposals import find_bars
@@ -22,8 +23,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.io.structures import write_structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure
 from steelnb.odometry import SegmentOdometry
-from steelnb.report.batch import Progress, case_of, share_of
-from steelnb.report.parameters import check_names
+from steelnb.parameters import check_names
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 from steelnb.types import Array, Flight, IntArray, Segments
 

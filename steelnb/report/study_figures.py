@@ -1,4 +1,4 @@
-"""Notebooks 08 and 11: the error over the seeds of a study, by noise and method and over time; verdicts on claims."""
+"""Notebooks 12 and 08: the error over the seeds of a study, by noise and method and over time; verdicts on claims."""
 
 import textwrap
 from collections.abc import Sequence
@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from steelnb.report.batch import caption, report_range
-from steelnb.report.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, Verdict, cell_name
-from steelnb.report.style import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, style
+from steelnb.batch import caption, report_range
+from steelnb.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, Verdict, cell_name
+from steelnb.plots import COLOURS, GREY, LABELS, REPORT_BAND, Figure, draw_legend, style
 from steelnb.types import Array
 
 PERCENTILES = (10, 50, 90)

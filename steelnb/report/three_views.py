@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.report.style import (
+from steelnb.plots import (
     COLOURS,
     Figure,
     draw_legend,

@@ -1,4 +1,4 @@
-"""Notebooks 02 and 08: why the error of Figure 3.2 climbs above the waist, and for which towers it does not."""
+"""Notebooks 02 and 12: why the error of Figure 3.2 climbs above the waist, and for which towers it does not."""
 
 import re
 from typing import Any
@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.patches import Rectangle
 
+from steelnb.batch import caption, case_of, plot_of, report_curve, report_range
 from steelnb.experiment import Result
 from steelnb.fusion import associate
 from steelnb.metrics import position_error_m
 from steelnb.metrics.matching import match_members
 from steelnb.odometry.segments import segments_in
+from steelnb.plots import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, gather_legend, style
 from steelnb.points import preprocess_scan
-from steelnb.report.batch import caption, case_of, plot_of, report_curve, report_range
-from steelnb.report.style import COLOURS, GREY, LABELS, Figure, draw_grid, draw_legend, gather_legend, style
 from steelnb.settings import SegmentSettings
 from steelnb.types import Flight
 

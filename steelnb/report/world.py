@@ -7,10 +7,10 @@ import pandas as pd
 from matplotlib.collections import PolyCollection
 
 from steelnb import rng
+from steelnb.batch import report_curve
 from steelnb.images import GreyImage
 from steelnb.noise import drifting, random_walk_rms_m
-from steelnb.report.batch import report_curve
-from steelnb.report.style import (
+from steelnb.plots import (
     BLACK,
     BLUE,
     COLOURS,

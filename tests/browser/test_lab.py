@@ -30,7 +30,7 @@ def lab(tmp_path: Path) -> Iterator[str]:
     """The address of a JupyterLab on a copy of the notebook, with the project's settings and nobody else's; ended with
     all its kernels."""
     (tmp_path / "notebooks").mkdir()
-    for name in ("00_explore.ipynb", "experiments.toml"):
+    for name in ("00_explore.ipynb", "runs.toml"):
         shutil.copy(ROOT / "notebooks" / name, tmp_path / "notebooks")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
+from steelnb import results
+from steelnb.batch import flat
 from steelnb.errors import InputError
-from steelnb.report import results
 from steelnb.report import structure_tables as tables
-from steelnb.report.batch import flat
 from steelnb.report.structure_tables import fly_tower, rebuild
 from steelnb.settings import TowerSettings
 from steelnb.types import Segments

@@ -13,7 +13,7 @@ from steelnb import experiment, rng
 from steelnb.errors import InputError
 from steelnb.metrics import Bend
 from steelnb.odometry import shared_segments
-from steelnb.report.results import find_root
+from steelnb.results import find_root
 from steelnb.settings import (
     REPORT_NOISE,
     ExperimentSettings,

@@ -1,4 +1,4 @@
-"""Notebook 08: claims that a number can answer; from the runs of a study to an estimate, its interval and a verdict."""
+"""Notebook 12: claims that a number can answer; from the runs of a study to an estimate, its interval and a verdict."""
 
 import itertools
 import re
@@ -12,8 +12,8 @@ import pandas as pd
 from pydantic import Field, model_validator
 from scipy import stats
 
+from steelnb.batch import flat
 from steelnb.errors import InputError
-from steelnb.report.batch import flat
 from steelnb.row import CASE
 from steelnb.settings import Settings, read_tables
 from steelnb.types import Array
@@ -35,7 +35,7 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     "growth_beyond_drift_m_s": lambda runs: (runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"]).to_numpy(),
 }
 """Metrics of the runs that follow from their columns. ``converged_wrongly``: more than 5 % of the scans
-with pairs ended too far off, notebook 05's rule; ``remaining_share``: corrected by uncorrected error;
+with pairs ended too far off, notebook 04's rule; ``remaining_share``: corrected by uncorrected error;
 ``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less that of the drift at the same scans."""
 Chosen = dict[str, str | float | list[str]]
 

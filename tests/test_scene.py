@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb import experiment
+from steelnb import batch, experiment, scene
 from steelnb.errors import CollisionError, InputError
-from steelnb.report import batch, explore
-from steelnb.report.explore import PLOTLY_TYPE
 from steelnb.report.panel import Panel
+from steelnb.scene import PLOTLY_TYPE
 from steelnb.settings import Noise
 
 SHORT = {"tof.rate_hz": 2.5}
@@ -17,8 +16,8 @@ FIRST = ("loops", "random-walk", 1.0, "report-4cm", "icp-3dof", 1, 6.0, SHORT)
 
 
 @pytest.fixture(scope="module")
-def view() -> explore.View:
-    return explore.fly(Panel(*FIRST).settings(*FIRST[:6]))  # type: ignore[arg-type]
+def view() -> scene.View:
+    return scene.fly(Panel(*FIRST).settings(*FIRST[:6]))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -44,23 +43,23 @@ def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> N
         batch.at_level(noise, level)
 
 
-def test_a_flight_is_the_experiment_of_the_same_settings(view: explore.View) -> None:
+def test_a_flight_is_the_experiment_of_the_same_settings(view: scene.View) -> None:
     same = experiment.run(view.result.settings)
     assert same.metrics == view.result.metrics
     assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
 
 
-def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: explore.View) -> None:
+def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: scene.View) -> None:
     flown = view.result.settings
-    more = explore.fly(flown.replace(noise_name="constant-drift"))
+    more = scene.fly(flown.replace(noise_name="constant-drift"))
     assert more.result.truth is view.result.truth
     assert not np.allclose(more.result.prior.position, view.result.prior.position)
-    other = explore.fly(flown.override({"tof.columns": 32}))
+    other = scene.fly(flown.override({"tof.columns": 32}))
     assert other.result.truth is not view.result.truth
 
 
-def test_the_cloud_lies_on_the_steel_and_is_light(view: explore.View) -> None:
-    assert 1000 < len(view.cloud) <= explore.POINTS_MAX
+def test_the_cloud_lies_on_the_steel_and_is_light(view: scene.View) -> None:
+    assert 1000 < len(view.cloud) <= scene.POINTS_MAX
     lowest = view.cloud[:, 2].min() + view.result.metrics["error_max_m"]
     assert lowest >= view.result.settings.odometry.preprocess.floor_m
     axes = view.result.truth.tower.axes
@@ -115,7 +114,7 @@ def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_
 
 
 def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypatch: pytest.MonkeyPatch) -> None:
-    def collide(*_: object, **__: object) -> explore.View:
+    def collide(*_: object, **__: object) -> scene.View:
         raise CollisionError("the drone touched the tower")
 
     panel = Panel(*FIRST)

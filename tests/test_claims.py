@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.errors import InputError
-from steelnb.report.claims import (
+from steelnb.claims import (
     FAILS,
     HOLDS,
     NOT_RUN,
@@ -20,6 +19,7 @@ from steelnb.report.claims import (
     verdict_metrics,
     verdict_table,
 )
+from steelnb.errors import InputError
 from steelnb.report.segmentation import frame_runs
 from steelnb.row import case_of
 from steelnb.runs import read_grids

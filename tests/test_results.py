@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from steelnb.errors import OutputError
-from steelnb.report.results import Picture, Progress, write_results
+from steelnb.results import Picture, Progress, write_results
 
 
 def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:

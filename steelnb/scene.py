@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from steelnb import experiment
+from steelnb.batch import caption
 from steelnb.hough.blocks import MIN_VOTES, segment_structure
 from steelnb.hough.dx import default_dx
 from steelnb.metrics import position_error_m
-from steelnb.report.batch import caption
-from steelnb.report.style import (
+from steelnb.plots import (
     COLOURS,
     LABELS,
     Figure,

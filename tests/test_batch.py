@@ -4,9 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb import experiment
+from steelnb import batch, experiment
 from steelnb.errors import InputError
-from steelnb.report import batch
 from steelnb.report.basin import find_basin
 from steelnb.row import paired_clouds
 from steelnb.settings.report_plots import read_report_plots

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-EXPERIMENTS_FILE = Path("notebooks", "experiments.toml")
+EXPERIMENTS_FILE = Path("notebooks", "runs.toml")
 PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
@@ -87,7 +87,7 @@ def _plain(value: Any) -> Any:
 
 
 def find_root(start: Path | None = None) -> Path:
-    """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/experiments.toml``,
+    """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/runs.toml``,
     else the parent of the package."""
     start, package = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
     folders = (start, *start.parents)
