@@ -1,9 +1,6 @@
 """Notebook 12: claims that a number can answer; from the runs of a study to an estimate, its interval and a verdict."""
 
-import itertools
-import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +9,6 @@ import pandas as pd
 from pydantic import Field, model_validator
 from scipy import stats
 
-from steelnb.batch import flat
 from steelnb.errors import InputError
 from steelnb.row import CASE
 from steelnb.settings import Settings, read_tables
@@ -21,9 +17,7 @@ from steelnb.types import Array
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
 CONFIDENCE = 0.95
 UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
-TOWERS = ("", "tower.waist_width_m=2.4", "tower.waist_width_m=3.0")
-"""The report's tower as preset, 1.7 m wide at the waist, and wider: the report does not give that width."""
-USUAL: dict[str, Any] = {"sensor": "report-4cm", "duration_s": 200.0, "variant": list(TOWERS), "blind": ""}
+USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 240.0, "variant": ""}
 """Values of the runs that a claim is about, unless its ``where`` says otherwise."""
 DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     "raw_at_180_s_m": lambda runs: [
@@ -37,6 +31,10 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
 """Metrics of the runs that follow from their columns. ``converged_wrongly``: more than 5 % of the scans
 with pairs ended too far off, notebook 04's rule; ``remaining_share``: corrected by uncorrected error;
 ``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less that of the drift at the same scans."""
+COLUMNS = [
+    "name", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold", "threshold_to",
+    "verdict",
+]  # fmt: skip
 Chosen = dict[str, str | float | list[str]]
 
 
@@ -58,7 +56,7 @@ class Claim(Settings):
     where: Chosen = Field(default_factory=dict)
     a: Chosen = Field(default_factory=dict)
     b: Chosen = Field(default_factory=dict)
-    by: Annotated[list[str], Field(min_length=1)] = ["trajectory", "noise", "variant"]  # noqa: RUF012
+    by: Annotated[list[str], Field(min_length=1)] = ["trajectory", "noise"]  # noqa: RUF012
 
     @model_validator(mode="after")
     def _fits(self) -> "Claim":
@@ -96,78 +94,53 @@ class Claim(Settings):
         return f"{self.metric}, {self.form}" + (f" ({self.unit})" if self.unit else "")
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A claim's verdict, and the numbers that it rests on.
-
-    ``cells`` has a row for each cell: its values of ``by``, ``estimate``, ``low``, ``high``, ``n_seeds`` and
-    ``verdict``, by its 95 % interval. A claim that was not run has no cells; ``missing`` says what is.
-    """
-
-    id: str
-    claim: Claim
-    verdict: str
-    cells: pd.DataFrame
-    missing: str = ""
-
-    @property
-    def n_seeds(self) -> int:
-        """The most seeds of a cell."""
-        return int(self.cells["n_seeds"].max()) if len(self.cells) else 0
-
-    @property
-    def where(self) -> str:
-        """The cells as claimed, where they are neither none nor all."""
-        return describe_cells(self.cells, self.claim.by) if len(set(self.cells["verdict"]) | {HOLDS}) > 1 else ""
-
-
 def read_claims(path: Path) -> dict[str, Claim]:
     """The claims of a file, by name. Raises `InputError`."""
     return read_tables(path, Claim, "a file of claims")
 
 
-def judge_all(claims: dict[str, Claim], runs: pd.DataFrame) -> list[Verdict]:
-    """A verdict on each claim, `NOT_RUN` where the runs lack what it is about."""
-    verdicts = []
-    for name, claim in claims.items():
-        try:
-            verdicts.append(judge(name, claim, runs))
-        except InputError as fault:
-            missing = str(fault).removeprefix(f"[{name}]: ").partition(";")[0]
-            cells = pd.DataFrame(columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
-            verdicts.append(Verdict(name, claim, NOT_RUN, cells, missing))
-    return verdicts
+def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
+    """Estimate what each claim is about over the seeds of some runs: one row per claim and cell.
 
-
-def judge(name: str, claim: Claim, runs: pd.DataFrame) -> Verdict:
-    """Estimate what a claim is about over the seeds of some runs, in each cell.
-
-    A claim speaks of all its cells: it `HOLDS` if the whole interval is as claimed in every one, it `FAILS` if no part
-    of it is in one, and is `OPEN` otherwise. A cell in which fewer than two seeds have a number says nothing. Raises
-    `InputError`.
+    The columns are ``name``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text), ``estimate``
+    with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range, ``threshold_to``, and
+    ``verdict``: a cell `HOLDS` if its whole interval is as claimed, it `FAILS` if no part of it is, and is `OPEN`
+    otherwise. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell`` says what is missing.
     """
-    good = runs[runs["status"] == "ok"]
-    first = _select(name, good, {**USUAL, **claim.where, **claim.a})
-    rows = []
+    good, rows = runs[runs["status"] == "ok"], []
+    for name, claim in claims.items():
+        limits = dict(zip(("threshold", "threshold_to"), claim.threshold, strict=False))
+        named = {"name": name, "claim": claim.claim, "section": claim.section, "measure": claim.measure, **limits}
+        try:
+            cells = cells_of(claim, good)
+        except InputError as fault:
+            cells = [{"cell": str(fault).partition(";")[0], "n_seeds": 0, "verdict": NOT_RUN}]
+        rows += [{**named, **cell} for cell in cells]
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
+    """The cells of one claim, as the rows of `judge`. A cell in which fewer than two seeds have a number says nothing.
+    Raises `InputError` if no cell says anything."""
+    first, rows = _select(runs, {**USUAL, **claim.where, **claim.a}), []
     for cell in dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)):
         at = dict(zip(claim.by, cell, strict=True))
         here = first[np.logical_and.reduce([first[column] == value for column, value in at.items()])]
-        sides = [_by_seed(name, here, claim.metric)]
+        sides = [_by_seed(here, claim.metric)]
         if claim.form != "level":
             other = {key: value for key, value in claim.b.items() if key != "metric"}
-            there = _select(name, good, {**USUAL, **claim.where, **claim.a, **at, **other})
-            sides.append(_by_seed(name, there, str(claim.b.get("metric", claim.metric))))
+            there = _select(runs, {**USUAL, **claim.where, **claim.a, **at, **other})
+            sides.append(_by_seed(there, str(claim.b.get("metric", claim.metric))))
         values = pd.concat(sides, axis=1, join="inner").to_numpy()
         values = values[np.isfinite(values).all(axis=1)]
         if len(values) >= (4 if claim.form == "correlation" else 2):
             estimate, low, high = interval(claim.form, values)
             word = HOLDS if claim.satisfied(low, high) else FAILS if claim.outside(low, high) else OPEN
-            rows.append((*map(str, cell), estimate, low, high, len(values), word))
+            numbers = {"estimate": estimate, "low": low, "high": high, "n_seeds": len(values), "verdict": word}
+            rows.append({"cell": ", ".join(str(value) for value in cell if value) or "as preset", **numbers})
     if not rows:
-        raise InputError(f"[{name}]: fewer than two seeds have a number; expected runs of more seeds")
-    cells = pd.DataFrame(rows, columns=[*claim.by, "estimate", "low", "high", "n_seeds", "verdict"])
-    found = set(cells["verdict"])
-    return Verdict(name, claim, HOLDS if found == {HOLDS} else FAILS if FAILS in found else OPEN, cells)
+        raise InputError("fewer than two seeds have a number; expected runs of more seeds")
+    return rows
 
 
 def interval(form: str, values: Array) -> tuple[float, float, float]:
@@ -194,66 +167,46 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
     return mean, float(around.low), float(around.high)
 
 
-def verdict_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """One row a claim, as the README shows them: the ``lowest`` and ``highest`` estimate of its cells, how many these
-    are, in how many the number is as claimed and in how many it is not, and ``where`` it is."""
-    return pd.DataFrame(
-        {
-            "claim": each.claim.claim,
-            "section": each.claim.section,
-            "metric": each.claim.measure,
-            "lowest": each.cells["estimate"].min(),
-            "highest": each.cells["estimate"].max(),
-            "n_seeds": each.n_seeds,
-            "cells": len(each.cells),
-            "as_claimed": int((each.cells["verdict"] == HOLDS).sum()),
-            "not_as_claimed": int((each.cells["verdict"] == FAILS).sum()),
-            "verdict": each.verdict,
-            "where": each.where or each.missing,
-        }
-        for each in verdicts
+def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
+    """One row per claim, by the cells of `judge`: the ``lowest`` and ``highest`` estimate, ``n_seeds`` at most, the
+    number of ``cells``, and how many are ``as_claimed`` and ``not_as_claimed``.
+
+    A claim speaks of all its cells: it `HOLDS` if every cell does, it `FAILS` if one does, and is `OPEN` otherwise.
+    """
+    counted = cells.assign(as_claimed=cells["verdict"] == HOLDS, not_as_claimed=cells["verdict"] == FAILS)
+    table = counted.groupby(["name", "claim", "section", "measure"], sort=False, as_index=False).agg(
+        lowest=("estimate", "min"),
+        highest=("estimate", "max"),
+        n_seeds=("n_seeds", "max"),
+        cells=("cell", "size"),
+        as_claimed=("as_claimed", "sum"),
+        not_as_claimed=("not_as_claimed", "sum"),
+        not_run=("verdict", lambda verdict: (verdict == NOT_RUN).any()),
     )
+    words = [NOT_RUN, FAILS, HOLDS]
+    found = [table["not_run"], table["not_as_claimed"] > 0, table["as_claimed"] == table["cells"]]
+    return table.assign(verdict=np.select(found, words, OPEN)).drop(columns="not_run")
 
 
-def verdict_metrics(verdicts: Sequence[Verdict]) -> dict[str, float]:
-    """The finite numbers of all verdicts in one flat map, ``<name>.<lowest, highest, n_seeds, …>``."""
-    rows = verdict_table(verdicts).set_index(pd.Index([each.id for each in verdicts]))
-    return flat(rows, columns=("lowest", "highest", "n_seeds", "cells", "as_claimed", "not_as_claimed"))
-
-
-def describe_cells(cells: pd.DataFrame, by: Sequence[str]) -> str:
-    """The cells in which a claim holds, by the fewest columns that tell them from the others."""
-    holding = cells[cells["verdict"] == HOLDS]
-    choices = [list(names) for count in range(1, len(by)) for names in itertools.combinations(by, count)]
-    enough = (n for n in choices if len(cells.merge(holding[n].drop_duplicates(), on=n)) == len(holding))
-    rows = holding[next(enough, list(by))].drop_duplicates()
-    return "; ".join(cell_name(row) for row in rows.itertuples(index=False))
-
-
-def cell_name(values: Iterable[str]) -> str:
-    """A cell by its values; settings without their table: ``zigzag, random-walk, waist_width_m=2.4``."""
-    return ", ".join(re.sub(r"\w+\.(?=\w+=)", "", value) for value in values if value) or "as preset"
-
-
-def _select(name: str, runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
+def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
     """The runs with some values, or one of some, in each column. Raises `InputError` if there are none."""
     for column, value in chosen.items():
         wanted = value if isinstance(value, list) else [value]
         runs = runs[runs[column].isin(wanted)]
         if runs.empty:
-            raise InputError(f"[{name}]: no runs with {column} = {value!r}; expected a value that the study has")
+            raise InputError(f"no runs with {column} = {value!r}; expected a value that the study has")
     return runs
 
 
-def _by_seed(name: str, runs: pd.DataFrame, metric: str) -> pd.Series:
+def _by_seed(runs: pd.DataFrame, metric: str) -> pd.Series:
     """A metric by seed, a mean where a seed has several runs. Raises `InputError` for an unknown one."""
     if metric in DERIVED:
         try:
             values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
         except KeyError as missing:
-            raise InputError(f"[{name}]: no column {missing}; expected a number that runs have") from None
+            raise InputError(f"no column {missing}; expected a number that runs have") from None
     elif metric in runs and pd.api.types.is_numeric_dtype(runs[metric]):
         values = pd.Series(runs[metric].to_numpy(dtype=float), index=runs["seed"].to_numpy())
     else:
-        raise InputError(f"[{name}]: metric = {metric!r}: expected a number that runs have")
+        raise InputError(f"metric = {metric!r}: expected a number that runs have")
     return values.groupby(level=0).mean()

@@ -7,8 +7,10 @@ from typing import Any
 
 import matplotlib as mpl
 import matplotlib.figure
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
@@ -136,6 +138,7 @@ def draw_legend(
         for label, look in keys.items()
     ]
     options: dict[str, Any] = {"loc": loc, "ncols": len(keys), **more}
+    figure.set_layout_engine("constrained")  # seaborn's tight one leaves no room for it
     figure.legend(handles=handles, **options)
 
 
@@ -245,3 +248,33 @@ def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), ele
     panel.set_axis_off()
     panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
     panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
+
+
+def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
+    """The absolute trajectory error of each run as a dot, one row per value of the categorical column ``case`` and one
+    colour per method; a black bar is the mean over the seeds, the range of errors without correction lies behind.
+
+    ``runs`` has the columns ``ate_rmse_m`` and ``raw_ate_rmse_m`` (m) and ``method``. ``facets`` are options of
+    `seaborn.catplot`, such as ``col``.
+    """
+    rows = runs.assign(ate_cm=100 * runs["ate_rmse_m"], drift_cm=100 * runs["raw_ate_rmse_m"])
+    dodge = 0.8 - 0.8 / len(methods) if case != "method" else 0.0
+    dots = {"x": "ate_cm", "y": case, "order": list(rows[case].cat.categories), "hue": "method", "hue_order": methods}
+    grid = sns.catplot(
+        rows, kind="strip", dodge=dodge > 0, jitter=0.06, palette=COLOURS, legend=False, **dots, **facets
+    )
+    mean = {"marker": "|", "ms": 12, "mew": 2, "ls": ""}
+    grid.map_dataframe(sns.pointplot, dodge=dodge or False, errorbar=None, palette="dark:black", **mean, **dots)
+    grid.map_dataframe(_draw_drift, case=case, order=dots["order"])
+    grid.set(xscale="log", xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
+    keys: dict[str, Any] = {LABELS[name]: {"color": COLOURS[name], "marker": "o", "ls": ""} for name in methods}
+    keys |= {"mean": {"color": BLACK, **mean}, LABELS["none"]: {name: DRIFT[name] for name in ("fc", "ec", "alpha")}}
+    draw_legend(grid.figure, keys if case != "method" else dict(list(keys.items())[-2:]), ncols=4)
+    return grid
+
+
+def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -> None:
+    """The range of errors without correction in the current panel, for each value of ``case``."""
+    low, high = (data.groupby(case, observed=True)["drift_cm"].agg(name).reindex(order) for name in ("min", "max"))
+    plt.gca().barh(low.index, high - low, left=low, zorder=0, **DRIFT)
+    plt.gca().use_sticky_edges = False

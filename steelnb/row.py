@@ -14,7 +14,7 @@ from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight
 
-CASE = ("sensor", "duration_s", "blind", "trajectory", "seed", "noise", "variant", "method")
+CASE = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
 """Columns that identify a run; tables are sorted by them."""
 CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
 TIMES = ("frame_median_ms", "frame_p95_ms", "seconds", "flight_seconds", "machine")
@@ -28,11 +28,10 @@ Flown = tuple[Flight, Truth, float]
 
 
 def case_of(settings: ExperimentSettings, variant: str = "") -> dict[str, Any]:
-    """Values of the columns `CASE`; ``variant``: the overrides as text."""
+    """Values of the columns `CASE`; ``variant``: the name of the changes to a preset."""
     return {
         "sensor": settings.sensor,
         "duration_s": settings.flight.duration_s,
-        "blind": ", ".join(f"{first:g}-{last:g} s" for first, last in settings.tof.blind_s),
         "trajectory": settings.flight.trajectory,
         "seed": settings.seed,
         "noise": settings.noise_name,

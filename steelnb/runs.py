@@ -34,7 +34,7 @@ RUNS, TIMING = "runs.parquet", "timing.parquet"
 
 
 class Run(NamedTuple):
-    """The settings of one run, and its overrides as text."""
+    """The settings of one run, and the name of its variant."""
 
     settings: ExperimentSettings
     variant: str = ""
@@ -43,8 +43,8 @@ class Run(NamedTuple):
 class Grid(Settings):
     """Values to combine; one table of a study's file.
 
-    ``seeds``: a list, or a range such as ``"101-130"`` with both ends; ``blind_s``: intervals (from, to) in seconds in
-    which all flights have no returns; each of ``overrides`` changes single settings.
+    ``seeds``: a list, or a range such as ``"101-130"`` with both ends; a list may hold ranges. ``variants``: changes of
+    single settings by the name that tables show.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -53,30 +53,30 @@ class Grid(Settings):
     sensors: Annotated[list[str], Field(min_length=1)]
     methods: Annotated[list[str], Field(min_length=1)]
     duration_s: Duration = 200.0
-    blind_s: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
-    overrides: Annotated[list[dict[str, Any]], Field(min_length=1)] = [{}]  # noqa: RUF012
+    variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012
 
     @field_validator("seeds", mode="before")
     @classmethod
-    def _range(cls, value: Any) -> Any:
-        if not isinstance(value, str):
-            return value
-        found = re.fullmatch(r"(\d+)-(\d+)", value.replace(" ", ""))
-        if not found or not 0 <= int(found[2]) - int(found[1]) < 100_000:
-            raise ValueError("expected a list, or a range such as '101-130' of at most 100,000 seeds")
-        return list(range(int(found[1]), int(found[2]) + 1))
+    def _ranges(cls, value: Any) -> Any:
+        return [seed for each in (value if isinstance(value, list) else [value]) for seed in _seeds(each)]
 
     def runs(self) -> list[Run]:
         """One run per combination. Raises `InputError`."""
-        axes = self.sensors, self.trajectories, self.seeds, self.noises, self.overrides, self.methods
-        blind, runs = {"tof.blind_s": self.blind_s} if self.blind_s else {}, []
-        for sensor, trajectory, seed, noise, changes, method in itertools.product(*axes):
-            settings = ExperimentSettings.preset(
-                trajectory, noise, method, sensor, seed, self.duration_s, {**changes, **blind}
-            )
-            variant = ", ".join(f"{name}={value}" for name, value in sorted(changes.items()))
-            runs.append(Run(settings, variant))
-        return runs
+        axes = self.sensors, self.trajectories, self.seeds, self.noises, self.variants.items(), self.methods
+        return [
+            Run(ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes), variant)
+            for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes)
+        ]
+
+
+def _seeds(value: Any) -> list[Any]:
+    """The seeds of a range such as ``"101-130"``, or the value itself as the only one."""
+    if not isinstance(value, str) or value == "report":
+        return [value]
+    found = re.fullmatch(r"(\d+)-(\d+)", value.replace(" ", ""))
+    if not found or not 0 <= int(found[2]) - int(found[1]) < 100_000:
+        raise ValueError("expected a list, or a range such as '101-130' of at most 100,000 seeds")
+    return list(range(int(found[1]), int(found[2]) + 1))
 
 
 def grid(**axes: Any) -> list[Run]:
