@@ -278,3 +278,22 @@ def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -
     low, high = (data.groupby(case, observed=True)["drift_cm"].agg(name).reindex(order) for name in ("min", "max"))
     plt.gca().barh(low.index, high - low, left=low, zorder=0, **DRIFT)
     plt.gca().use_sticky_edges = False
+
+
+def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
+    """A panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``; dashed lines are
+    the thresholds. Panels have scales of their own."""
+    rows = cells.assign(title=cells["title"].str.wrap(110))
+    heights = rows.groupby("title", sort=False).size() + 2
+    shape = {"sharex": False, "sharey": False, "aspect": 9, "height": 1}
+    grid = sns.FacetGrid(
+        rows, row="title", hue="verdict", palette=colours, gridspec_kws={"height_ratios": list(heights)}, **shape
+    )
+    grid.map(plt.hlines, "cell", "low", "high", lw=2).map(plt.scatter, "estimate", "cell", s=22)
+    for title, panel in grid.axes_dict.items():
+        goal = rows.loc[rows["title"] == title, ["threshold", "threshold_to"]].iloc[0].dropna()
+        panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
+    grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
+    grid.figure.set_figheight(0.23 * heights.sum() + 1)
+    draw_legend(grid.figure, {word: {"marker": "o", "ls": "", "color": colour} for word, colour in colours.items()})
+    return grid.figure
