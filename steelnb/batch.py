@@ -22,7 +22,6 @@ from steelnb.settings import (
     Noise,
     RegistrationSettings,
     ReportCloudSettings,
-    TrajectoryName,
 )
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.types import Array
@@ -80,24 +79,6 @@ def at_level(noise: str, level: float) -> str:
     scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
     Noise.parse(scaled)
     return scaled
-
-
-def make_cases(
-    trajectory: Sequence[TrajectoryName],
-    sensor: str,
-    noise: Sequence[str],
-    method: Iterable[str | tuple[str, dict[str, Any]]],
-    seed: rng.Seed,
-    duration_s: float | None,
-    overrides: dict[str, Any] | None = None,
-) -> list[ExperimentSettings]:
-    """Settings of every flight × noise × method; a method may come with its overrides. Raises `InputError`."""
-    wanted: list[Any] = [(each, {}) if isinstance(each, str) else each for each in method]
-    given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
-    return [
-        ExperimentSettings.preset(flight, each, overrides={**(overrides or {}), **changes}, method=name, **given)
-        for flight, each, (name, changes) in itertools.product(trajectory, noise, wanted)
-    ]
 
 
 def report_cases(
@@ -265,15 +246,14 @@ def _name(settings: ExperimentSettings, by: Sequence[str]) -> str:
     return ".".join(str(case[name]) for name in by)
 
 
-def timing(results: Sequence[experiment.Result], with_map: bool = False) -> pd.DataFrame:
+def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
     """Milliseconds a frame, median and 95th percentile, for each run and stage and for the whole frame."""
     rows = []
     for result in results:
         whole = np.sum(list(result.seconds.values()), axis=0)
-        kind = {"map": map_kind(result.settings)} if with_map else {}
         for stage, seconds in {**result.seconds, "frame": whole}.items():
             median, p95 = np.percentile(seconds * 1e3, [50, 95])
-            rows.append({**case_of(result.settings), "stage": stage, "median_ms": median, "p95_ms": p95, **kind})
+            rows.append({**case_of(result.settings), "stage": stage, "median_ms": median, "p95_ms": p95})
     return pd.DataFrame(rows)
 
 

@@ -8,6 +8,7 @@ from steelnb import batch, experiment
 from steelnb.errors import InputError
 from steelnb.report.basin import find_basin
 from steelnb.row import paired_clouds
+from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import read_report_plots
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -15,9 +16,11 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 
 @pytest.fixture(scope="module")
 def runs():
-    wanted = ["icp-3dof", ("icp-3dof", {"clouds.map": "weighted"}), "gicp"]
-    cases = batch.make_cases(["zigzag"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
-    return batch.run_all(cases)
+    methods = [("icp-3dof", {}), ("icp-3dof", {"clouds.map": "weighted"}), ("gicp", {})]
+    given = {"seed": 3, "duration_s": 6.0}
+    return batch.run_all(
+        [ExperimentSettings.preset(method=name, overrides=SHORT | changes, **given) for name, changes in methods]
+    )
 
 
 def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
@@ -29,9 +32,6 @@ def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     numbers = batch.metrics(runs, batch.CLOUD_CASE)
     assert numbers["zigzag.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
     assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
-    assert batch.timing(runs, with_map=True)["map"].tolist()[-1] == "re-voxelised"
-    with pytest.raises(InputError):
-        batch.make_cases(["zigzag"], "starling2", ["wind"], ["best"], 1, 5.0)
 
 
 def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
@@ -59,7 +59,7 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     assert basin["right"].tolist() == [True, True, False]
     assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
     assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
-    segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
+    segments = ExperimentSettings.preset(noise="none", method="least_squares", duration_s=5.0)
     with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
         find_basin(segments, flight, truth, 0, starts)
 
@@ -77,6 +77,8 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     walk = batch.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
     assert batch.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    with pytest.raises(InputError, match="wind"):
+        batch.report_cases(["orbit"], "wind", {"average": ["average"]})
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         batch.report_cases(["orbit"], "random-walk", {"best": ["best"]})
     assert batch.report_range("random-walk", "gicp", "zigzag") == pytest.approx((0.07, 0.246), abs=0.003)

@@ -7,6 +7,7 @@ import pytest
 from steelnb import batch, experiment, plots
 from steelnb.metrics import score_segments
 from steelnb.report import world
+from steelnb.runs import grid
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight
 
@@ -14,7 +15,8 @@ from steelnb.types import Flight
 @pytest.fixture(scope="module")
 def runs():
     noises, methods = ["random-walk", "constant-drift:0.0004"], ["none", "average", "least_squares"]
-    return batch.run_all(batch.make_cases(["zigzag"], "starling2", noises, methods, 3, 16.0))
+    flown = {"seeds": [3], "trajectories": ["zigzag"], "sensors": ["starling2"], "duration_s": 16.0}
+    return batch.run_all([run.settings for run in grid(noises=noises, methods=methods, **flown)])
 
 
 def test_correction_beats_no_correction_and_least_squares_beats_the_average(runs):
