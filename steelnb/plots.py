@@ -269,13 +269,14 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
     low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + np.array([[-0.4], [0.4]])
-    figure, wide = Figure(figsize=(3.3 * len(clouds) + 0.4, 7.2)), (high - low)[:2]
+    wide = (high - low)[:2]
+    scale = min(6.0 / (high - low)[2], 3.2 / wide.sum())  # inches per metre
+    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.4))
     for frame, (method, pair) in zip(figure.subfigures(1, len(clouds), squeeze=False)[0], clouds.items(), strict=True):
         points, colours = np.concatenate(pair), np.repeat([COLOURS[method], COLOURS["truth"]], [len(c) for c in pair])
         order = np.random.default_rng(0).permutation(len(points))[:CLOUD_POINTS]  # neither cloud hides the other
         for across, panel in enumerate(frame.subplots(1, 2, sharey=True, width_ratios=wide)):
-            x, _, z = points[order].T if across == 0 else points[order][:, [1, 0, 2]].T
-            panel.scatter(x, z, s=0.35, c=colours[order], lw=0, rasterized=True)
+            panel.scatter(points[order, across], points[order, 2], s=0.35, c=colours[order], lw=0, rasterized=True)
             panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across else "z (m)")
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
         panel.plot([], [], "o", color=COLOURS[method], label=LABELS[method])
