@@ -147,11 +147,14 @@ def test_the_yaw_notebook_flies_the_report_s_programs_and_best_takes_the_turn_ou
     assert set(table.index) == by_segments | by_clouds | {"best", "faces"}
     assert set(table["trajectory"]) == {"vertical"}
     assert table["scans"]["gicp"] < 0.25 * table["scans"]["best"], "a busy program misses scans"
-    ate, turn = table["ate_rmse_m"], table["yaw_max_deg"]
+    ate, step, turn = (table[name] for name in ("ate_rmse_m", "rpe_rmse_m", "yaw_max_deg"))
     assert ate["none"] == pytest.approx(table["raw_ate_rmse_m"]["none"])
+    # The first scan is off by 0.15 m, as is the map from there on, whatever the method.
+    positions = ["none", "average", "icp-3dof"]
     for name in ("best", "faces"):
-        assert ate[name] < ate[["none", "average", "icp-3dof"]].min(), name
-        assert turn[name] < turn[["none", "average", "icp-3dof"]].min(), name
+        assert ate[name] < min(ate["none"], ate["icp-3dof"]), name
+        assert step[name] < 0.5 * step[positions].min(), name
+        assert turn[name] < 0.6 * turn[positions].min(), name
     for figure in ("5_1", "5_2", "errors"):
         assert coloured(smoke / "yaw-drift" / f"fig_{figure}_vertical-report.png") > COLOURED_MIN
 
