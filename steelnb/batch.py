@@ -11,9 +11,10 @@ import pandas as pd
 
 from steelnb import experiment, rng
 from steelnb.errors import InputError
-from steelnb.metrics import Bend
+from steelnb.metrics import position_error_m
 from steelnb.odometry import shared_segments
 from steelnb.results import find_root
+from steelnb.row import paired_clouds
 from steelnb.settings import (
     REPORT_NOISE,
     ExperimentSettings,
@@ -21,7 +22,6 @@ from steelnb.settings import (
     Noise,
     RegistrationSettings,
     ReportCloudSettings,
-    TrajectoryName,
 )
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.types import Array
@@ -43,13 +43,14 @@ def _report_curves() -> pd.DataFrame:
     return pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
 
 
-def report_curve(plot: ReportPlot, curve: str = "corrected") -> tuple[Array, Array]:
+def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
     """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` of one of the report's plots,
-    without the samples of an earlier run."""
+    without the samples of an earlier run and those later than ``until_s``."""
     rows = _report_curves()
     case = (rows["figure"] == plot.figure) & (rows["trajectory"] == plot.trajectory) & (rows["method"] == plot.method)
     rows = rows[case & (rows["curve"] == curve) & (rows["step"] >= plot.earlier_samples)]
-    return plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
+    time_s, error_m = plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
+    return time_s[time_s <= until_s], error_m[time_s <= until_s]
 
 
 def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
@@ -78,24 +79,6 @@ def at_level(noise: str, level: float) -> str:
     scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
     Noise.parse(scaled)
     return scaled
-
-
-def make_cases(
-    trajectory: Sequence[TrajectoryName],
-    sensor: str,
-    noise: Sequence[str],
-    method: Iterable[str | tuple[str, dict[str, Any]]],
-    seed: rng.Seed,
-    duration_s: float | None,
-    overrides: dict[str, Any] | None = None,
-) -> list[ExperimentSettings]:
-    """Settings of every flight × noise × method; a method may come with its overrides. Raises `InputError`."""
-    wanted: list[Any] = [(each, {}) if isinstance(each, str) else each for each in method]
-    given: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration_s}
-    return [
-        ExperimentSettings.preset(flight, each, overrides={**(overrides or {}), **changes}, method=name, **given)
-        for flight, each, (name, changes) in itertools.product(trajectory, noise, wanted)
-    ]
 
 
 def report_cases(
@@ -132,12 +115,8 @@ def report_cases(
 def run_all(
     cases: Sequence[ExperimentSettings],
     on_progress: Progress | None = None,
-    on_run: Callable[[list[experiment.Result]], object] | None = None,
 ) -> list[experiment.Result]:
-    """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`.
-
-    ``on_run`` is called after every run with the results that are there.
-    """
+    """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`."""
     results: dict[int, experiment.Result] = {}
     flights: dict[str, list[int]] = {}
     for k, case in enumerate(cases):
@@ -148,8 +127,6 @@ def run_all(
             for k in members:
                 within = share_of(on_progress, len(results), len(cases))
                 results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, within)
-                if on_run:
-                    on_run([results[done] for done in sorted(results)])
     return [results[k] for k in range(len(cases))]
 
 
@@ -214,11 +191,44 @@ def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
     for result in results:
         plot, error = plot_of(result.settings), np.array([np.nan])
         if plot:
-            time_s, error = report_curve(plot)
-            error = error[time_s <= result.corrected.stamp_s[-1] + 2 / plot.rate_hz]
+            error = report_curve(plot, until_s=_end_s(result))[1]
         numbers.append((error.mean(), error.max(), error[-1]))
     columns = ["report_mean_m", "report_max_m", "report_final_m"]
     return cloud_table(results).join(pd.DataFrame(numbers, columns=columns))
+
+
+def _end_s(result: experiment.Result) -> float:
+    """Time up to which the report's curve is compared with a run: two samples after the run's end."""
+    return float(result.corrected.stamp_s[-1]) + 2 / result.settings.tof.rate_hz
+
+
+def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
+    """Errors over time in long form, a row a sample: the columns of `case_of`, ``curve``, ``time_s`` and ``error_m``.
+
+    Each run has a ``curve`` named by its method and ``none``, its drift; and where the report has a plot of the same
+    experiment (`plot_of`), ``report`` and ``report-drift``, as read off that plot.
+    """
+    parts = []
+    for result in results:
+        truth, plot = result.truth.trajectory, plot_of(result.settings)
+        lines = {}
+        if plot:  # first, and so behind the others
+            lines["report-drift"] = report_curve(plot, "drift", _end_s(result))
+            lines["report"] = report_curve(plot, until_s=_end_s(result))
+        for name, path in {"none": result.prior, result.settings.odometry.method: result.corrected}.items():
+            lines[name] = path.stamp_s, position_error_m(path, truth)
+        for name, (time_s, error_m) in lines.items():
+            samples = {"curve": name, "time_s": time_s, "error_m": error_m}
+            parts.append(pd.DataFrame({**case_of(result.settings), **samples}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def clouds(results: Sequence[experiment.Result]) -> list[tuple[Array, Array]]:
+    """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated again,
+    those that runs share once."""
+    settings = {experiment.world(result.settings): result.settings for result in results}
+    flights = {world: experiment.simulate(one)[0] for world, one in settings.items()}
+    return [paired_clouds(flights[experiment.world(result.settings)], result) for result in results]
 
 
 def metrics(results: Sequence[experiment.Result], by: Sequence[str] = ("noise", "method")) -> dict[str, float]:
@@ -236,15 +246,14 @@ def _name(settings: ExperimentSettings, by: Sequence[str]) -> str:
     return ".".join(str(case[name]) for name in by)
 
 
-def timing(results: Sequence[experiment.Result], with_map: bool = False) -> pd.DataFrame:
+def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
     """Milliseconds a frame, median and 95th percentile, for each run and stage and for the whole frame."""
     rows = []
     for result in results:
         whole = np.sum(list(result.seconds.values()), axis=0)
-        kind = {"map": map_kind(result.settings)} if with_map else {}
         for stage, seconds in {**result.seconds, "frame": whole}.items():
             median, p95 = np.percentile(seconds * 1e3, [50, 95])
-            rows.append({**case_of(result.settings), "stage": stage, "median_ms": median, "p95_ms": p95, **kind})
+            rows.append({**case_of(result.settings), "stage": stage, "median_ms": median, "p95_ms": p95})
     return pd.DataFrame(rows)
 
 
@@ -254,42 +263,3 @@ def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | No
     wanted = [name for name in rows if name not in by] if columns is None else columns
     named = {f"{key}.{name}": rows[name].iloc[k] for k, key in enumerate(keys) for name in wanted}
     return {name: float(value) for name, value in named.items() if np.isfinite(value)}
-
-
-def ranking(rows: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
-    """The order of some methods by their mean error, a row for each flight and noise.
-
-    ``rows`` has a row a run; columns are the error of each method, ``order`` from best to worst, ``as_claimed``,
-    whether each of ``methods`` is better than the one before it, and ``pairs_as_claimed`` of all pairs, 0 to 1.
-    """
-    chosen = rows[rows["method"].isin(methods)].drop_duplicates(["trajectory", "noise", "method"])
-    wide = chosen.pivot_table("error_mean_m", ["trajectory", "noise"], "method", sort=False)[list(methods)]
-    pairs = list(itertools.combinations(methods, 2))
-    agree = np.mean([wide[later] < wide[earlier] for earlier, later in pairs], axis=0)
-    order = [" < ".join(wide.columns[np.argsort(values)]) for values in wide.to_numpy()]
-    return wide.assign(order=order, as_claimed=agree == 1.0, pairs_as_claimed=agree).reset_index()
-
-
-def bend_table(results: Mapping[str, experiment.Result], bends: Mapping[str, Bend], axis: Array) -> pd.DataFrame:
-    """One row a run and slice of height: tilt, turn, offset on the vertical through ``axis (2,)``, blur and points."""
-    slices = [
-        pd.DataFrame(
-            {
-                **case_of(results[name].settings),
-                "height_m": fit.height_m,
-                "tilt_deg": fit.tilt_deg,
-                "yaw_deg": fit.yaw_deg,
-                "offset_m": np.linalg.norm(fit.offset_m(axis), axis=1),
-                "blur_m": fit.blur_m,
-                "points": fit.count,
-            }
-        )
-        for name, fit in bends.items()
-    ]
-    return pd.concat(slices, ignore_index=True)
-
-
-def bend_summary(results: Mapping[str, experiment.Result], bends: Mapping[str, Bend], axis: Array) -> pd.DataFrame:
-    """One row a method: the numbers of `Bend.metrics`, and the error of the trajectory, ``ate_rmse_m``."""
-    numbers = {name: fit.metrics(axis) for name, fit in bends.items()}
-    return pd.DataFrame(numbers).T.assign(ate_rmse_m=[results[name].metrics["ate_rmse_m"] for name in bends])

@@ -1,6 +1,7 @@
 """The style of all figures, with one table of colours and one of names, and drawing helpers shared by them."""
 
 import io
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -13,9 +14,9 @@ import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from steelnb.types import Array, Segments
 
@@ -69,11 +70,20 @@ PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHODS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
-    "truth": BLACK, "report": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
+    "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
     "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
-LABELS = {name: label for name, (label, _) in (METHODS | DETECTORS).items()}
+LABELS = {name: label for name, (label, _) in (METHODS | DETECTORS).items()} | {
+    "report": "the report's curve", "report-drift": "the report, no correction", "truth": "truth",
+}  # fmt: skip
+DASHES: Any = {name: (3, 1.5) if name == "none" else (1, 1) if name == "report-drift" else "" for name in COLOURS}
+"""Dashes of lines, as seaborn takes them: errors without correction are broken lines."""
+CURVES: dict[str, Any] = {
+    "x": "time_s", "y": "error_m", "errorbar": None,
+    "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
+}  # fmt: skip
+"""How seaborn draws a table of `batch.curves`."""
 REPORT_BAND: dict[str, Any] = {"fc": "#ececec", "ec": "#cccccc", "hatch": "////", "linewidth": 0, "zorder": 0}
 """Look of a range of values that a figure of the report shows, behind everything else."""
 LOOK: Any = {
@@ -92,6 +102,8 @@ LOOK: Any = {
 """Settings of matplotlib for all figures."""
 DRIFT: Any = {"fc": COLOURS["none"], "ec": COLOURS["none"], "alpha": 0.25, "height": 0.84, "lw": 1}
 """Look of the range of errors without correction, behind the errors with it."""
+CLOUD_POINTS = 120_000
+"""Number of points that a picture of a cloud has at most."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
@@ -112,6 +124,7 @@ class Figure(matplotlib.figure.Figure):
 
 def use() -> None:
     """Set the look of all figures that follow, whatever the user's matplotlibrc says, and the seed of their jitter."""
+    warnings.filterwarnings("ignore", "The figure layout has changed to tight")  # seaborn's grids do so
     np.random.seed(0)  # noqa: NPY002 (of seaborn's dots)
     mpl.rcdefaults()
     mpl.rcParams.update(LOOK)
@@ -143,9 +156,13 @@ def draw_legend(
 
 
 def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:
-    """A legend of the figure from the labels in all of its panels, each once."""
+    """A legend of the figure from the labels in all of its panels, each once, in place of seaborn's legends; methods
+    have the names of `LABELS`."""
     found = [zip(*panel.get_legend_handles_labels(), strict=True) for panel in figure.axes]
-    handles: dict[Any, Any] = {label: handle for pairs in found for handle, label in pairs}
+    handles: dict[Any, Any] = {LABELS.get(label, label): handle for pairs in found for handle, label in pairs}
+    for legend in [*figure.legends, *filter(None, (panel.get_legend() for panel in figure.axes))]:
+        legend.remove()
+    figure.set_layout_engine("constrained")  # seaborn's grids have set another one
     options: dict[str, Any] = {"loc": loc, **more}
     figure.legend(list(handles.values()), list(handles), **options)
 
@@ -153,23 +170,6 @@ def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower ce
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
-
-
-def draw_grid(
-    panel: Axes, grid: pd.DataFrame, limits: tuple[float, float], colours: str = "viridis", texts: Any = None
-) -> AxesImage:
-    """Draw a table of numbers as a map with its values, or ``texts``, in its cells, rows upwards; give the image."""
-    low, high = limits
-    image = panel.imshow(grid, cmap=colours, vmin=low, vmax=high, origin="lower", aspect="auto")
-    for (row, column), value in np.ndenumerate(grid.to_numpy(float)):
-        red, green, blue, _ = image.to_rgba(value)
-        text = f"{value:.2f}" if texts is None else texts[row][column]
-        colour = BLACK if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "white"
-        panel.text(column, row, text, ha="center", va="center", fontsize=9, color=colour)
-    panel.set_xticks(range(grid.shape[1]), [f"{name:g}" if isinstance(name, float) else name for name in grid.columns])
-    panel.set_yticks(range(grid.shape[0]), [f"{name:g}" for name in grid.index])
-    panel.grid(False)
-    return image
 
 
 def draw_sample(
@@ -222,6 +222,21 @@ def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0
 def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
     draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
+
+
+def draw_judged_bars(
+    panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
+) -> None:
+    """Draw the bars found ``(B, 2, 3)``, the right ones ``(B,)`` and the wrong ones, over the true members ``(M, 2,
+    3)`` into a panel as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
+    cloud = members.reshape(-1, 3)
+    draw_bars(panel, members, cloud, color=COLOURS["member"], lw=0.8, label="true member")
+    draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on none")
+    draw_bars(panel, bars[right], cloud, color=COLOURS["right"], lw=1.5, label="bar on a member")
+    if joints is not None:
+        x, y = project_perspective(joints, cloud).T
+        panel.plot(x, y, "o", color=BLACK, ms=2.4, label="joint")
+    frame_perspective(panel, cloud)
 
 
 def draw_paths(
@@ -297,3 +312,28 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
     grid.figure.set_figheight(0.23 * heights.sum() + 1)
     draw_legend(grid.figure, {word: {"marker": "o", "ls": "", "color": colour} for word, colour in colours.items()})
     return grid.figure
+
+
+@style()
+def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
+    """The cloud that each method built, in its colour, over the true one, seen along y and along x.
+
+    ``clouds``: method → built and true points ``(N, 3)``, metres. Points of both lie in turn above each other.
+    """
+    everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
+    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + np.array([[-0.4], [0.4]])
+    wide = (high - low)[:2]
+    scale = min(6.0 / (high - low)[2], 3.2 / wide.sum())  # inches per metre
+    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.4))
+    for frame, (method, pair) in zip(figure.subfigures(1, len(clouds), squeeze=False)[0], clouds.items(), strict=True):
+        points, colours = np.concatenate(pair), np.repeat([COLOURS[method], COLOURS["truth"]], [len(c) for c in pair])
+        order = np.random.default_rng(0).permutation(len(points))[:CLOUD_POINTS]  # neither cloud hides the other
+        for across, panel in enumerate(frame.subplots(1, 2, sharey=True, width_ratios=wide)):
+            panel.scatter(points[order, across], points[order, 2], s=0.35, c=colours[order], lw=0, rasterized=True)
+            panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across else "z (m)")
+            panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
+        panel.plot([], [], "o", color=COLOURS[method], label=LABELS[method])
+        frame.suptitle(LABELS[method], fontsize=12)
+    panel.plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
+    gather_legend(figure, ncols=3)
+    return figure

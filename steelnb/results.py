@@ -120,31 +120,6 @@ def pictures(folder: Path) -> list[Path]:
     return [path for pattern in PICTURES for path in folder.glob(pattern)]
 
 
-class Picture:
-    """A figure below the current cell that is drawn anew, in its place, as the runs that it shows are done.
-
-    As a callback (`batch.run_all`) it draws only where somebody watches, not in the workflow; `show` always does.
-    """
-
-    def __init__(self, draw: Callable[[list[Any]], "Figure"]) -> None:
-        self._draw, self._shown = draw, None
-
-    def __call__(self, runs: list[Any]) -> None:
-        if PROGRESS_VARIABLE not in os.environ:
-            self.show(runs)
-
-    def show(self, runs: list[Any]) -> "Figure":
-        """Draw the runs that are there, and give the figure."""
-        from IPython.display import display
-
-        figure = self._draw(runs)
-        if self._shown is None:
-            self._shown = display(figure, display_id=True)
-        else:
-            self._shown.update(figure)
-        return figure
-
-
 class Progress:
     """How far a notebook has come, over ``total`` runs of equal length; one object a notebook.
 

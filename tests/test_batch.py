@@ -8,6 +8,7 @@ from steelnb import batch, experiment
 from steelnb.errors import InputError
 from steelnb.report.basin import find_basin
 from steelnb.row import paired_clouds
+from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import read_report_plots
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -15,12 +16,11 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 
 @pytest.fixture(scope="module")
 def runs():
-    wanted = ["icp-3dof", ("icp-3dof", {"clouds.map": "weighted"}), "gicp"]
-    cases = batch.make_cases(["zigzag"], "starling2", ["random-walk"], wanted, 3, 6.0, SHORT)
-    seen: list[int] = []
-    found = batch.run_all(cases, on_run=lambda runs: seen.append(len(runs)))
-    assert seen == [1, 2, 3]
-    return found
+    methods = [("icp-3dof", {}), ("icp-3dof", {"clouds.map": "weighted"}), ("gicp", {})]
+    given = {"seed": 3, "duration_s": 6.0}
+    return batch.run_all(
+        [ExperimentSettings.preset(method=name, overrides=SHORT | changes, **given) for name, changes in methods]
+    )
 
 
 def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
@@ -32,9 +32,6 @@ def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     numbers = batch.metrics(runs, batch.CLOUD_CASE)
     assert numbers["zigzag.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
     assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
-    assert batch.timing(runs, with_map=True)["map"].tolist()[-1] == "re-voxelised"
-    with pytest.raises(InputError):
-        batch.make_cases(["zigzag"], "starling2", ["wind"], ["best"], 1, 5.0)
 
 
 def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
@@ -45,7 +42,10 @@ def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
 
 def test_paired_clouds_hold_the_same_returns_at_two_poses(runs):
     flight, _ = experiment.simulate(runs[0].settings)
-    built, true = paired_clouds(flight, runs[0], every=10)
+    built, true = paired_clouds(flight, runs[0])
+    assert [len(cloud) for cloud, _ in batch.clouds(runs)] == [len(built)] * 3
+    for own, both in zip(batch.clouds(runs[:1])[0], (built, true), strict=True):
+        np.testing.assert_array_equal(own, both)
     assert built.shape == true.shape
     off = np.linalg.norm(built - true, axis=1)
     assert off.max() < 2 * runs[0].metrics["error_max_m"] + 0.05
@@ -59,18 +59,9 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
     assert basin["right"].tolist() == [True, True, False]
     assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
     assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
-    segments = batch.make_cases(["zigzag"], "starling2", ["none"], ["least_squares"], 1, 5.0)[0]
+    segments = ExperimentSettings.preset(noise="none", method="least_squares", duration_s=5.0)
     with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
         find_basin(segments, flight, truth, 0, starts)
-
-
-def test_the_ranking_says_which_pairs_are_in_the_order_claimed():
-    rows = pd.DataFrame(
-        {"trajectory": "loops", "noise": "walk", "method": ["a", "b", "c"], "error_mean_m": [3.0, 1.0, 2.0]}
-    )
-    (found,) = batch.ranking(rows, ["a", "b", "c"]).to_dict("records")
-    assert (found["order"], found["as_claimed"]) == ("b < c < a", False)
-    assert found["pairs_as_claimed"] == pytest.approx(2 / 3)
 
 
 def test_the_report_s_experiments_have_its_samples_and_its_curves():
@@ -80,11 +71,14 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     plots = [batch.plot_of(case) for case in cases]
     assert [(plot.figure, plot.method) for plot in plots] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
     time_s, error_m = batch.report_curve(plots[0])
+    assert batch.report_curve(plots[0], until_s=60.0)[0].max() <= 60
     assert (error_m.mean(), error_m.max(), error_m[-1]) == pytest.approx((0.285, 0.417, 0.333), abs=0.003)
     assert time_s[-1] == pytest.approx(plots[0].duration_s, abs=2)
     walk = batch.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
     assert batch.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    with pytest.raises(InputError, match="wind"):
+        batch.report_cases(["orbit"], "wind", {"average": ["average"]})
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         batch.report_cases(["orbit"], "random-walk", {"best": ["best"]})
     assert batch.report_range("random-walk", "gicp", "zigzag") == pytest.approx((0.07, 0.246), abs=0.003)

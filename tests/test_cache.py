@@ -130,8 +130,8 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
     assert made == ["fly"] * 5
 
 
-def test_sources_include_code_and_presets_but_not_reports(tmp_path, monkeypatch):
-    for name in ("hough/votes.py", "presets/methods.toml", "report/style.py"):
+def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch):
+    for name in ("hough/votes.py", "presets/methods.toml", "plots.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
@@ -139,7 +139,7 @@ def test_sources_include_code_and_presets_but_not_reports(tmp_path, monkeypatch)
     (tmp_path / "hough" / "__pycache__").mkdir()
     (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
     assert (cache.digest_sources(), cache.digest_sources(excluded=())) == before
-    for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("report/style.py", False)):
+    for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("plots.py", False)):
         (tmp_path / name).write_text("a = 2\n")
         assert (cache.digest_sources() != before[0]) is counts
         assert cache.digest_sources(excluded=()) != before[1]

@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb import batch, experiment
-from steelnb.metrics import position_error_m
-from steelnb.plots import LABELS
-from steelnb.report import odometry_figures, structure_figures, world
+from steelnb import batch, experiment, plots
+from steelnb.metrics import score_segments
+from steelnb.report import world
+from steelnb.runs import grid
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight
 
@@ -15,7 +15,8 @@ from steelnb.types import Flight
 @pytest.fixture(scope="module")
 def runs():
     noises, methods = ["random-walk", "constant-drift:0.0004"], ["none", "average", "least_squares"]
-    return batch.run_all(batch.make_cases(["zigzag"], "starling2", noises, methods, 3, 16.0))
+    flown = {"seeds": [3], "trajectories": ["zigzag"], "sensors": ["starling2"], "duration_s": 16.0}
+    return batch.run_all([run.settings for run in grid(noises=noises, methods=methods, **flown)])
 
 
 def test_correction_beats_no_correction_and_least_squares_beats_the_average(runs):
@@ -78,34 +79,37 @@ def test_drift_curves_agree_with_their_expectation():
     assert table["time_s"].tolist() == [20.0, 40.0, 60.0]
 
 
-def test_figures_show_every_curve_with_units(runs):
-    figure = odometry_figures.figure_segment_errors(runs)
-    panels = [axis for axis in figure.axes if axis.get_ylabel()]
-    assert len(panels) == 2
-    for panel, three in zip(panels, (runs[:3], runs[3:]), strict=True):
-        lines = [line for line in panel.lines if len(line.get_ydata()) == 80]
-        for line, run in zip(lines, three, strict=True):
-            truth = run.truth.trajectory.at(run.corrected.stamp_s).position
-            np.testing.assert_allclose(line.get_ydata(), np.linalg.norm(run.corrected.position - truth, axis=1))
-        assert panel.get_ylabel() == "distance to the truth (m)"
-    for panel, run in zip(structure_figures.figure_maps(runs[:3]).axes, runs[:3], strict=True):
-        true, wrong, right = (len(lines.get_segments()) for lines in panel.collections)
-        assert (true, wrong + right) == (len(run.truth.tower.members), len(run.segments))
-        assert right / len(run.segments) == pytest.approx(run.metrics["segment_precision"])
-    methods = [run.settings.odometry.method for run in runs[:3]]
-    # Half of the most accurate run's median error, if that is less than 5 mm.
-    least_m = min(0.005, *(0.5 * np.median(position_error_m(run.corrected, run.truth.trajectory)) for run in runs[:3]))
-    for panel, run in zip(odometry_figures.figure_errors(runs[:3], [[m] for m in methods]).axes, runs[:3], strict=True):
-        low, high = panel.get_ylim()
-        assert (low, high) == (pytest.approx(least_m), 12.0), "all panels have one scale"
-        assert max(line.get_ydata().max() for line in panel.lines) < high, "nothing leaves the panel"
-        names = {line.get_label() for line in panel.lines}
-        assert {"no correction", LABELS[run.settings.odometry.method]} <= names
-    (panel,) = odometry_figures.figure_errors(runs[1:3], [methods], smoothed_s=2.0).axes
-    shown = [LABELS[run.settings.odometry.method] for run in runs[:3]]
-    assert [line.get_label() for line in panel.lines[:3]] == shown
+def test_curves_hold_the_error_of_every_scan_without_and_with_correction(runs):
+    curves = batch.curves(runs)
+    assert set(curves["curve"]) == {"none", "average", "least_squares"}
+    for run in runs:
+        own = curves[(curves["method"] == run.settings.odometry.method) & (curves["noise"] == run.settings.noise_name)]
+        for name, path in (("none", run.prior), (run.settings.odometry.method, run.corrected)):
+            truth = run.truth.trajectory.at(path.stamp_s).position
+            drawn = own[own["curve"] == name]
+            np.testing.assert_array_equal(drawn["time_s"], path.stamp_s)
+            np.testing.assert_allclose(drawn["error_m"], np.linalg.norm(path.position - truth, axis=1))
+
+
+def test_a_map_is_drawn_over_the_members_with_right_and_wrong_bars_apart(runs):
+    run, panel = runs[2], plots.Figure().subplots()
+    members = run.truth.tower.axes
+    right = score_segments(run.segments, members).right
+    plots.draw_judged_bars(panel, members, plots.end_points(run.segments), right)
+    counts = [len(lines.get_segments()) for lines in panel.collections]
+    assert counts == [len(members), (~right).sum(), right.sum()]
+    assert right.mean() == pytest.approx(run.metrics["segment_precision"])
+
+
+def test_figures_of_the_tower_and_of_clouds_have_units(runs):
     flown = {"zigzag": runs[0].truth.trajectory}
     assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
+    clouds = dict(zip(("none", "average"), batch.clouds(runs[:2]), strict=True))
+    front, side, *_ = plots.figure_clouds(clouds).axes
+    assert (front.get_xlabel(), side.get_xlabel(), front.get_ylabel()) == ("x (m)", "y (m)", "z (m)")
+    (points,) = front.collections
+    built, true = clouds["none"]
+    assert len(points.get_offsets()) == len(built) + len(true)
 
 
 def test_the_caption_of_a_figure_names_flights_noise_sensor_and_seeds(runs):

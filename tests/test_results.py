@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from steelnb.errors import OutputError
-from steelnb.results import Picture, Progress, write_results
+from steelnb.results import Progress, write_results
 
 
 def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:
@@ -74,32 +74,3 @@ def test_progress_is_a_bar_where_nobody_asks_for_a_file(
     progress.step()
     progress.step()
     assert "flights: 100%" in capsys.readouterr().err
-
-
-def test_a_picture_is_drawn_after_every_run_where_somebody_watches(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[list[int]] = []
-    shown: list[str] = []
-
-    def draw(runs: list[int]) -> Figure:
-        drawn.append(list(runs))
-        return Figure()
-
-    class Handle:
-        def update(self, figure: Figure) -> None:
-            shown.append("again")
-
-    def display(figure: Figure, display_id: bool) -> Handle:
-        shown.append("first")
-        return Handle()
-
-    monkeypatch.setattr("IPython.display.display", display)
-    for watched in (True, False):
-        monkeypatch.delenv("STEELNB_PROGRESS_FILE", raising=False)
-        if not watched:
-            monkeypatch.setenv("STEELNB_PROGRESS_FILE", "progress")
-        picture = Picture(draw)
-        for count in (1, 2):
-            picture(list(range(count)))
-        assert isinstance(picture.show([0, 1]), Figure)
-    assert drawn == [[0], [0, 1], [0, 1], [0, 1]]
-    assert shown == ["first", "again", "again", "first"]

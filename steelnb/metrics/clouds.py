@@ -45,6 +45,16 @@ class Bend:
         displaced = np.einsum("sij,sj->si", self.T_built_true[:, :3, :3], axis_points) + self.T_built_true[:, :3, 3]
         return np.asarray(displaced - axis_points)
 
+    def slices(self, axis: Array) -> dict[str, Array]:
+        """Columns of a table with a row a slice: height, tilt, yaw, the length of `offset_m`, and blur."""
+        return {
+            "height_m": self.height_m,
+            "tilt_deg": self.tilt_deg,
+            "yaw_deg": self.yaw_deg,
+            "offset_m": np.linalg.norm(self.offset_m(axis), axis=1),
+            "blur_m": self.blur_m,
+        }
+
     def metrics(self, axis: Array) -> dict[str, float]:
         """``bend_deg``, the maximum tilt, yaw and offset of a slice, and the mean blur."""
         return {

@@ -12,8 +12,6 @@ from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
 from steelnb.batch import caption
-from steelnb.experiment import Result
-from steelnb.metrics import score_segments
 from steelnb.plots import (
     BLACK,
     BLUE,
@@ -41,15 +39,6 @@ AXES = {"middle of points": SKY, "section fitted": BLUE}
 MARKERS = {"final": "o", "incremental": "s"}
 TOWER_IN = 7.0
 OBSERVED_FROM = 100  # points
-
-
-def figure_maps(results: Sequence[Result]) -> Figure:
-    """All segments of each run's map over the true members (`figure_bars`)."""
-    tower, panels = results[0].truth.tower, {}
-    for result in results:
-        right = score_segments(result.segments, tower.axes).right
-        panels[LABELS[result.settings.odometry.method]] = (end_points(result.segments), right, None)
-    return figure_bars(tower, panels, caption(results))
 
 
 def figure_structures(runs: Sequence[Rebuilt]) -> Figure:
