@@ -91,8 +91,6 @@ class CloudOdometry(Odometry):
         if (used or reason == "first scan") and len(points):
             self.insert(points, T_world_drone)
         if used:
-            if s.drop_rotation:
-                T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
             self.predictor.correct(T_world_drone, T_world_drone_prior, unobserved, information)
         else:
             self.predictor.lose()

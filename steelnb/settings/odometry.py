@@ -150,8 +150,7 @@ class RegistrationSettings(OdometrySettings):
     it does too, and the covariances of GICP are those of the points accumulated around each voxel and of the sensor's
     noise along each ray instead of those of the nearest neighbours, regularised to planes. ``fast`` extrapolates the
     solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm.
-    ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation, and inserts
-    the rotated cloud. With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of
+    With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of
     its surface within that many pixels (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard deviation of the
     prior's roll and pitch, which are then corrected, too; 0 keeps them. ``near_side`` and ``prior_sigma`` as in
     `SegmentSettings`.
@@ -167,7 +166,6 @@ class RegistrationSettings(OdometrySettings):
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
     map_voxel_m: Positive = 0.1
     fast: bool = False
-    drop_rotation: bool = False
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
     tilt_sigma_rad: NotNegative = 0.0
     inertial: Inertial = None
@@ -205,7 +203,6 @@ class LoamSettings(OdometrySettings):
     sigma_filter_px: ClassVar[int] = 0
     fast: ClassVar[bool] = False
     near_side: ClassVar[bool] = False
-    drop_rotation: ClassVar[bool] = False
     prior_sigma: ClassVar[None] = None
     tilt_sigma_rad: ClassVar[float] = 0.0
     inertial: ClassVar[None] = None
