@@ -1,14 +1,16 @@
 """The interface of every odometry."""
 
+import time
 from typing import Protocol, TypeVar
 
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.points.inputs import checked_cloud
+from steelnb.points.inputs import checked_cloud, checked_pose
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
 
+SPACING_M = 0.05
 S = TypeVar("S", bound=OdometrySettings)
 
 
@@ -24,8 +26,12 @@ class Odometry(Protocol):
         """
 
     def map_points(self) -> Array:
-        """The map as points ``(N, 3)``, world frame; none by default."""
-        return np.zeros((0, 3))
+        """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""
+        bars, pieces = self.map_segments(), [np.zeros((0, 3))]
+        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True):
+            share = np.linspace(0, 1, max(2, int(length / SPACING_M) + 1))
+            pieces.append(start + share[:, None] * (end - start))
+        return np.concatenate(pieces)
 
     def map_segments(self) -> Segments:
         """The bars of the map; none by default."""
@@ -39,6 +45,25 @@ def settings_of(given: OdometrySettings | None, kind: type[S], method: str) -> S
     if not isinstance(found, kind):
         raise InputError(f"method {found.method!r} is of the family {found.family!r}; expected one such as {method!r}")
     return found
+
+
+def mount_of(T_drone_sensor: Array | None) -> Array:
+    """The mount of a sensor ``(4, 4)``, by default the identity. Raises `InputError` if it is not rigid."""
+    return checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+
+
+class Stopwatch:
+    """``seconds`` of each stage of an update, zero for a stage that was skipped."""
+
+    def __init__(self, *stages: str) -> None:
+        self.seconds = dict.fromkeys(stages, 0.0)
+        self._last_s = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now_s = time.perf_counter()
+        self.seconds[stage] += now_s - self._last_s
+        self._last_s = now_s
 
 
 def scan_of(scan: Scan | Array) -> Scan:

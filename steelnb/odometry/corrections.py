@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import SegmentMap, associate
+from steelnb.odometry.prediction import PRIOR_SIGMA
 from steelnb.types import Array, Segments
 
 GAIN = 0.5
@@ -21,6 +22,10 @@ SIGMA_FLOOR_M = 0.02
 """Added to the radius of a segment: its axis is never better known, since the near side of a bar is what is seen."""
 POINTS_MAX = 100.0
 """More points do not make a segment better: what is left is the bias of its near side. Chosen on seeds 11 and 12."""
+PRIOR = np.array([PRIOR_SIGMA[1] ** -2.0] + [PRIOR_SIGMA[0] ** -2.0] * 3)
+"""Information of the prediction about (yaw, x, y, z)."""
+TURN_ARM_M = 3.0
+"""The distance at which a yaw is compared with a shift, metres."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,12 @@ class Correction:
     yaw_rad: float = 0.0
 
 
-def no_correction(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
+def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """No correction: the map that drift makes (the report's Figure 3.4a)."""
     return Correction(np.zeros(3), 0)
 
 
-def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array) -> Correction:
+def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
 
     Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
@@ -51,9 +54,7 @@ def average(observed: Segments, known: SegmentMap, robust_scale_m: float, positi
     return Correction(-GAIN * across.mean(axis=0), len(across))
 
 
-def least_squares(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
+def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """The translation that brings the segments onto their bars, each pair counting only across its bar.
 
     Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
@@ -79,43 +80,30 @@ def least_squares(
     return Correction(offset, matches)
 
 
-def least_squares_yaw(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
+def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with pairs chosen anew in each iteration. ``prior (4,)`` is the information of the prediction about
-    (yaw, x, y, z), which holds what no bar constrains.
+    Gauss–Newton with pairs chosen anew in each iteration. The information of the prediction (`PRIOR`) holds what no bar
+    constrains.
     """
     state = np.zeros(4)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        bars = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
-        matches = bars.matches
+        H, b, matches = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
         if not matches:
             return Correction(np.zeros(3), 0)
-        step = -np.linalg.solve(bars.H + np.diag(prior), bars.b + prior * state)
+        step = -np.linalg.solve(H + np.diag(PRIOR), b + PRIOR * state)
         state = state + step
         if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < TOLERANCE_M:
             break
     return Correction(state[1:], matches, float(state[0]))
 
 
-TURN_ARM_M = 3.0
-"""The distance at which a yaw is compared with a shift, metres."""
-
-
-@dataclass(frozen=True)
-class BarEquations:
-    """Normal equations ``H (4, 4)``, ``b (4,)`` of (yaw, x, y, z), and the number of pairs."""
-
-    H: Array
-    b: Array
-    matches: int
-
-
-def bar_equations(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> BarEquations:
-    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
+def bar_equations(
+    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array
+) -> tuple[Array, Array, int]:
+    """Normal equations ``H (4, 4)``, ``b (4,)`` of a yaw about ``position (3,)`` and a shift, world frame, from pairs
+    of segments and bars, and the number of pairs.
 
     A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
     Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
@@ -127,7 +115,7 @@ def bar_equations(observed: Segments, known: SegmentMap, robust_scale_m: float, 
     H, b = _bar_equations(
         shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m
     )
-    return BarEquations(H, b, len(bars))
+    return H, b, len(bars)
 
 
 @njit(cache=True)
@@ -172,7 +160,7 @@ def shared_ends(segments: Segments, bars: Segments) -> Array:
     return np.asarray(segments.start[:, None] + share[..., None] * (segments.end - segments.start)[:, None])
 
 
-CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array, Array], Correction]] = {
+CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array], Correction]] = {
     "none": no_correction,
     "average": average,
     "least_squares": least_squares,

@@ -83,7 +83,7 @@ class LoamOdometry(CloudOdometry):
         s, zero = self.settings, np.zeros((int(sharp.sum()), 6))
         result = align(
             own.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
-            s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
+            s.robust_scale or np.inf, s.iterations_max, *STOP[self.measured],
         )  # fmt: skip
         jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         return result.T_target_source if result.converged and jump_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init

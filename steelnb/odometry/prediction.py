@@ -11,6 +11,9 @@ from steelnb.types import Array, Imu
 
 DRIFT_GAIN = 0.05
 """Share of a new rate of the drift that is taken over. Chosen on the development seeds 11 and 12."""
+PRIOR_SIGMA = 0.05, 0.02
+"""Standard deviations of a correction by segments or by image features from its prediction, metres and radians. Chosen
+on the development seeds 11 and 12."""
 
 
 class Prediction:
