@@ -12,7 +12,7 @@ from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import AnyTarget, Target, align, free_directions
+from steelnb.registration import FREE, AnyTarget, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
@@ -29,8 +29,9 @@ NORMALS_MIN = 0.05
 0.06 there with the report's sensor. On a tower 6 m wide it falls to 0.03 now and then."""
 JUMP_MAX_VOXELS = 10
 """Largest accepted distance of a registration from its prediction, in voxels of the map."""
-STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
-"""Whether the map is ``measured`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
+STOP = {False: (150, 1e-4, 2e-4), True: (20, 5e-4, 7e-4)}
+"""Whether the map is ``measured`` → maximum number of iterations, rotation epsilon (rad) and translation epsilon (m) of
+the solver. Point-to-point ICP takes up to 46 iterations."""
 
 
 class Registered(NamedTuple):
@@ -67,9 +68,10 @@ class CloudOdometry(Odometry):
     ) -> None:
         self.settings = s = self._own(settings)
         self.T_drone_sensor, self.measured = mount_of(T_drone_sensor), s.map == "measured"
+        self.stop = STOP[self.measured]
         self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
         self.predictor = PosePredictor(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = free_directions("se3" if self.predictor.tilted else s.dof)
+        self.free = FREE["se3" if self.predictor.tilted else s.dof]
         self.near_side = NearSide()
 
     def _own(self, settings: OdometrySettings | None) -> RegistrationSettings | LoamSettings:
@@ -123,7 +125,7 @@ class CloudOdometry(Odometry):
         if not self.measured:
             return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
         shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
-        return Target.of_voxels(tree, shapes), self._ray_covariances(points)
+        return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
         """Covariances of points, drone frame: range noise along each ray, half of its floor across. Upper triangles
@@ -151,7 +153,7 @@ class CloudOdometry(Odometry):
             return Registered(T_init, "no map in sight")
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            s.robust_scale or np.inf, s.iterations_max, *STOP[self.measured], self.measured,
+            s.robust_scale or np.inf, *self.stop, self.measured,
             self.predictor.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])

@@ -18,7 +18,7 @@ from steelnb.odometry.prediction import PRIOR_SIGMA, PosePredictor
 from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.points.inputs import checked_pose
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import free_directions
+from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
 from steelnb.types import Array, Imu, IntArray, OdometryStep, Scan
 
@@ -94,7 +94,7 @@ class OrbOdometry(Odometry):
         self.map, self.count = LandmarkMap(LANDMARKS_MAX), 0
         self.T_keyframe: Array | None = None
         self.predictor = PosePredictor(PRIOR_SIGMA, noise=self.settings.inertial, imu=imu)
-        self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")
+        self.free = FREE["se3" if self.predictor.tilted else "xyz_yaw"]
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan by its image, and add new features to the map; see `Odometry.update`.

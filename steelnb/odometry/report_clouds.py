@@ -17,7 +17,7 @@ from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import Aligned, Target, align, free_directions, gicp_as_pcl, icp_as_pcl
+from steelnb.registration import FREE, Aligned, Target, align, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
 from steelnb.types import Array, OdometryStep, Scan
 
@@ -120,7 +120,7 @@ class ReportCloudOdometry(Odometry):
                 target, covariance = Target.with_planes(tree, NEIGHBOURS), regularised(covariance)
         if "solver" in self.switched:
             result = align(
-                points, target, t.error, free_directions("se3"), np.eye(4), t.max_correspondence_m, covariance,
+                points, target, t.error, FREE["se3"], np.eye(4), t.max_correspondence_m, covariance,
                 iterations_max=t.iterations_max, rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
             )  # fmt: skip
             solved = result.reason not in ("singular", "too few pairs")

@@ -8,15 +8,12 @@ from steelnb.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
-from steelnb.registration.solve import RegistrationResult, align, free_directions, pairs_needed
+from steelnb.registration.solve import FREE, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import Target, finite, make_target
 from steelnb.types import Array
 
-METHODS = {
-    "icp": ("point", "se3"), "icp-3dof": ("point", "xyz"), "icp-4dof": ("point", "xyz_yaw"), "plane": ("plane", "se3"),
-    "gicp": ("gicp", "se3"), "gicp-3dof": ("gicp", "xyz"), "gicp-4dof": ("gicp", "xyz_yaw"),
-}  # fmt: skip
-"""Error and default degrees of freedom of each method."""
+METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
+"""Method → error."""
 NEIGHBOURS_MIN = 4
 """Minimum number of points of a covariance."""
 
@@ -25,13 +22,12 @@ def register(
     source: Array,
     target: Array | Target | VoxelMap,
     method: str = "gicp",
-    dof: str | None = None,
+    dof: str = "se3",
     T_init: Array | None = None,
     max_correspondence_m: float = 1.0,
     robust_scale: float = math.inf,
     iterations_max: int = 50,
     neighbours: int = 20,
-    gravity: Array | None = None,
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
 ) -> RegistrationResult:
@@ -42,13 +38,13 @@ def register(
     source, target: clouds ``(N, 3)`` or images ``(H, W, 3)`` in metres. Points that are not finite are dropped. The
         target may also be the result of `make_target` for the same error, or a `VoxelMap`, of which the means are used.
     method: ``icp`` (point to point), ``plane`` (point to plane) or ``gicp`` (distribution to distribution; Segal et
-        al., RSS 2009); or ``icp-3dof``, ``icp-4dof``, ``gicp-3dof``, ``gicp-4dof`` with fewer degrees of freedom.
-    dof: overrides the degrees of freedom: ``xyz``, ``xyz_yaw`` or ``se3``. The others keep the values of ``T_init``.
+        al., RSS 2009).
+    dof: degrees of freedom: ``xyz``, ``xyz_yaw`` or ``se3``, with the yaw about the z axis. The others keep the values
+        of ``T_init``.
     max_correspondence_m: maximum distance of a pair, metres.
     robust_scale: scale of the Geman-McClure weights, in metres, for gicp in standard deviations; default no weights.
     iterations_max: maximum number of iterations.
     neighbours: number of points for the normal or covariance of each point.
-    gravity: axis ``(3,)`` of yaw in the target frame; default z.
     rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration.
 
     Raises `InputError`. A registration that does not converge does not raise: see ``converged`` and ``reason`` of the
@@ -56,14 +52,14 @@ def register(
 
     >>> import numpy as np
     >>> target = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    >>> found = register(target - [0.02, 0.01, 0.03], target, "icp-3dof", max_correspondence_m=0.2)
+    >>> found = register(target - [0.02, 0.01, 0.03], target, "icp", "xyz", max_correspondence_m=0.2)
     >>> found.converged, found.T_target_source[:3, 3].round(4).tolist()
     (True, [0.02, 0.01, 0.03])
     """
-    if method not in METHODS:
-        raise InputError(f"method = {method!r}: expected one of {', '.join(map(repr, METHODS))}")
-    error, default = METHODS[method]
-    free = free_directions(default if dof is None else dof, gravity)
+    for name, value, known in (("method", method, METHODS), ("dof", dof, FREE)):
+        if value not in known:
+            raise InputError(f"{name} = {value!r}: expected one of {', '.join(map(repr, known))}")
+    error, free = METHODS[method], FREE[dof]
     limit = _positive("max_correspondence_m", max_correspondence_m)
     scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
     if iterations_max < 1:

@@ -49,11 +49,6 @@ class Target:
         planes = PlaneCovariances.of(tree, neighbours)
         return cls(tree, covariance=planes.value, filled=planes)
 
-    @classmethod
-    def of_voxels(cls, tree: KdTree, shapes: VoxelShapes) -> "Target":
-        """With the ``shapes`` of voxels, in the order of the tree, as covariances."""
-        return cls(tree, covariance=shapes.value, filled=shapes)
-
     @property
     def point(self) -> Array:
         """Points ``(M, 3)`` in metres, in the target frame."""

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
@@ -26,7 +26,7 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
-    odometry: Annotated[Family, Field(discriminator="family")]
+    odometry: Family
 
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:

@@ -75,11 +75,11 @@ class OdometrySettings(Settings):
     ``smooth``: after the last scan, all poses and bars are adjusted together (`steelnb.fusion.smooth`).
     """
 
-    family: str
     method: str
     preprocess: Annotated[PreprocessSettings, table(PreprocessSettings)] = PreprocessSettings()
     smooth: bool = False
 
+    family: ClassVar[str]
     prefix: ClassVar[str] = "odometry"
     """May stand before the name of a setting in `override`."""
     crop: ClassVar[Literal["clouds", "segments"]] = "clouds"
@@ -96,7 +96,7 @@ class OdometrySettings(Settings):
         """
         of_sensor = sensor_preset(sensor)
         values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
-        family = str(values.get("family"))
+        family = str(values.pop("family", None))
         if family not in FAMILIES:
             raise InputError(f"[methods.{method}] family = {family!r}; expected one of {quoted(FAMILIES)}")
         kind = FAMILIES[family]
@@ -112,7 +112,7 @@ class OdometrySettings(Settings):
         changed = self
         for path, value in overrides.items():
             name = path.removeprefix(f"{self.prefix}.")
-            known = [each for each in setting_names(self) if each not in ("family", "method")]
+            known = [each for each in setting_names(self) if each != "method"]
             if name not in known and name not in type(self).model_fields:
                 raise InputError(
                     f"overrides: unknown setting {path!r}{guess(name, known)}; method {self.method!r} is of the family"
@@ -128,7 +128,7 @@ class SegmentSettings(OdometrySettings):
     ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``.
     """
 
-    family: Literal["segments"] = "segments"
+    family: ClassVar[str] = "segments"
     method: SegmentMethod
     hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
     fusion: Annotated[FusionSettings, table(FusionSettings)] = FusionSettings()
@@ -161,7 +161,6 @@ class RegistrationSettings(MapSettings):
     error: Literal["point", "plane", "gicp"] = "gicp"
     dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
     robust_scale: Positive | None = None
-    iterations_max: Annotated[int, Field(ge=1)] = 150
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
     tilt_sigma_rad: NotNegative = 0.0
@@ -173,27 +172,26 @@ class RegistrationSettings(MapSettings):
 class CloudSettings(RegistrationSettings):
     """Odometry by clouds (`steelnb.odometry.clouds`)."""
 
-    family: Literal["clouds"] = "clouds"
+    family: ClassVar[str] = "clouds"
 
 
 class FaceSettings(RegistrationSettings):
     """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`); ``refit_s``: seconds between
     two adjustments of keyframes and bars."""
 
-    family: Literal["faces"] = "faces"
+    family: ClassVar[str] = "faces"
     refit_s: Positive = 10.0
 
 
 class LoamSettings(MapSettings):
     """LOAM (`steelnb.odometry.loam`). What else `RegistrationSettings` has is fixed."""
 
-    family: Literal["loam"] = "loam"
+    family: ClassVar[str] = "loam"
 
     prefix: ClassVar[str] = "loam"
     error: ClassVar[Literal["gicp"]] = "gicp"
     dof: ClassVar[Literal["se3"]] = "se3"
     robust_scale: ClassVar[float] = 5.0
-    iterations_max: ClassVar[int] = 15
     map: ClassVar[Literal["weighted"]] = "weighted"
     sigma_filter_px: ClassVar[int] = 0
     prior_sigma: ClassVar[None] = None
@@ -204,21 +202,21 @@ class LoamSettings(MapSettings):
 class OrbSettings(OdometrySettings):
     """Visual odometry by ORB features (`steelnb.odometry.orb`)."""
 
-    family: Literal["orb"] = "orb"
+    family: ClassVar[str] = "orb"
     inertial: Inertial = None
 
 
 class DeepVoSettings(OdometrySettings):
     """Learned odometry (`steelnb.odometry.deepvo`); ``weights``: a file of the package's presets, or a path."""
 
-    family: Literal["deepvo"] = "deepvo"
+    family: ClassVar[str] = "deepvo"
     weights: str = "deepvo.npz"
 
 
 class LibrarySettings(OdometrySettings):
     """Odometry of a library, which the method names (`steelnb.odometry.peers`)."""
 
-    family: Literal["library"] = "library"
+    family: ClassVar[str] = "library"
     method: Literal["kiss-icp", "small-gicp"]
 
 
@@ -235,7 +233,7 @@ class ReportCloudSettings(OdometrySettings):
     `steelnb.registration.align` instead of PCL's.
     """
 
-    family: Literal["report_clouds"] = "report_clouds"
+    family: ClassVar[str] = "report_clouds"
     method: Literal["report-icp", "report-icp-3dof", "report-gicp"]
     switched: tuple[CloudTrait, ...] = ()
 
@@ -245,7 +243,7 @@ class ReportCloudSettings(OdometrySettings):
 class ReportSegmentSettings(OdometrySettings):
     """The report's program for odometry by segments (`steelnb.odometry.report_segments`)."""
 
-    family: Literal["report_segments"] = "report_segments"
+    family: ClassVar[str] = "report_segments"
     hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
 
     prefix: ClassVar[str] = "report_segments"
@@ -256,5 +254,5 @@ Family = (
     SegmentSettings | CloudSettings | FaceSettings | LoamSettings | OrbSettings | DeepVoSettings | LibrarySettings
     | ReportCloudSettings | ReportSegmentSettings
 )  # fmt: skip
-FAMILIES: dict[str, type[Family]] = {kind.model_fields["family"].default: kind for kind in get_args(Family)}
+FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Family)}
 """Family → its settings."""

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m, score_gaps
-from steelnb.odometry import CloudOdometry, LoamOdometry, prediction
+from steelnb.odometry import CloudOdometry, LoamOdometry, clouds, prediction
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
 from steelnb.types import Scan, Trajectory
@@ -112,10 +112,10 @@ def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_m
 def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
     # Without prediction every frame starts behind by the same and stops behind by a little, which the map adds up.
     _, flight, truth = world
-    few = {"clouds.iterations_max": 3}
-    odometry, _, error = run("best", **few)
+    monkeypatch.setitem(clouds.STOP, True, (3, *clouds.STOP[True][1:]))
+    odometry, _, error = run.__wrapped__("best")
     monkeypatch.setattr(prediction, "DRIFT_GAIN", 0.0)
-    behind = run.__wrapped__("best", **few)[2]
+    behind = run.__wrapped__("best")[2]
     drift = flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position
     rate = -(drift[-1] - drift[0]) / (len(drift) - 1)
     np.testing.assert_allclose(odometry.predictor.drift.offset_rate, rate, atol=0.25 * np.linalg.norm(rate))

@@ -11,7 +11,7 @@ from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match
 from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import Sighting, solve_pose
-from steelnb.registration import free_directions
+from steelnb.registration import FREE
 from steelnb.settings import TofSettings
 from steelnb.simulation import FORWARD, TRACKING
 from steelnb.simulation.scene import rays
@@ -171,9 +171,9 @@ def test_exact_observations_determine_the_pose(dof, turn):
     for outliers in (0.0, 0.25):
         seen, wrong = sightings(true, mount, outliers)
         middle = np.array([2.0, 0.1, -1.0])
-        found = solve_pose(seen, K, mount, off, free_directions(dof), [no_term], middle, 2.0 + 20 * (not outliers))
+        found = solve_pose(seen, K, mount, off, FREE[dof], [no_term], middle, 2.0 + 20 * (not outliers))
         if outliers:  # from nearer by, as after a first solve
-            found = solve_pose(seen, K, mount, found.T_world_drone, free_directions(dof), [no_term], middle, 2.0)
+            found = solve_pose(seen, K, mount, found.T_world_drone, FREE[dof], [no_term], middle, 2.0)
             assert found.weight[wrong].max() < 0.1
         assert found.determined
         np.testing.assert_allclose(found.T_world_drone, true, atol=2e-4)
