@@ -18,7 +18,7 @@ class Odometry(Protocol):
     """Corrects a drifting pose, scan by scan, and builds a map. Only `update` has to be defined."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Correct the pose at one scan and add the scan to the map.
+        """Correct the pose at one scan, and add the scan to the map.
 
         ``scan``: a `Scan`, or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return.
         ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `InputError` for arrays of other shapes,
@@ -74,7 +74,7 @@ def scan_of(scan: Scan | Array) -> Scan:
 
 
 def nothing_left(scan: Scan, crop_m: float) -> str:
-    """The reason why preprocessing left no point of a scan; empty where it had none to begin with."""
+    """Why preprocessing left no point of a scan; empty if the scan had none."""
     distance = np.linalg.norm(scan.points.reshape(-1, 3), axis=1)
     distance = distance[np.isfinite(distance) & (distance > 0)]
     if not len(distance) or distance.min() <= crop_m:

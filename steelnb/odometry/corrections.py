@@ -1,4 +1,4 @@
-"""Corrections of a pose that lay the segments of a scan on the bars of the map."""
+"""Corrections of a pose that align the segments of a scan with the bars of the map."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,15 +13,16 @@ from steelnb.types import Array, Segments
 GAIN = 0.5
 """Share of the mean distance by which `average` corrects: the report's."""
 SIGHTINGS_MIN = 2
-"""A bar counts in `bar_equations` once it has been seen so often. Chosen on seeds 11 and 12."""
+"""Minimum number of sightings of a bar in `bar_equations`. Chosen on seeds 11 and 12."""
 DAMPING_PAIRS = 1.0
-"""Weight, in pairs of mean weight, that keeps a direction which no bar constrains; chosen on seeds 11 and 12."""
+"""Weight of no correction, in pairs of mean weight. It holds a direction that no bar constrains. Chosen on seeds 11 and
+12."""
 ITERATIONS_MAX = 10
 TOLERANCE_M = 1e-4
 SIGMA_FLOOR_M = 0.02
-"""Added to the radius of a segment: its axis is never better known, since the near side of a bar is what is seen."""
+"""Added to the radius of a segment: as only the near side of a bar is visible, its axis is never known better."""
 POINTS_MAX = 100.0
-"""More points do not make a segment better: what is left is the bias of its near side. Chosen on seeds 11 and 12."""
+"""More points do not make a segment more accurate: the near-side bias remains. Chosen on seeds 11 and 12."""
 PRIOR = np.array([PRIOR_SIGMA[1] ** -2.0] + [PRIOR_SIGMA[0] ** -2.0] * 3)
 """Information of the prediction about (yaw, x, y, z)."""
 TURN_ARM_M = 3.0
@@ -30,7 +31,7 @@ TURN_ARM_M = 3.0
 
 @dataclass(frozen=True)
 class Correction:
-    """Shift ``offset (3,)`` in metres and turn ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
+    """Shift ``offset (3,)`` in metres and rotation ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
 
     offset: Array
     matches: int
@@ -43,10 +44,10 @@ def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, 
 
 
 def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
+    """The report's rule: a share (`GAIN`) of the mean offset between matched segments and bars, once per scan.
 
-    Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
-    little as soon as the bars run in different directions.
+    Each offset is perpendicular to its bar, so its component along the bar is zero. The mean therefore corrects too
+    little if the bars have different directions.
     """
     across, _, _ = _pairs(observed, known)
     if not len(across):
@@ -55,11 +56,11 @@ def average(observed: Segments, known: SegmentMap, robust_scale_m: float, positi
 
 
 def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """The translation that brings the segments onto their bars, each pair counting only across its bar.
+    """The translation that aligns the segments with their bars, by their distances perpendicular to the bars.
 
-    Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
-    w the segment's share of the points times the Geman-McClure weight; pairs are chosen anew in each iteration. λ
-    (`DAMPING_PAIRS`, in pairs of mean weight) keeps a direction that no bar constrains where it was.
+    Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares. d is the direction of the
+    bar, and w the segment's share of the points times the Geman-McClure weight. Each iteration finds new pairs. λ
+    (`DAMPING_PAIRS`, in pairs of mean weight) holds a direction that no bar constrains.
     """
     offset = np.zeros(3)
     matches = 0
@@ -81,10 +82,10 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
 
 
 def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
+    """Translation and yaw about ``position (3,)`` that align the segments with their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with pairs chosen anew in each iteration. The information of the prediction (`PRIOR`) holds what no bar
-    constrains.
+    Gauss–Newton with new pairs in each iteration. The information of the prediction (`PRIOR`) holds the directions that
+    no bar constrains.
     """
     state = np.zeros(4)
     matches = 0
@@ -105,9 +106,9 @@ def bar_equations(
     """Normal equations ``H (4, 4)``, ``b (4,)`` of a yaw about ``position (3,)`` and a shift, world frame, from pairs
     of segments and bars, and the number of pairs.
 
-    A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
-    Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
-    point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
+    The residuals of a pair are the distances, perpendicular to the bar, of both ends of the overlap of segment and bar:
+    Σ w ρ(‖(I − d dᵀ)(p − q)‖). w is half the number of the segment's points (at most `POINTS_MAX`) over the sum of the
+    variance of a point about its axis and `SIGMA_FLOOR_M`². ρ is Geman-McClure with ``robust_scale_m``.
     """
     segments, bars = _paired(observed, known, SIGHTINGS_MIN)
     count = np.minimum(segments.count, POINTS_MAX)
@@ -133,7 +134,7 @@ def _bar_equations(ends, start, direction, information, centre, scale_m):  # typ
             robust = 1.0 / (1.0 + square / (scale_m * scale_m))
             weight = information[pair] * robust * robust
             px, py = px - centre[0], py - centre[1]
-            # How a step of yaw, x, y and z moves the end, and that across the bar.
+            # Derivatives of the end by yaw, x, y and z, then their part perpendicular to the bar.
             J[0, 0], J[0, 1], J[0, 2] = -py, px, 0.0
             J[1, 0], J[1, 1], J[1, 2] = 1.0, 0.0, 0.0
             J[2, 0], J[2, 1], J[2, 2] = 0.0, 1.0, 0.0
@@ -151,7 +152,7 @@ def _bar_equations(ends, start, direction, information, centre, scale_m):  # typ
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:
-    """Ends ``(P, 2, 3)`` of the part of each segment that lies beside its bar; its nearest end twice if none does."""
+    """Ends ``(P, 2, 3)`` of the overlap of each segment with its bar; twice its nearest end if they do not overlap."""
     direction = bars.direction
     run = ((segments.end - segments.start) * direction).sum(axis=1)
     first = ((segments.start - bars.start) * direction).sum(axis=1)
@@ -169,7 +170,7 @@ CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array], Correction
 
 
 def shifted(segments: Segments, state: Array, position: Array) -> Segments:
-    """The segments after a turn by yaw ``state[0]`` about ``position (3,)`` and a shift by ``state[1:]``."""
+    """The segments after a rotation by yaw ``state[0]`` about ``position (3,)`` and a shift by ``state[1:]``."""
     c, s = np.cos(state[0]), np.sin(state[0])
     T = np.eye(4)
     T[:2, :2] = [[c, -s], [s, c]]
@@ -178,7 +179,8 @@ def shifted(segments: Segments, state: Array, position: Array) -> Segments:
 
 
 def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
-    """Offsets across ``(P, 3)`` from bar to segment, directions ``(P, 3)`` of the bars, counts ``(P,)``."""
+    """Offsets ``(P, 3)`` from bar to segment, perpendicular to the bar, directions ``(P, 3)`` of the bars, and numbers
+    of points ``(P,)`` of the segments."""
     segments, bars = _paired(observed, known)
     direction = bars.direction
     offset = segments.middle - bars.start
@@ -187,7 +189,7 @@ def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
 
 
 def _paired(observed: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:
-    """The segments that have a bar of enough sightings, and the bar of each."""
+    """The segments that match a bar with enough sightings, and the bar of each."""
     target = associate(observed, known.segments, known.settings)
     chosen = np.flatnonzero(target >= 0)
     chosen = chosen[known.sightings[target[chosen]] >= sightings_min]

@@ -1,4 +1,4 @@
-"""Odometry by segments: the report's section 3.2, with its own correction and a better one."""
+"""Odometry by segments: the report's section 3.2, with its own rule of correction and others."""
 
 import hashlib
 import time
@@ -25,7 +25,7 @@ _shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 
 
 class SegmentOdometry(Odometry):
-    """Corrects a drifting pose by the bars that it has mapped so far.
+    """Corrects a drifting pose by the bars of its map.
 
     The report's rules correct the position only, at points on the surfaces seen, and assume a constant drift.
     ``least_squares_yaw`` also corrects the yaw, moves points by the near-side bias (`near_side`), and follows the rate
@@ -49,9 +49,9 @@ class SegmentOdometry(Odometry):
         """Correct the pose at one scan and add the scan's segments to the map.
 
         ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return;
-        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. A scan without a mapped bar in sight leaves the
-        correction as it was, and its ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a
-        prior that is not rigid.
+        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. If a scan shows no bar of the map, the correction
+        stays, and ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a prior that is not
+        rigid.
         """
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
         s, watch = self.settings, Stopwatch("preprocess", "hough", "match", "map")
@@ -91,7 +91,7 @@ class SegmentOdometry(Odometry):
 
 
 def segments_in(points: Array, settings: HoughSettings) -> Segments:
-    """Segments of a scan's points ``(N, 3)``; none where there are too few points for one to pass."""
+    """Segments of a scan's points ``(N, 3)``; none if there are too few points for one."""
     if len(points) < settings.min_votes or not np.ptp(points, axis=0).max() > settings.dx_m:
         return Segments.empty()
     return detect_segments_with(points, settings)
@@ -99,8 +99,8 @@ def segments_in(points: Array, settings: HoughSettings) -> Segments:
 
 @contextmanager
 def shared_segments() -> Iterator[None]:
-    """While this lasts, equal points are segmented once for all odometries with equal settings: several methods on one
-    flight mostly see the same points. Odometries give the seconds of the time when a scan was segmented."""
+    """Within this context, equal points are segmented once for all odometries with equal settings: several methods on
+    one flight mostly get the same points. Each odometry reports the time of the first segmentation."""
     token = _shared.set({})
     try:
         yield
@@ -109,7 +109,7 @@ def shared_segments() -> Iterator[None]:
 
 
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
-    """`segments_in`, and the seconds it took; both as they were the first time under `shared_segments`."""
+    """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
     begin, shared = time.perf_counter(), _shared.get()
     if shared is None:
         return segments_in(points, settings), time.perf_counter() - begin
