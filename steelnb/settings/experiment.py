@@ -8,8 +8,7 @@ from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
 from steelnb.settings.report_plots import ReportPlot
-from steelnb.settings.sensors import ImuSettings
-from steelnb.settings.world import FlightSettings, Noise, TofSettings, TowerSettings, TrajectoryName
+from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettings, TowerSettings, TrajectoryName
 
 
 class ExperimentSettings(Settings):

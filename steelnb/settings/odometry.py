@@ -1,4 +1,5 @@
-"""Settings of the estimators, one class a family of methods. Lengths in metres, angles in radians."""
+"""Settings of the estimators: one class a family of methods, and the reconstruction. Lengths in metres, angles in
+radians."""
 
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -18,7 +19,7 @@ from steelnb.settings.base import (
     table,
 )
 from steelnb.settings.presets import method_preset, sensor_preset
-from steelnb.settings.sensors import ImuSettings
+from steelnb.settings.world import ImuSettings
 
 SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
 
@@ -256,3 +257,15 @@ Family = (
 )  # fmt: skip
 FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Family)}
 """Family → its settings."""
+
+
+class StructureSettings(Settings):
+    """The final reconstruction (`steelnb.fusion.reconstruct`).
+
+    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: adjust poses and
+    bars together first, for poses that were corrected and not smoothed.
+    """
+
+    floor_m: Finite = 0.2
+    range_max_m: Positive = 6.0
+    adjust: bool = False
