@@ -16,8 +16,6 @@ from steelnb.registration import FREE, AnyTarget, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
-NEIGHBOURS = 20
-"""Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
@@ -123,7 +121,7 @@ class CloudOdometry(Odometry):
         if s.error != "gicp":
             return Target(tree), None
         if not self.measured:
-            return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
+            return Target.with_planes(tree), regularised(neighbour_covariances(points))
         shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
         return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
 

@@ -27,8 +27,6 @@ TURN_MAX_RAD, MOVE_MAX_M = np.pi / 8, 1.0
 """Larger steps are rejected. Both refer to ΔT itself, a motion about the world's origin."""
 VOXEL_M = 0.1
 """Edge of the map's voxels."""
-NEIGHBOURS = 20
-"""Number of neighbours for a point's covariance, PCL's default."""
 
 
 class Program(NamedTuple):
@@ -113,11 +111,11 @@ class ReportCloudOdometry(Odometry):
         t, tree, covariance = self.program, build_kdtree(self.map_points()), None
         target = Target(tree)
         if t.error == "gicp":
-            covariance = neighbour_covariances(points, NEIGHBOURS)
+            covariance = neighbour_covariances(points)
             if "covariances" in self.switched:
-                target = Target(tree, covariance=neighbour_covariances(tree.point, NEIGHBOURS, tree))
+                target = Target(tree, covariance=neighbour_covariances(tree.point, tree=tree))
             else:
-                target, covariance = Target.with_planes(tree, NEIGHBOURS), regularised(covariance)
+                target, covariance = Target.with_planes(tree), regularised(covariance)
         if "solver" in self.switched:
             result = align(
                 points, target, t.error, FREE["se3"], np.eye(4), t.max_correspondence_m, covariance,

@@ -27,7 +27,6 @@ def register(
     max_correspondence_m: float = 1.0,
     robust_scale: float = math.inf,
     iterations_max: int = 50,
-    neighbours: int = 20,
     rotation_epsilon_rad: float = math.radians(0.1),
     translation_epsilon_m: float = 1e-3,
 ) -> RegistrationResult:
@@ -44,7 +43,6 @@ def register(
     max_correspondence_m: maximum distance of a pair, metres.
     robust_scale: scale of the Geman-McClure weights, in metres, for gicp in standard deviations; default no weights.
     iterations_max: maximum number of iterations.
-    neighbours: number of points for the normal or covariance of each point.
     rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration.
 
     Raises `InputError`. A registration that does not converge does not raise: see ``converged`` and ``reason`` of the
@@ -64,13 +62,11 @@ def register(
     scale = robust_scale if robust_scale == math.inf else _positive("robust_scale", robust_scale)
     if iterations_max < 1:
         raise InputError(f"iterations_max = {iterations_max}: expected at least 1")
-    if neighbours < NEIGHBOURS_MIN:
-        raise InputError(f"neighbours = {neighbours}: expected at least {NEIGHBOURS_MIN}")
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     points_min = max(pairs_needed(error, free), 1 if error == "point" else NEIGHBOURS_MIN)
     points = _enough(finite(source, "source"), points_min, "source")
-    prepared = _prepared(target, error, neighbours, points_min)
-    covariance = regularised(neighbour_covariances(points, neighbours)) if error == "gicp" else None
+    prepared = _prepared(target, error, points_min)
+    covariance = regularised(neighbour_covariances(points)) if error == "gicp" else None
     return align(
         points, prepared, error, free, T, limit, covariance, scale, iterations_max,
         _positive("rotation_epsilon_rad", rotation_epsilon_rad),
@@ -78,13 +74,13 @@ def register(
     )  # fmt: skip
 
 
-def _prepared(target: Array | Target | VoxelMap, error: str, neighbours: int, points_min: int) -> Target:
+def _prepared(target: Array | Target | VoxelMap, error: str, points_min: int) -> Target:
     if isinstance(target, Target):
         if (error == "plane" and not len(target.normal)) or (error == "gicp" and not len(target.covariance)):
             raise InputError(f"target: prepared for another error, expected make_target(points, {error!r})")
         return target
     points = target.means() if isinstance(target, VoxelMap) else target
-    return make_target(_enough(finite(points, "target"), points_min, "target"), error, neighbours)
+    return make_target(_enough(finite(points, "target"), points_min, "target"), error)
 
 
 def _positive(name: str, value: float) -> float:

@@ -169,7 +169,7 @@ def test_iterations_that_run_out_count_as_converged_and_too_few_pairs_do_not(sol
     def found(source, iterations):
         if solve == "icp":
             return icp_as_pcl(source, Target(tree), 0.2, iterations, 1e-12)
-        return gicp_as_pcl(source, covariance, Target.with_planes(tree, 20), 0.2, iterations, 1e-12)
+        return gicp_as_pcl(source, covariance, Target.with_planes(tree), 0.2, iterations, 1e-12)
 
     assert found(corner(seed=2) + 0.05, 2).converged
     away = found(corner(seed=2) + 50.0, 5)
