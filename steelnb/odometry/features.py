@@ -35,11 +35,6 @@ class Features(NamedTuple):
     descriptor: NDArray[np.uint64]
     depth: Array
 
-    @property
-    def sigma_scale(self) -> Array:
-        """Standard deviations ``(N,)`` of the pixels, relative to the finest level."""
-        return SCALE ** self.octave.astype(np.float64)
-
     def take(self, index: IntArray) -> "Features":
         """The features selected by an index."""
         return Features(self.pixel[index], self.octave[index], self.descriptor[index], self.depth[index])

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.images import CameraImages, GreyImage, unproject
 from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
-from steelnb.odometry.features import Features, features_with_depth, match
+from steelnb.odometry.features import SCALE, Features, features_with_depth, match
 from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.prediction import PRIOR_SIGMA, PosePredictor
 from steelnb.odometry.reprojection import Sighting, solve_pose
@@ -155,8 +155,9 @@ class OrbOdometry(Odometry):
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches")
         matched, landmark = features.take(found[inlier]), self.map.point[expected.number[inlier]]
+        sigma_px = PIXEL_SIGMA * SCALE ** matched.octave.astype(np.float64)
         sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * matched.depth)
-        sighting = Sighting(landmark, matched.pixel, PIXEL_SIGMA * matched.sigma_scale, matched.depth, sigma_m)
+        sighting = Sighting(landmark, matched.pixel, sigma_px, matched.depth, sigma_m)
         in_drone = (landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3]
         solved = solve_pose(
             sighting, self.images.K, self.images.T_drone_camera, T_init, self.free,
