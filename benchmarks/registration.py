@@ -29,12 +29,12 @@ from shared import command
 from steelnb import experiment, rng
 from steelnb.pins import machine
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
-from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.points.covariances import NEIGHBOURS, neighbour_covariances, regularised
 from steelnb.registration import align, make_target
 from steelnb.settings import ExperimentSettings, PreprocessSettings
 from steelnb.types import Array
 
-NEIGHBOURS, ITERATIONS, TURN_RAD, MOVE_M = 20, 50, np.radians(0.1), 1e-3
+ITERATIONS, TURN_RAD, MOVE_M = 50, np.radians(0.1), 1e-3
 ERROR = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 OURS = "steelnb"
 NOTES = """The programs take turns in one process on one core, with the same points, {} neighbours and at most {} steps,
@@ -63,8 +63,8 @@ Done = tuple[Array, int | None, float]
 
 
 def ours(method: str, p: Problem) -> Done:
-    goal = make_target(p.target, ERROR[method], NEIGHBOURS)
-    covariances = regularised(neighbour_covariances(p.source, NEIGHBOURS)) if method == "gicp" else None
+    goal = make_target(p.target, ERROR[method])
+    covariances = regularised(neighbour_covariances(p.source)) if method == "gicp" else None
     prepared = time.process_time()
     result = align(
         p.source, goal, ERROR[method], np.eye(6), p.T_init, p.distance_m, covariances, math.inf, ITERATIONS,

@@ -24,7 +24,7 @@ from steelnb.types import Array, Segments
 BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
     "#000000", "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 )  # fmt: skip
-INDIGO, MAGENTA, WINE, OLIVE, LIGHT_GREEN = "#332288", "#9E2A8F", "#882255", "#999933", "#8FCF9F"
+INDIGO, MAGENTA, WINE, OLIVE = "#332288", "#9E2A8F", "#882255", "#999933"
 GREY, DARK_GREY, LIGHT_GREY = "#777777", "#555555", "#b8b8b8"
 VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
 METHODS = {
@@ -35,7 +35,6 @@ METHODS = {
     "icp": ("ICP", SKY),
     "report-icp": ("report's ICP program", "#14ADB8"),
     "icp-3dof": ("3-DoF ICP", GREEN),
-    "icp-3dof-dropped": ("3-DoF ICP, rotation dropped", LIGHT_GREEN),
     "report-icp-3dof": ("report's 3-DoF program", "#85C2AD"),
     "icp-4dof": ("4-DoF ICP", "#1C7A7A"),
     "gicp": ("GICP", PINK),

@@ -1,18 +1,16 @@
 """Points → `Segments`, by the methods that the report compares (its section 1.1).
 
-All take ``(points, seed, dx, points_min, …)``: finite ``points (N, 3)`` in metres, ``dx`` in metres (default
-`default_dx`) and the minimum number of points of a bar. All raise as `steelnb.hough.detect_lines`. Open3D and
-scikit-learn are imported by the methods that use them, since the imports take seconds.
+Open3D and scikit-learn are imported by the methods that use them, since the imports take seconds.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from steelnb.errors import InputError
 from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, prepared, refine
-from steelnb.hough.blocks import segment_structure
 from steelnb.hough.lines import detect_lines
 from steelnb.hough.transform import drop, fit_near_line
 from steelnb.libraries import import_open3d
@@ -31,31 +29,33 @@ FAILURES = 3
 """RANSAC stops after this many lines in a row with too few points."""
 
 
-def segment_by_hough(points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN) -> Segments:
-    """Hough lines with at least ``points_min`` votes, in two passes, then refined. ``seed`` is not used."""
-    points, dx = prepared(points, dx, points_min)
-    found = in_passes(lambda subset: segment_by_hough_once(subset, seed, dx, points_min), points, dx, points_min)
-    return refine(points, found, dx, points_min)
-
-
-def segment_by_hough_once(
-    points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN
+def find_bars(
+    method: str, points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, **options: Any
 ) -> Segments:
-    """A single pass of `segment_by_hough` without refinement, as `steelnb.hough.detect_segments`."""
-    points, dx = prepared(points, dx, points_min)
-    lines = detect_lines(points, dx, points_min, None, GRANULARITY, skip_weak=True)
-    return bars_of_lines(points, lines, points_min)
+    """The bars in points by a method of `METHODS`, refined alike for all methods.
 
+    Parameters
+    ----------
+    points: ``(N, 3)`` in metres, any frame, finite.
+    seed: of the methods that draw.
+    dx: distance of a bar's points from its axis, metres; default `default_dx`.
+    points_min: minimum number of points of a bar.
+    options: of the method.
 
-def segment_by_hough_blocks(
-    points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN
-) -> Segments:
-    """Hough lines of small blocks and a selection among them (`steelnb.hough.blocks`), refined: for whole structures.
-
-    ``points`` must be voxel-filtered with a leaf of about dx/√3. ``seed`` is not used.
+    Raises `InputError` as `steelnb.hough.detect_lines`.
     """
     points, dx = prepared(points, dx, points_min)
-    return refine(points, segment_structure(points, dx), dx, points_min)
+    return refine(points, METHODS[method](points, seed, dx, points_min, **options), dx, points_min)
+
+
+def _hough(points: Array, seed: int, dx: float, points_min: int) -> Segments:
+    """Hough lines with at least ``points_min`` votes, in two passes."""
+
+    def find(subset: Array) -> Segments:
+        lines = detect_lines(subset, dx, points_min, None, GRANULARITY, skip_weak=True)
+        return bars_of_lines(subset, lines, points_min)
+
+    return in_passes(find, points, dx, points_min)
 
 
 def _check_trials(trials: int) -> None:
@@ -64,32 +64,26 @@ def _check_trials(trials: int) -> None:
         raise InputError(f"trials = {trials}: expected at least 1")
 
 
-def segment_by_ransac_lines(
-    points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, trials: int = 300
-) -> Segments:
+def _ransac_lines(points: Array, seed: int, dx: float, points_min: int, trials: int = 300) -> Segments:
     """RANSAC lines: of ``trials`` lines through two points, take the one with the most inliers, remove them, repeat.
 
     Inliers lie within ``dx``. Source: Fischler and Bolles, "Random Sample Consensus", Communications of the ACM 24
     (1981), 381–395. Compiled here, since a scan needs some 30,000 trials: scikit-learn's RANSAC fits regressions,
     Open3D's only planes, and those of scikit-image and pyRANSAC-3D loop in Python.
     """
-    points, dx = prepared(points, dx, points_min)
     _check_trials(trials)
     random = stream(seed, "ransac-lines")
 
     def find(subset: Array) -> Segments:
         px, py, pz = np.ascontiguousarray(subset.T)
-        lines = Lines(*_ransac_lines(px, py, pz, random, dx, trials, points_min))
+        lines = Lines(*_draw_lines(px, py, pz, random, dx, trials, points_min))
         return bars_of_lines(subset, lines, points_min)
 
-    return refine(points, in_passes(find, points, dx, points_min), dx, points_min)
+    return in_passes(find, points, dx, points_min)
 
 
-def segment_by_ransac_planes(
-    points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, trials: int = 500
-) -> Segments:
+def _ransac_planes(points: Array, seed: int, dx: float, points_min: int, trials: int = 500) -> Segments:
     """RANSAC planes: of ``trials`` planes, take the one with the most points within ``dx``, remove them, repeat."""
-    points, dx = prepared(points, dx, points_min)
     _check_trials(trials)
     open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
@@ -104,26 +98,25 @@ def segment_by_ransac_planes(
         if len(inside) < points_min:
             break
         label[remaining[np.asarray(inside)]] = plane
-    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
+    return bars_of_groups(points, label, points_min)
 
 
-def segment_by_dbscan(points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN) -> Segments:
+def _dbscan(points: Array, seed: int, dx: float, points_min: int) -> Segments:
     """Clusters of points with at least `NEIGHBOURS_MIN` others within ``dx``, and the principal axis of each.
 
-    ``seed`` is not used. Source: Ester et al., "A Density-Based Algorithm for Discovering Clusters", KDD 1996.
+    Source: Ester et al., "A Density-Based Algorithm for Discovering Clusters", KDD 1996.
     """
-    points, dx = prepared(points, dx, points_min)
     open3d = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     label = np.asarray(cloud.cluster_dbscan(eps=dx, min_points=NEIGHBOURS_MIN), dtype=np.int64)
-    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
+    return bars_of_groups(points, label, points_min)
 
 
-def segment_by_gmm(
+def _gmm(
     points: Array,
-    seed: int = 0,
-    dx: float | None = None,
-    points_min: int = POINTS_MIN,
+    seed: int,
+    dx: float,
+    points_min: int,
     components: Sequence[int] = (25, 50, 100),
     sample: int = 3000,
 ) -> Segments:
@@ -132,7 +125,6 @@ def segment_by_gmm(
     The bars are the principal axes of the components. The mixtures are fitted to ``sample`` random points and then
     assign all points.
     """
-    points, dx = prepared(points, dx, points_min)
     if not components or min(components) < 1 or sample < 2:
         raise InputError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
     from sklearn.mixture import GaussianMixture
@@ -148,24 +140,22 @@ def segment_by_gmm(
         ]
         best = min(mixtures, key=lambda mixture: mixture.bic(subset))
         label = best.predict(points).astype(np.int64)
-    return refine(points, bars_of_groups(points, label, points_min), dx, points_min)
+    return bars_of_groups(points, label, points_min)
 
 
 METHODS: dict[str, Callable[..., Segments]] = {
-    "ransac-planes": segment_by_ransac_planes,
-    "ransac-lines": segment_by_ransac_lines,
-    "dbscan": segment_by_dbscan,
-    "gmm": segment_by_gmm,
-    "hough": segment_by_hough,
-    "hough-once": segment_by_hough_once,
-    "hough-blocks": segment_by_hough_blocks,
+    "ransac-planes": _ransac_planes,
+    "ransac-lines": _ransac_lines,
+    "dbscan": _dbscan,
+    "gmm": _gmm,
+    "hough": _hough,
 }
 """The methods by their names in tables and figures."""
 
 
 @njit(cache=True)
-def _ransac_lines(px, py, pz, random, dx, trials, points_min):
-    """The loop of `segment_by_ransac_lines`: (anchor, direction, count, label) as in `Lines`."""
+def _draw_lines(px, py, pz, random, dx, trials, points_min):
+    """The loop of `_ransac_lines`: (anchor, direction, count, label) as in `Lines`."""
     n = len(px)
     label = np.full(n, -1, np.int64)
     anchor, direction = np.zeros((n // points_min + 1, 3)), np.zeros((n // points_min + 1, 3))

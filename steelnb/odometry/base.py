@@ -1,14 +1,16 @@
 """The interface of every odometry."""
 
+import time
 from typing import Protocol, TypeVar
 
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.points.inputs import checked_cloud
+from steelnb.points.inputs import checked_cloud, checked_pose
 from steelnb.settings import OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
 
+SPACING_M = 0.05
 S = TypeVar("S", bound=OdometrySettings)
 
 
@@ -16,7 +18,7 @@ class Odometry(Protocol):
     """Corrects a drifting pose, scan by scan, and builds a map. Only `update` has to be defined."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Correct the pose at one scan and add the scan to the map.
+        """Correct the pose at one scan, and add the scan to the map.
 
         ``scan``: a `Scan`, or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return.
         ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `InputError` for arrays of other shapes,
@@ -24,8 +26,12 @@ class Odometry(Protocol):
         """
 
     def map_points(self) -> Array:
-        """The map as points ``(N, 3)``, world frame; none by default."""
-        return np.zeros((0, 3))
+        """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""
+        bars, pieces = self.map_segments(), [np.zeros((0, 3))]
+        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True):
+            share = np.linspace(0, 1, max(2, int(length / SPACING_M) + 1))
+            pieces.append(start + share[:, None] * (end - start))
+        return np.concatenate(pieces)
 
     def map_segments(self) -> Segments:
         """The bars of the map; none by default."""
@@ -41,6 +47,25 @@ def settings_of(given: OdometrySettings | None, kind: type[S], method: str) -> S
     return found
 
 
+def mount_of(T_drone_sensor: Array | None) -> Array:
+    """The mount of a sensor ``(4, 4)``, by default the identity. Raises `InputError` if it is not rigid."""
+    return checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+
+
+class Stopwatch:
+    """``seconds`` of each stage of an update, zero for a stage that was skipped."""
+
+    def __init__(self, *stages: str) -> None:
+        self.seconds = dict.fromkeys(stages, 0.0)
+        self._last_s = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now_s = time.perf_counter()
+        self.seconds[stage] += now_s - self._last_s
+        self._last_s = now_s
+
+
 def scan_of(scan: Scan | Array) -> Scan:
     """A scan from an odometry's input: points in float64, their shape checked. Raises `InputError`."""
     if isinstance(scan, Scan):
@@ -49,7 +74,7 @@ def scan_of(scan: Scan | Array) -> Scan:
 
 
 def nothing_left(scan: Scan, crop_m: float) -> str:
-    """The reason why preprocessing left no point of a scan; empty where it had none to begin with."""
+    """Why preprocessing left no point of a scan; empty if the scan had none."""
     distance = np.linalg.norm(scan.points.reshape(-1, 3), axis=1)
     distance = distance[np.isfinite(distance) & (distance > 0)]
     if not len(distance) or distance.min() <= crop_m:

@@ -1,11 +1,10 @@
 """Odometry by clouds: the report's section 3.3, one loop for every method."""
 
-import time
 from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, nothing_left, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, nothing_left, scan_of, settings_of
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PosePredictor
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
@@ -13,12 +12,10 @@ from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import AnyTarget, Target, align, free_directions
+from steelnb.registration import FREE, AnyTarget, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 from steelnb.types import Array, Imu, OdometryStep, Scan
 
-NEIGHBOURS = 20
-"""Nearest neighbours of which a covariance is estimated, as PCL's GICP does."""
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
@@ -30,8 +27,9 @@ NORMALS_MIN = 0.05
 0.06 there with the report's sensor. On a tower 6 m wide it falls to 0.03 now and then."""
 JUMP_MAX_VOXELS = 10
 """Largest accepted distance of a registration from its prediction, in voxels of the map."""
-STOP = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
-"""``fast`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
+STOP = {False: (150, 1e-4, 2e-4), True: (20, 5e-4, 7e-4)}
+"""Whether the map is ``measured`` → maximum number of iterations, rotation epsilon (rad) and translation epsilon (m) of
+the solver. Point-to-point ICP takes up to 46 iterations."""
 
 
 class Registered(NamedTuple):
@@ -49,6 +47,10 @@ class Registered(NamedTuple):
 class CloudOdometry(Odometry):
     """Registers each scan to the map of the scans before it.
 
+    The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, they
+    are those of the points accumulated around each voxel and of the sensor's noise along each ray. Points are then
+    moved by the near-side bias (`near_side`), and the solver extrapolates its steps and stops earlier (`STOP`).
+
     Parameters
     ----------
     settings : of the family of clouds or faces, default ``OdometrySettings.preset("best")``.
@@ -63,10 +65,11 @@ class CloudOdometry(Odometry):
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
         self.settings = s = self._own(settings)
-        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+        self.T_drone_sensor, self.measured = mount_of(T_drone_sensor), s.map == "measured"
+        self.stop = STOP[self.measured]
         self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
         self.predictor = PosePredictor(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = free_directions("se3" if self.predictor.tilted else s.dof)
+        self.free = FREE["se3" if self.predictor.tilted else s.dof]
         self.near_side = NearSide()
 
     def _own(self, settings: OdometrySettings | None) -> RegistrationSettings | LoamSettings:
@@ -75,30 +78,27 @@ class CloudOdometry(Odometry):
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        s, clock = self.settings, [time.perf_counter()]
+        s, watch = self.settings, Stopwatch("preprocess", "prepare", "register", "map")
         T_init = self.predictor.pose(scan.stamp_s, T_world_drone_prior)
-        if s.near_side:
+        if self.measured:
             self.near_side.update(scan.points)
         points = self.preprocessed(scan, T_init)
-        clock.append(time.perf_counter())
+        watch.lap("preprocess")
         target, covariance = self._prepare(points, T_init)
-        clock.append(time.perf_counter())
+        watch.lap("prepare")
         T_world_drone, reason, inliers, unobserved, information = self._register(points, covariance, target, T_init)
         used = reason == ""
         if not len(points):
             reason = nothing_left(scan, s.preprocess.crop_m) or reason
-        clock.append(time.perf_counter())
+        watch.lap("register")
         if (used or reason == "first scan") and len(points):
             self.insert(points, T_world_drone)
         if used:
-            if s.drop_rotation:
-                T_world_drone = np.block([[T_init[:3, :3], T_world_drone[:3, 3:]], [np.array([[0, 0, 0, 1.0]])]])
             self.predictor.correct(T_world_drone, T_world_drone_prior, unobserved, information)
         else:
             self.predictor.lose()
-        clock.append(time.perf_counter())
-        seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, seconds, len(unobserved))
+        watch.lap("map")
+        return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, watch.seconds, len(unobserved))
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
@@ -106,7 +106,7 @@ class CloudOdometry(Odometry):
         if self.settings.sigma_filter_px:
             scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.settings.sigma_filter_px), scan.fault)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
-        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.settings.near_side else points
+        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.measured else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
         s = self.settings
@@ -120,10 +120,10 @@ class CloudOdometry(Odometry):
         tree = build_kdtree(self.map.means(chosen))
         if s.error != "gicp":
             return Target(tree), None
-        if s.map != "measured":
-            return Target.with_planes(tree, NEIGHBOURS), regularised(neighbour_covariances(points, NEIGHBOURS))
+        if not self.measured:
+            return Target.with_planes(tree), regularised(neighbour_covariances(points))
         shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
-        return Target.of_voxels(tree, shapes), self._ray_covariances(points)
+        return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
         """Covariances of points, drone frame: range noise along each ray, half of its floor across. Upper triangles
@@ -149,13 +149,10 @@ class CloudOdometry(Odometry):
             return Registered(T_init, "first scan")
         if target is None:
             return Registered(T_init, "no map in sight")
-        rotation_epsilon_rad, translation_epsilon_m = STOP[s.fast]
-        terms = self.predictor.terms(T_init, points)
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            s.robust_scale or np.inf, s.iterations_max,
-            rotation_epsilon_rad, translation_epsilon_m, s.fast, terms,
-            NORMALS_MIN if known and s.error == "gicp" else 0.0,
+            s.robust_scale or np.inf, *self.stop, self.measured,
+            self.predictor.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
         )  # fmt: skip
         jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < inliers_min:
@@ -171,7 +168,7 @@ class CloudOdometry(Odometry):
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
         touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
-        if self.settings.map == "measured":
+        if self.measured:
             self.map.update_shapes(touched)
 
     @property

@@ -1,4 +1,4 @@
-"""Corrections of a pose that lay the segments of a scan on the bars of the map."""
+"""Corrections of a pose that align the segments of a scan with the bars of the map."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,43 +7,47 @@ import numpy as np
 from numba import njit
 
 from steelnb.fusion import SegmentMap, associate
+from steelnb.odometry.prediction import PRIOR_SIGMA
 from steelnb.types import Array, Segments
 
 GAIN = 0.5
 """Share of the mean distance by which `average` corrects: the report's."""
 SIGHTINGS_MIN = 2
-"""A bar counts in `bar_equations` once it has been seen so often. Chosen on seeds 11 and 12."""
+"""Minimum number of sightings of a bar in `bar_equations`. Chosen on seeds 11 and 12."""
 DAMPING_PAIRS = 1.0
-"""Weight, in pairs of mean weight, that keeps a direction which no bar constrains; chosen on seeds 11 and 12."""
+"""Weight of no correction, in pairs of mean weight. It holds a direction that no bar constrains. Chosen on seeds 11 and
+12."""
 ITERATIONS_MAX = 10
 TOLERANCE_M = 1e-4
 SIGMA_FLOOR_M = 0.02
-"""Added to the radius of a segment: its axis is never better known, since the near side of a bar is what is seen."""
+"""Added to the radius of a segment: as only the near side of a bar is visible, its axis is never known better."""
 POINTS_MAX = 100.0
-"""More points do not make a segment better: what is left is the bias of its near side. Chosen on seeds 11 and 12."""
+"""More points do not make a segment more accurate: the near-side bias remains. Chosen on seeds 11 and 12."""
+PRIOR = np.array([PRIOR_SIGMA[1] ** -2.0] + [PRIOR_SIGMA[0] ** -2.0] * 3)
+"""Information of the prediction about (yaw, x, y, z)."""
+TURN_ARM_M = 3.0
+"""The distance at which a yaw is compared with a shift, metres."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Shift ``offset (3,)`` in metres and turn ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
+    """Shift ``offset (3,)`` in metres and rotation ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
 
     offset: Array
     matches: int
     yaw_rad: float = 0.0
 
 
-def no_correction(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
+def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """No correction: the map that drift makes (the report's Figure 3.4a)."""
     return Correction(np.zeros(3), 0)
 
 
-def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array) -> Correction:
-    """The report's rule: a share (`GAIN`) of the mean distance between matched segments, once a scan.
+def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
+    """The report's rule: a share (`GAIN`) of the mean offset between matched segments and bars, once per scan.
 
-    Each distance is measured across its bar, and the mean counts the direction along it as zero. So it corrects too
-    little as soon as the bars run in different directions.
+    Each offset is perpendicular to its bar, so its component along the bar is zero. The mean therefore corrects too
+    little if the bars have different directions.
     """
     across, _, _ = _pairs(observed, known)
     if not len(across):
@@ -51,14 +55,12 @@ def average(observed: Segments, known: SegmentMap, robust_scale_m: float, positi
     return Correction(-GAIN * across.mean(axis=0), len(across))
 
 
-def least_squares(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
-    """The translation that brings the segments onto their bars, each pair counting only across its bar.
+def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
+    """The translation that aligns the segments with their bars, by their distances perpendicular to the bars.
 
-    Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares: d is the bar's direction,
-    w the segment's share of the points times the Geman-McClure weight; pairs are chosen anew in each iteration. λ
-    (`DAMPING_PAIRS`, in pairs of mean weight) keeps a direction that no bar constrains where it was.
+    Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares. d is the direction of the
+    bar, and w the segment's share of the points times the Geman-McClure weight. Each iteration finds new pairs. λ
+    (`DAMPING_PAIRS`, in pairs of mean weight) holds a direction that no bar constrains.
     """
     offset = np.zeros(3)
     matches = 0
@@ -79,47 +81,34 @@ def least_squares(
     return Correction(offset, matches)
 
 
-def least_squares_yaw(
-    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array, prior: Array
-) -> Correction:
-    """Translation and yaw about ``position (3,)`` that bring the segments onto their bars: `bar_equations`, iterated.
+def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
+    """Translation and yaw about ``position (3,)`` that align the segments with their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with pairs chosen anew in each iteration. ``prior (4,)`` is the information of the prediction about
-    (yaw, x, y, z), which holds what no bar constrains.
+    Gauss–Newton with new pairs in each iteration. The information of the prediction (`PRIOR`) holds the directions that
+    no bar constrains.
     """
     state = np.zeros(4)
     matches = 0
     for _ in range(ITERATIONS_MAX):
-        bars = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
-        matches = bars.matches
+        H, b, matches = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
         if not matches:
             return Correction(np.zeros(3), 0)
-        step = -np.linalg.solve(bars.H + np.diag(prior), bars.b + prior * state)
+        step = -np.linalg.solve(H + np.diag(PRIOR), b + PRIOR * state)
         state = state + step
         if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < TOLERANCE_M:
             break
     return Correction(state[1:], matches, float(state[0]))
 
 
-TURN_ARM_M = 3.0
-"""The distance at which a yaw is compared with a shift, metres."""
+def bar_equations(
+    observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array
+) -> tuple[Array, Array, int]:
+    """Normal equations ``H (4, 4)``, ``b (4,)`` of a yaw about ``position (3,)`` and a shift, world frame, from pairs
+    of segments and bars, and the number of pairs.
 
-
-@dataclass(frozen=True)
-class BarEquations:
-    """Normal equations ``H (4, 4)``, ``b (4,)`` of (yaw, x, y, z), and the number of pairs."""
-
-    H: Array
-    b: Array
-    matches: int
-
-
-def bar_equations(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> BarEquations:
-    """Normal equations of a yaw about ``position (3,)`` and a shift, world frame, from pairs of segments and bars.
-
-    A pair counts with both ends of what segment and bar share along the bar, each by its distance across the bar:
-    Σ w ρ(‖(I − d dᵀ)(p − q)‖), where w is half the segment's points (at most `POINTS_MAX`) over the variance of a
-    point about its axis plus `SIGMA_FLOOR_M`², and ρ Geman-McClure with ``robust_scale_m``.
+    The residuals of a pair are the distances, perpendicular to the bar, of both ends of the overlap of segment and bar:
+    Σ w ρ(‖(I − d dᵀ)(p − q)‖). w is half the number of the segment's points (at most `POINTS_MAX`) over the sum of the
+    variance of a point about its axis and `SIGMA_FLOOR_M`². ρ is Geman-McClure with ``robust_scale_m``.
     """
     segments, bars = _paired(observed, known, SIGHTINGS_MIN)
     count = np.minimum(segments.count, POINTS_MAX)
@@ -127,7 +116,7 @@ def bar_equations(observed: Segments, known: SegmentMap, robust_scale_m: float, 
     H, b = _bar_equations(
         shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m
     )
-    return BarEquations(H, b, len(bars))
+    return H, b, len(bars)
 
 
 @njit(cache=True)
@@ -145,7 +134,7 @@ def _bar_equations(ends, start, direction, information, centre, scale_m):  # typ
             robust = 1.0 / (1.0 + square / (scale_m * scale_m))
             weight = information[pair] * robust * robust
             px, py = px - centre[0], py - centre[1]
-            # How a step of yaw, x, y and z moves the end, and that across the bar.
+            # Derivatives of the end by yaw, x, y and z, then their part perpendicular to the bar.
             J[0, 0], J[0, 1], J[0, 2] = -py, px, 0.0
             J[1, 0], J[1, 1], J[1, 2] = 1.0, 0.0, 0.0
             J[2, 0], J[2, 1], J[2, 2] = 0.0, 1.0, 0.0
@@ -163,7 +152,7 @@ def _bar_equations(ends, start, direction, information, centre, scale_m):  # typ
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:
-    """Ends ``(P, 2, 3)`` of the part of each segment that lies beside its bar; its nearest end twice if none does."""
+    """Ends ``(P, 2, 3)`` of the overlap of each segment with its bar; twice its nearest end if they do not overlap."""
     direction = bars.direction
     run = ((segments.end - segments.start) * direction).sum(axis=1)
     first = ((segments.start - bars.start) * direction).sum(axis=1)
@@ -172,7 +161,7 @@ def shared_ends(segments: Segments, bars: Segments) -> Array:
     return np.asarray(segments.start[:, None] + share[..., None] * (segments.end - segments.start)[:, None])
 
 
-CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array, Array], Correction]] = {
+CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array], Correction]] = {
     "none": no_correction,
     "average": average,
     "least_squares": least_squares,
@@ -181,7 +170,7 @@ CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array, Array], Cor
 
 
 def shifted(segments: Segments, state: Array, position: Array) -> Segments:
-    """The segments after a turn by yaw ``state[0]`` about ``position (3,)`` and a shift by ``state[1:]``."""
+    """The segments after a rotation by yaw ``state[0]`` about ``position (3,)`` and a shift by ``state[1:]``."""
     c, s = np.cos(state[0]), np.sin(state[0])
     T = np.eye(4)
     T[:2, :2] = [[c, -s], [s, c]]
@@ -190,7 +179,8 @@ def shifted(segments: Segments, state: Array, position: Array) -> Segments:
 
 
 def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
-    """Offsets across ``(P, 3)`` from bar to segment, directions ``(P, 3)`` of the bars, counts ``(P,)``."""
+    """Offsets ``(P, 3)`` from bar to segment, perpendicular to the bar, directions ``(P, 3)`` of the bars, and numbers
+    of points ``(P,)`` of the segments."""
     segments, bars = _paired(observed, known)
     direction = bars.direction
     offset = segments.middle - bars.start
@@ -199,7 +189,7 @@ def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
 
 
 def _paired(observed: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:
-    """The segments that have a bar of enough sightings, and the bar of each."""
+    """The segments that match a bar with enough sightings, and the bar of each."""
     target = associate(observed, known.segments, known.settings)
     chosen = np.flatnonzero(target >= 0)
     chosen = chosen[known.sightings[target[chosen]] >= sightings_min]

@@ -4,13 +4,12 @@ After Wang, Clark, Wen and Trigoni, "DeepVO: Towards end-to-end visual odometry 
 networks" (ICRA 2017), for range images instead of colour, and without its recurrent part.
 """
 
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
 from steelnb.odometry.network import Network, read_network
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import DeepVoSettings, OdometrySettings
@@ -109,7 +108,7 @@ class DeepVoOdometry(Odometry):
         self.settings = settings_of(settings, DeepVoSettings, "deepvo")
         packaged = PRESETS / self.settings.weights
         self.network = read_network(packaged if packaged.is_file() else Path(self.settings.weights))
-        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+        self.T_drone_sensor = mount_of(T_drone_sensor)
         self.sigma_m = np.zeros(3)
         self._last: tuple[float, Array, Array] | None = None  # stamp, points and attitude of the last scan with returns
         self._position: Array | None = None  # position of the sensor, world frame
@@ -118,14 +117,14 @@ class DeepVoOdometry(Odometry):
         """Add the motion since the last scan; see `Odometry.update`. ``matches``: number of pixels with returns in both
         images; the attribute ``sigma_m (3,)``: standard deviations of the last motion, ahead, left and up."""
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        clock = [time.perf_counter()]
+        watch = Stopwatch("image", "network")
         T_world_sensor = prior @ self.T_drone_sensor
         R, lever = T_world_sensor[:3, :3], prior[:3, :3] @ self.T_drone_sensor[:3, 3]
         if self._position is None:
             self._position = T_world_sensor[:3, 3]
         reason, matches, last = "", 0, self._last
         pair = level_pair((last[1] if last else scan.points, scan.points), (last[2] if last else R, R))
-        clock.append(time.perf_counter())
+        watch.lap("image")
         has_returns = pair.images[[0, 2]].reshape(2, -1) > 0.1
         too_few = has_returns[1].mean() < COVERAGE_MIN
         if too_few:
@@ -142,10 +141,5 @@ class DeepVoOdometry(Odometry):
             self._last = scan.stamp_s, scan.points, R
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] = self._position - lever
-        clock.append(time.perf_counter())
-        seconds = dict(zip(("image", "network"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, seconds)
-
-    def map_points(self) -> Array:
-        """No points ``(0, 3)``: there is no map."""
-        return np.zeros((0, 3))
+        watch.lap("network")
+        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds)

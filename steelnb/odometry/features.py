@@ -35,11 +35,6 @@ class Features(NamedTuple):
     descriptor: NDArray[np.uint64]
     depth: Array
 
-    @property
-    def sigma_scale(self) -> Array:
-        """Standard deviations ``(N,)`` of the pixels, relative to the finest level."""
-        return SCALE ** self.octave.astype(np.float64)
-
     def take(self, index: IntArray) -> "Features":
         """The features selected by an index."""
         return Features(self.pixel[index], self.octave[index], self.descriptor[index], self.depth[index])
@@ -262,15 +257,3 @@ def _popcount(x):
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
     return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@njit(cache=True)
-def near_any(pixel, others, distance_px):
-    """Whether each pixel ``(N, 2)`` is within a distance, along u and v, of one of the others ``(M, 2)``."""
-    result = np.zeros(len(pixel), dtype=np.bool_)
-    for n in range(len(pixel)):
-        for m in range(len(others)):
-            if abs(pixel[n, 0] - others[m, 0]) < distance_px and abs(pixel[n, 1] - others[m, 1]) < distance_px:
-                result[n] = True
-                break
-    return result

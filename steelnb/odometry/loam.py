@@ -3,7 +3,7 @@
 import numpy as np
 
 from steelnb.odometry.base import settings_of
-from steelnb.odometry.clouds import JUMP_MAX_VOXELS, STOP, CloudOdometry, Registered
+from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry, Registered
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.features import Features, loam_features, scan_lines
 from steelnb.registration import AnyTarget, FeatureTarget, align
@@ -12,6 +12,7 @@ from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
 """Edge 0, plane 1 → number of features per part of a scan line for registering a scan to the last one, as published."""
+ITERATIONS_MAX = 15
 SIGMA_M = 0.02
 """Standard deviation of a feature's distance from its line or plane; the unit of ``robust_scale``."""
 
@@ -35,6 +36,7 @@ class LoamOdometry(CloudOdometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings, T_drone_sensor)
+        self.stop = ITERATIONS_MAX, *self.stop[1:]
         self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` holds the edges
         none = np.zeros(0, dtype=np.int64)
         self._features = Features(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
@@ -83,7 +85,7 @@ class LoamOdometry(CloudOdometry):
         s, zero = self.settings, np.zeros((int(sharp.sum()), 6))
         result = align(
             own.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
-            s.robust_scale or np.inf, s.iterations_max, *STOP[s.fast], s.fast,
+            s.robust_scale or np.inf, *self.stop,
         )  # fmt: skip
         jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         return result.T_target_source if result.converged and jump_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init

@@ -1,4 +1,4 @@
-"""From settings to odometries, and from a flight to its estimate."""
+"""Settings → odometry, and flight → estimate."""
 
 import inspect
 import time
@@ -53,8 +53,8 @@ ODOMETRIES: dict[type[OdometrySettings], Callable[..., Odometry]] = {
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
 ) -> Odometry:
-    """A new odometry of the method that the settings name; ``T_drone_sensor (4, 4)`` is the mount of the sensor.
-    Readings of the ``imu`` and ``images`` go to those whose constructors take them."""
+    """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. ``imu`` and
+    ``images`` are passed to the odometries whose constructors take them."""
     make, given = ODOMETRIES[type(settings)], {"imu": imu, "images": images}
     parameters = inspect.signature(make).parameters
     return make(settings, T_drone_sensor, **{name: value for name, value in given.items() if name in parameters})
@@ -63,9 +63,9 @@ def make_odometry(
 def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None) -> Estimate:
     """Correct a flight with the method of the settings, scan by scan.
 
-    With ``smooth`` all poses and bars are then adjusted together (`steelnb.fusion.smooth`); smoothing time is divided
+    With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
     evenly over the scans. ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan if the
-    readings of an IMU are in other units or axes.
+    readings of an IMU have other units or axes.
     """
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:

@@ -1,17 +1,17 @@
 """Near-side bias: the distance from the visible surfaces of bars to their axes, from the width of the bars in a scan.
 
-A sensor sees the near side of a bar, so its points lie nearer than the axis, whatever the side from which it is seen.
-When the view turns, they move around the bar, and a registration takes that for a motion of the drone. Points moved
-away from the sensor by the right length lie about the axis from every side.
+A sensor sees the near side of a bar, so its points lie nearer than the axis, from every direction. When the view turns,
+they move around the bar, and a registration mistakes this for a motion of the drone. Points moved away from the sensor
+by the right length lie around the axis, whatever the direction of view.
 
-Along one direction in the plane of a section, front and back bound the filled area F, and what is the back from here
-is the front from the opposite side. So over all directions the pixels lie mean(F) / (2 mean(w)) before the centroid,
-where w is the width; by Cauchy's formula mean(w) is the perimeter of the hull over pi (Santaló, Integral Geometry and
-Geometric Probability, 2nd ed. 2004, I.1). An equal-leg angle section of flange b and thickness t = b/12, as rolled ones
-have, fills its area and, for directions that cross both flanges, the triangle between them:
-mean(F) = 2bt - t² + (b - t)² ln 2 / (2 pi), and mean(w) = (2b + 2t + sqrt(2) (b - t)) / pi. Pixels then lie 0.1145 b
-before the centroid and see a width of mean(w²) / mean(w) = 1.138 b, so the length is 0.10 times the width that the
-scans show. No tower enters. Without thickness it would be 0.045, for a round tube pi/8 = 0.39.
+Seen along one direction in the plane of a section, front and back bound the filled area F. The back from one side is
+the front from the other. Over all directions, the pixels therefore lie mean(F) / (2 mean(w)) before the centroid, where
+w is the width. By Cauchy's formula, mean(w) is the perimeter of the hull over pi (Santaló, Integral Geometry and
+Geometric Probability, 2nd ed. 2004, I.1). For an equal-leg angle section of flange b and thickness t = b/12, as rolled
+ones have, F is the area of the section and, for directions that cross both flanges, the triangle between them:
+mean(F) = 2bt - t² + (b - t)² ln 2 / (2 pi), and mean(w) = (2b + 2t + sqrt(2) (b - t)) / pi. The pixels then lie
+0.1145 b before the centroid. Their mean width is mean(w²) / mean(w) = 1.138 b, so the length is 0.10 times the width in
+the scans. The tower does not matter. The factor would be 0.045 without thickness, and pi/8 = 0.39 for a round tube.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
 WIDTH_MAX_M = 0.4
-"""What is wider is no bar."""
+"""Wider surfaces are no bars."""
 
 
 class NearSide:

@@ -1,20 +1,71 @@
-"""Visual odometry by ORB features with depths from the Time-of-Flight sensor: the report's section 2.1.1."""
+"""Visual odometry by ORB features with depths from the Time-of-Flight sensor: the report's section 2.1.1.
 
-import time
+This is the tracking of ORB-SLAM (Mur-Artal, Montiel, Tardós, IEEE Transactions on Robotics 31, 2015) with a local map,
+without bundle adjustment and loop closing.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from steelnb.images import CameraImages
-from steelnb.odometry.base import Odometry, scan_of, settings_of
-from steelnb.odometry.prediction import PosePredictor
-from steelnb.odometry.tracking import LandmarkTracker, Tracked
+from steelnb.images import CameraImages, GreyImage, unproject
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
+from steelnb.odometry.features import SCALE, Features, features_with_depth, match
+from steelnb.odometry.landmarks import Expected, LandmarkMap
+from steelnb.odometry.prediction import PRIOR_SIGMA, PosePredictor
+from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.points.inputs import checked_pose
-from steelnb.registration import Term, free_directions
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
-from steelnb.types import Array, Imu, OdometryStep, Scan
+from steelnb.types import Array, Imu, IntArray, OdometryStep, Scan
 
-PRIOR_SIGMA = 0.05, 0.02
-"""Standard deviations of a correction from its prediction, metres and radians; tuned on the seeds 11 and 12."""
+SPACING_PX = 4.0
+"""Minimum distance of new landmarks, along u or v, from those already expected in the image."""
+INLIER_WEIGHT = 0.25
+"""Minimum robust weight of an inlier: that of an error equal to the robust scale."""
+FEATURES = 800
+"""Maximum number of features per image."""
+KEYFRAME_M, TURN_RAD_PER_M = 0.1, 0.5
+"""A keyframe is taken after this distance, where this many radians of rotation count as a metre."""
+SEARCH_PX, HAMMING = 8.0, 60
+"""Search radius around the predicted pixel, and maximum Hamming distance of the 256-bit descriptors. An error of 5 cm,
+the prior's standard deviation, is 8 pixels of the forward camera at 1.1 m."""
+NEAR_PX, NEAR_HAMMING = 3.0, 110
+"""The same for the second search, from the pose of the first solve."""
+RATIO = 0.85
+"""Ratio test: maximum distance of the best descriptor relative to the second best (Lowe, IJCV 60, 2004: 0.8)."""
+PIXEL_SIGMA = 1.0
+"""Standard deviation of a feature's pixel on the finest level, as in ORB-SLAM."""
+ROBUST_SCALE = 2.0
+"""Scale of the Geman-McClure weights, in standard deviations."""
+MATCHES_MIN = 8
+"""Minimum number of matches: four for a pose, and four to check it."""
+LANDMARKS_MAX = 10_000
+"""Of more landmarks, the least recently observed ones are removed."""
+NO_IMAGES = CameraImages(np.zeros(0), (), np.eye(3), np.eye(4))
+
+
+class Tracked(NamedTuple):
+    """The result of one image: ``T_world_drone (4, 4)``, or the predicted pose and the ``reason`` of the failure; the M
+    landmarks ``expected`` in view; ``found (M,)``, the feature that matches each, −1 for none; ``inlier (M,)``, whether
+    the match agrees with the pose; and the normal matrix ``H (6, 6)`` of the solve, for twists about the ``centre
+    (3,)``."""
+
+    T_world_drone: Array
+    reason: str
+    expected: Expected
+    found: IntArray
+    inlier: NDArray[np.bool_]
+    H: Array = np.zeros((6, 6))
+    centre: Array = np.zeros(3)
+
+    @property
+    def matches(self) -> int:
+        """Number of landmarks that agree with the pose."""
+        return int(np.count_nonzero(self.inlier))
 
 
 class OrbOdometry(Odometry):
@@ -22,7 +73,8 @@ class OrbOdometry(Odometry):
 
     Parameters
     ----------
-    settings : of the family ``orb``, default ``OdometrySettings.preset("orb")``.
+    settings : of the family ``orb``, default ``OdometrySettings.preset("orb")``. Landmarks farther away than
+        ``preprocess.crop_m`` are ignored.
     T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
     imu : readings in the drone frame; used, up to the current scan, if the settings have ``inertial``.
     images : images of a camera on the drone; each scan uses the last one before or at its stamp. A scan without one
@@ -36,14 +88,13 @@ class OrbOdometry(Odometry):
         imu: Imu | None = None,
         images: CameraImages | None = None,
     ) -> None:
-        self.settings = s = settings_of(settings, OrbSettings, "orb")
-        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self.tracker: LandmarkTracker | None = None
-        if images is not None:
-            self.tracker = LandmarkTracker(images, self.T_drone_sensor, s.preprocess.crop_m)
-        self.tracked: Tracked | None = None  # result of the last image
-        self.predictor = PosePredictor(PRIOR_SIGMA, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = free_directions("se3" if self.predictor.tilted else "xyz_yaw")
+        self.settings = settings_of(settings, OrbSettings, "orb")
+        self.images = NO_IMAGES if images is None else images
+        self.T_camera_sensor = np.linalg.inv(self.images.T_drone_camera) @ mount_of(T_drone_sensor)
+        self.map, self.count = LandmarkMap(LANDMARKS_MAX), 0
+        self.T_keyframe: Array | None = None
+        self.predictor = PosePredictor(PRIOR_SIGMA, noise=self.settings.inertial, imu=imu)
+        self.free = FREE["se3" if self.predictor.tilted else "xyz_yaw"]
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan by its image, and add new features to the map; see `Odometry.update`.
@@ -51,34 +102,100 @@ class OrbOdometry(Odometry):
         The stages of ``seconds`` are ``features``, ``track`` and ``map``, without reading or rendering the image.
         """
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        image = self.tracker.image_at(scan.stamp_s) if self.tracker else None
-        predictor, clock = self.predictor, [time.perf_counter()]
-        T_init = predictor.pose(scan.stamp_s, prior)
-        if self.tracker is None or image is None:
-            predictor.lose()
-            return self._step(scan, T_init, "no image", 0, clock)
-        features = self.tracker.find(image, scan.points)
-        clock.append(time.perf_counter())
-
-        def pull(in_drone: Array) -> tuple[list[Term], Array]:
-            return predictor.terms(T_init, in_drone), in_drone.mean(axis=0)
-
-        self.tracked = tracked = self.tracker.track(features, image.shape, T_init, self.free, pull)
-        clock.append(time.perf_counter())
-        if tracked.reason:
-            predictor.lose()
+        number = self.images.at(scan.stamp_s)
+        image = None if number is None else self.images.images[number]
+        watch = Stopwatch("features", "track", "map")
+        T_predicted = self.predictor.pose(scan.stamp_s, prior)
+        if image is None:
+            self.predictor.lose()
+            return OdometryStep(scan.stamp_s, T_predicted, False, "no image", 0, watch.seconds)
+        features = features_with_depth(image, scan.points, self.T_camera_sensor, self.images.K, FEATURES)
+        watch.lap("features")
+        tracked = self._solve(features, image, T_predicted, T_predicted, SEARCH_PX, HAMMING)
+        if not tracked.reason:
+            second = self._solve(features, image, T_predicted, tracked.T_world_drone, NEAR_PX, NEAR_HAMMING)
+            tracked = tracked if second.reason else second
+        watch.lap("track")
+        T_world_drone, reason = tracked.T_world_drone, tracked.reason
+        if reason:
+            self.predictor.lose()
         else:
-            information = predictor.information_of(tracked.H, tracked.T_world_drone, tracked.centre)
-            predictor.correct(tracked.T_world_drone, prior, information=information)
-        self.tracker.update(tracked)
-        return self._step(scan, tracked.T_world_drone, tracked.reason, tracked.matches, clock)
-
-    def _step(self, scan: Scan, T: Array, reason: str, matches: int, clock: list[float]) -> OdometryStep:
-        now = time.perf_counter()
-        clock = clock + [now] * (4 - len(clock))
-        seconds = dict(zip(("features", "track", "map"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(scan.stamp_s, T, reason == "", reason, matches, seconds)
+            information = self.predictor.information_of(tracked.H, T_world_drone, tracked.centre)
+            self.predictor.correct(T_world_drone, prior, information=information)
+            inlier, landmark = tracked.inlier, tracked.expected.number
+            observed = features.take(tracked.found[inlier])
+            points = self._world(observed, T_world_drone)
+            self.map.update(landmark[inlier], points, observed, landmark[~inlier], self.count)
+        if reason or self._is_keyframe(T_world_drone):
+            self._extend(features, image, T_world_drone)
+        self.count += 1
+        watch.lap("map")
+        return OdometryStep(scan.stamp_s, T_world_drone, not reason, reason, tracked.matches, watch.seconds)
 
     def map_points(self) -> Array:
         """Landmarks with at least two observations, ``(N, 3)`` in the world frame."""
-        return self.tracker.map.point[self.tracker.map.found > 1] if self.tracker else np.zeros((0, 3))
+        return self.map.point[self.map.found > 1]
+
+    def _solve(
+        self, features: Features, image: GreyImage, T_predicted: Array, T_init: Array, search_px: float,
+        hamming_max: int,
+    ) -> Tracked:  # fmt: skip
+        """The pose from the landmarks that are expected at ``T_init`` and match features."""
+        expected = self._expected(T_init, image)
+        found = match(
+            *features, expected.pixel, self.map.octave[expected.number], expected.depth,
+            self.map.descriptor[expected.number], search_px, hamming_max, RATIO,
+        )  # fmt: skip
+        inlier = found >= 0
+        failed = Tracked(T_predicted, "", expected, found, inlier)
+        if len(features.pixel) < MATCHES_MIN:
+            return failed._replace(reason="too few features")
+        if not len(self.map):
+            return failed._replace(reason="first scan")
+        if failed.matches < MATCHES_MIN:
+            return failed._replace(reason="too few matches")
+        matched, landmark = features.take(found[inlier]), self.map.point[expected.number[inlier]]
+        sigma_px = PIXEL_SIGMA * SCALE ** matched.octave.astype(np.float64)
+        sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * matched.depth)
+        sighting = Sighting(landmark, matched.pixel, sigma_px, matched.depth, sigma_m)
+        in_drone = (landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3]
+        solved = solve_pose(
+            sighting, self.images.K, self.images.T_drone_camera, T_init, self.free,
+            self.predictor.terms(T_predicted, in_drone), in_drone.mean(axis=0), ROBUST_SCALE,
+        )  # fmt: skip
+        inlier[inlier] = solved.weight >= INLIER_WEIGHT
+        if not solved.determined:
+            return failed._replace(reason="singular")
+        if failed.matches < MATCHES_MIN:
+            return failed._replace(reason="too few matches agree")
+        return failed._replace(T_world_drone=solved.T_world_drone, H=solved.H, centre=solved.centre)
+
+    def _expected(self, T_world_drone: Array, image: GreyImage) -> Expected:
+        """The landmarks expected in an image at a pose."""
+        T_world_camera = T_world_drone @ self.images.T_drone_camera
+        return self.map.expected(T_world_camera, self.images.K, image.shape, self.settings.preprocess.crop_m)
+
+    def _world(self, features: Features, T_world_drone: Array) -> Array:
+        """Positions ``(N, 3)`` of features in the world frame, NaN without a depth."""
+        T_world_camera = T_world_drone @ self.images.T_drone_camera
+        points = features.depth[:, None] * unproject(features.pixel, self.images.K)
+        return points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+
+    def _is_keyframe(self, T_world_drone: Array) -> bool:
+        T_last = self.T_keyframe
+        if T_last is None:
+            return True
+        distance_m = np.linalg.norm(T_world_drone[:3, 3] - T_last[:3, 3])
+        angle_rad = np.linalg.norm(T_world_drone[:3, :3] - T_last[:3, :3]) / 2**0.5
+        return bool(distance_m + angle_rad / TURN_RAD_PER_M >= KEYFRAME_M)
+
+    def _extend(self, features: Features, image: GreyImage, T_world_drone: Array) -> None:
+        """Add landmarks at features with a depth, where no landmark is expected."""
+        self.T_keyframe = T_world_drone
+        new = np.flatnonzero(np.isfinite(features.depth))
+        known = cKDTree(self._expected(T_world_drone, image).pixel)
+        new = new[known.query(features.pixel[new], p=np.inf)[0] >= SPACING_PX]
+        if len(new):
+            position = (T_world_drone @ self.images.T_drone_camera)[:3, 3]
+            added = features.take(new)
+            self.map.insert(self._world(added, T_world_drone), added, position, self.count)

@@ -5,12 +5,11 @@ Source Software 9, 2024) to a voxel map, as in that library's odometry example. 
 parameters are the libraries' defaults. Both solve for six degrees of freedom.
 """
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import LibrarySettings, OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan
@@ -39,8 +38,8 @@ class PeerOdometry(Odometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings_of(settings, LibrarySettings, "kiss-icp")
-        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self._make = kiss_icp if self.settings.library == "kiss_icp" else small_gicp
+        self.T_drone_sensor = mount_of(T_drone_sensor)
+        self._make = LIBRARIES[self.settings.method]
         self._register: Register | None = None
         self._map_points: MapPoints = lambda: np.zeros((0, 3))
         self._last_prior: Array | None = None  # T_world_sensor of the last scan by the prior
@@ -51,7 +50,7 @@ class PeerOdometry(Odometry):
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior") @ self.T_drone_sensor
         points = scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
-        begin, matches, reason = time.perf_counter(), 0, ""
+        watch, matches, reason = Stopwatch("register"), 0, ""
         if self._last_prior is None:
             self._last_prior = self._T_world_sensor = prior
         self._T_world_sensor = self._T_world_sensor @ (np.linalg.inv(self._last_prior) @ prior)
@@ -64,8 +63,8 @@ class PeerOdometry(Odometry):
                 self._register, self._map_points = self._make(preprocess.voxel_leaf_m, prior, preprocess.crop_m)
             self._T_world_sensor, matches = self._register(points, self._T_world_sensor)
         T_world_drone = self._T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
-        seconds = {"register": time.perf_counter() - begin}
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, seconds)
+        watch.lap("register")
+        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds)
 
     def map_points(self) -> Array:
         """The points of the library's map, ``(N, 3)`` in the world frame."""
@@ -107,3 +106,7 @@ def small_gicp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Regist
         return pose, source.size()
 
     return register, lambda: np.asarray(target.voxel_points())[:, :3]
+
+
+LIBRARIES = {"kiss-icp": kiss_icp, "small-gicp": small_gicp}
+"""Method → its library."""

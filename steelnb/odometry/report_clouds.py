@@ -7,18 +7,17 @@ to one point per voxel, where old and new points have equal weight. The sensor's
 or the step is too large, E and the map stay unchanged.
 """
 
-import time
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.odometry.base import Odometry, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import Aligned, Target, align, free_directions, gicp_as_pcl, icp_as_pcl
+from steelnb.registration import FREE, Aligned, Target, align, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
 from steelnb.types import Array, OdometryStep, Scan
 
@@ -28,8 +27,6 @@ TURN_MAX_RAD, MOVE_MAX_M = np.pi / 8, 1.0
 """Larger steps are rejected. Both refer to ΔT itself, a motion about the world's origin."""
 VOXEL_M = 0.1
 """Edge of the map's voxels."""
-NEIGHBOURS = 20
-"""Number of neighbours for a point's covariance, PCL's default."""
 
 
 class Program(NamedTuple):
@@ -46,9 +43,9 @@ class Program(NamedTuple):
 
 
 PROGRAMS = {
-    "icp": Program("point", 0.5, 150, 1e-3, 1e-3),
-    "icp-3dof": Program("point", 0.1, 200, 5e-4, 1e-6, drop_rotation=True),
-    "gicp": Program("gicp", 0.3, 150, 1e-5),
+    "report-icp": Program("point", 0.5, 150, 1e-3, 1e-3),
+    "report-icp-3dof": Program("point", 0.1, 200, 5e-4, 1e-6, drop_rotation=True),
+    "report-gicp": Program("gicp", 0.3, 150, 1e-5),
 }
 
 
@@ -65,8 +62,8 @@ class ReportCloudOdometry(Odometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings_of(settings, ReportCloudSettings, "report-gicp")
-        self.program, self.switched = PROGRAMS[self.settings.program], self.settings.switched
-        mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+        self.program, self.switched = PROGRAMS[self.settings.method], self.settings.switched
+        mount = mount_of(T_drone_sensor)
         self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
         self.map = VoxelMap(VOXEL_M, accumulate=False)
         self.first = np.zeros((0, 3))  # the first scan is downsampled together with the second one
@@ -75,13 +72,13 @@ class ReportCloudOdometry(Odometry):
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Register one scan, correct the pose, and add the aligned scan to the map; see `Odometry.update`."""
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        clock = [time.perf_counter()]
+        watch = Stopwatch("preprocess", "prepare", "register", "map")
         points = self.placed(scan, prior)
-        clock.append(time.perf_counter())
+        watch.lap("preprocess")
         reason, matches = "too few points" if not len(points) else "", 0
         if not reason and not len(self.map_points()):
             self.first, reason = points, "first scan"
-        clock.append(time.perf_counter())
+        watch.lap("prepare")
         if not reason:
             result = self.registered(points)
             step, matches = result.T_target_source, result.inliers
@@ -90,15 +87,14 @@ class ReportCloudOdometry(Odometry):
                 step[:3, 3] = result.T_target_source[:3, 3]
             reason = "" if "gates" in self.switched else rejection(step)
             reason = reason if result.converged else "too few pairs"
-            clock.append(time.perf_counter())
+            watch.lap("register")
             if not reason:
                 aligned = points @ result.T_target_source[:3, :3].T + result.T_target_source[:3, 3]
                 self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
                 from_left = "order" in self.switched
                 self.correction = step @ self.correction if from_left else self.correction @ step
-        clock += [time.perf_counter()] * (5 - len(clock))
-        seconds = dict(zip(("preprocess", "prepare", "register", "map"), np.diff(clock).tolist(), strict=True))
-        return OdometryStep(scan.stamp_s, self.correction @ prior, reason == "", reason, matches, seconds)
+            watch.lap("map")
+        return OdometryStep(scan.stamp_s, self.correction @ prior, reason == "", reason, matches, watch.seconds)
 
     def placed(self, scan: Scan, T_world_drone_prior: Array) -> Array:
         """The scan's points inside the box ``(N, 3)``, transformed to the world frame by the correction so far."""
@@ -115,14 +111,14 @@ class ReportCloudOdometry(Odometry):
         t, tree, covariance = self.program, build_kdtree(self.map_points()), None
         target = Target(tree)
         if t.error == "gicp":
-            covariance = neighbour_covariances(points, NEIGHBOURS)
+            covariance = neighbour_covariances(points)
             if "covariances" in self.switched:
-                target = Target(tree, covariance=neighbour_covariances(tree.point, NEIGHBOURS, tree))
+                target = Target(tree, covariance=neighbour_covariances(tree.point, tree=tree))
             else:
-                target, covariance = Target.with_planes(tree, NEIGHBOURS), regularised(covariance)
+                target, covariance = Target.with_planes(tree), regularised(covariance)
         if "solver" in self.switched:
             result = align(
-                points, target, t.error, free_directions("se3"), np.eye(4), t.max_correspondence_m, covariance,
+                points, target, t.error, FREE["se3"], np.eye(4), t.max_correspondence_m, covariance,
                 iterations_max=t.iterations_max, rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
             )  # fmt: skip
             solved = result.reason not in ("singular", "too few pairs")

@@ -7,13 +7,12 @@ update. The sensor's mount is ignored.
 """
 
 import math
-import time
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, nothing_left, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, nothing_left, scan_of, settings_of
 from steelnb.odometry.corrections import GAIN
-from steelnb.odometry.segments import points_along, timed_segments
+from steelnb.odometry.segments import timed_segments
 from steelnb.points import preprocess_scan
 from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, ReportSegmentSettings
@@ -27,65 +26,51 @@ RADIUS_M = 0.05
 """Radius of every bar in the original."""
 DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * RADIUS_M / 1.5
 """Maximum distance of a segment's ends from the line of its bar: two radii and four voxel diagonals."""
-WEIGHT_MIN = 0.01
-"""Minimum weight of a segment when it is fused with its bar."""
+WEIGHT = 0.01
+"""Weight of a segment when it is fused with its bar."""
 
 
 class ReportSegmentOdometry(Odometry):
     """Corrects a drifting position by bars, as the report's program does. The attitude is the prior's.
 
-    ``error (3,)``: position error so far, metres, world frame. Traits in ``switched`` are replaced.
+    ``error (3,)``: position error so far, metres, world frame.
 
     Parameters
     ----------
     settings : of the family ``report_segments``, default ``OdometrySettings.preset("report-segments", "report")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, used if ``mount`` is switched; default identity.
+    T_drone_sensor : the mount of the sensor, which the original ignores.
     """
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         settings = settings or OdometrySettings.preset("report-segments", "report")
         self.settings = settings_of(settings, ReportSegmentSettings, "report-segments")
-        self.switched = self.settings.switched
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
-        mount = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-        self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
-        self.bars, self.error = ReportBars("weight" not in self.switched), np.zeros(3)
+        self.bars, self.error = ReportBars(), np.zeros(3)
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Match a scan's segments, correct the position for the next scan, and map the segments; see
         `Odometry.update`."""
         scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        clock = [time.perf_counter()]
-        points = preprocess_scan(scan, prior, self.T_drone_sensor, self.preprocess)
-        clock.append(time.perf_counter())
+        watch = Stopwatch("preprocess", "hough", "match", "map")
+        points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
+        watch.lap("preprocess")
         found, hough_s = timed_segments(points, self.settings.hough)
-        before = self._corrected(prior)
-        segments = found.transformed(before)
+        T_world_drone = prior.copy()
+        T_world_drone[:3, 3] -= self.error
+        segments = found.transformed(T_world_drone)
         segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
-        clock.append(time.perf_counter())
+        watch.lap("hough")
         offsets = self.bars.offsets(segments)
         if len(offsets):
             self.error = self.error + GAIN * offsets.mean(axis=0)
-        after = self._corrected(prior)
-        clock.append(time.perf_counter())
+        watch.lap("match")
         reason = "" if len(offsets) else "no segment of the map seen" if len(self.bars) else "first scan"
         reason = reason if len(segments) else "no segment seen"
         reason = (nothing_left(scan, self.preprocess.crop_m) if not len(points) else "") or reason
-        self.bars.insert(segments.moved(after[:3, 3] - before[:3, 3]) if "mapping" in self.switched else segments)
-        clock.append(time.perf_counter())
-        seconds = dict(zip(("preprocess", "hough", "match", "map"), np.diff(clock).tolist(), strict=True))
-        seconds["hough"] = hough_s
-        T_world_drone = after if "logging" in self.switched else before
+        self.bars.insert(segments)
+        watch.lap("map")
+        seconds = watch.seconds | {"hough": hough_s}
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, len(offsets), seconds)
-
-    def _corrected(self, T_world_drone_prior: Array) -> Array:
-        T = T_world_drone_prior.copy()
-        T[:3, 3] -= self.error
-        return T
-
-    def map_points(self, spacing_m: float = 0.05) -> Array:
-        """Points along the bars of the map, ``(N, 3)`` in the world frame."""
-        return points_along(self.bars.segments(), spacing_m)
 
     def map_segments(self) -> Segments:
         """The bars of the map."""
@@ -95,14 +80,13 @@ class ReportSegmentOdometry(Odometry):
 class ReportBars:
     """The original's map: bars as lines ``anchor + t * vector``, each ``(B, 3)``, with ends ``reach (B, 2)`` in t.
 
-    Bars are never merged with each other. With ``integer_weight``, the weight of a segment is an integer division of
-    its points by all points, which gives 0, so it is always `WEIGHT_MIN`, and a bar hardly moves. The original's
-    factors for the weights are all above 0.995, and are omitted. It tests overlap along x, which fails for bars
-    perpendicular to x; here the test is along the bar.
+    Bars are never merged with each other. The original's weight of a segment is an integer division of its points by
+    all points, which gives 0, so it is always the smallest one (`WEIGHT`), and a bar hardly moves. Its factors for the
+    weights are all above 0.995, and are omitted. It tests overlap along x, which fails for bars perpendicular to x;
+    here the test is along the bar.
     """
 
-    def __init__(self, integer_weight: bool = True) -> None:
-        self.integer_weight = integer_weight
+    def __init__(self) -> None:
         self.anchor, self.vector, self.reach = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2))
         self.count = np.zeros(0, dtype=np.int64)
 
@@ -135,10 +119,8 @@ class ReportBars:
         foot_start, foot_end = self._foot(start), self._foot(end)
         near = np.linalg.norm(foot_start - start, axis=1) < DISTANCE_MAX_M
         near &= np.linalg.norm(foot_end - end, axis=1) < DISTANCE_MAX_M
-        share = np.zeros(len(self)) if self.integer_weight else segments.count[k] / (segments.count[k] + self.count)
-        weight = np.maximum(share, WEIGHT_MIN)[:, None]
-        anchor = foot_start + weight * (start - foot_start)
-        vector = foot_end + weight * (end - foot_end) - anchor
+        anchor = foot_start + WEIGHT * (start - foot_start)
+        vector = foot_end + WEIGHT * (end - foot_end) - anchor
         bars = self.segments()
         ends = np.stack([np.tile(start, (len(self), 1)), np.tile(end, (len(self), 1)), bars.start, bars.end])
         t = ((ends - anchor) * vector).sum(axis=2) / (vector**2).sum(axis=1)

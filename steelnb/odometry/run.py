@@ -1,4 +1,4 @@
-"""The loop that drives an odometry over a flight: the only one."""
+"""The loop that runs an odometry over a flight."""
 
 import time
 from collections.abc import Callable
@@ -17,11 +17,11 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
 
     Parameters
     ----------
-    flight : the scans, the drifting prior at their stamps and the mount of the sensor.
+    flight : the scans, the drifting prior at their stamps, and the mount of the sensor.
     odometry : a new one; afterwards it holds the map.
-    on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not the odometry's.
+    on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
 
-    Raises `InputError` where fewer scans can be read than the flight has poses.
+    Raises `InputError` if fewer scans can be read than the flight has poses.
     """
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))

@@ -1,4 +1,4 @@
-"""Odometry by segments: the report's section 3.2, with its own correction and a better one."""
+"""Odometry by segments: the report's section 3.2, with its own rule of correction and others."""
 
 import hashlib
 import time
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
-from steelnb.odometry.base import nothing_left, scan_of, settings_of
+from steelnb.odometry.base import Odometry, Stopwatch, mount_of, nothing_left, scan_of, settings_of
 from steelnb.odometry.corrections import CORRECTIONS, shifted
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import Prediction
@@ -24,10 +24,12 @@ Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
 _shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 
 
-class SegmentOdometry:
-    """Corrects a drifting pose by the bars that it has mapped so far.
+class SegmentOdometry(Odometry):
+    """Corrects a drifting pose by the bars of its map.
 
-    The report's rules correct the position only, ``least_squares_yaw`` also the yaw; roll and pitch are the prior's.
+    The report's rules correct the position only, at points on the surfaces seen, and assume a constant drift.
+    ``least_squares_yaw`` also corrects the yaw, moves points by the near-side bias (`near_side`), and follows the rate
+    of the drift. Roll and pitch are the prior's.
 
     Parameters
     ----------
@@ -37,43 +39,40 @@ class SegmentOdometry:
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = settings_of(settings, SegmentSettings, "least_squares_yaw")
-        self.prior = np.zeros(4)  # information about yaw, x, y, z
-        if self.settings.prior_sigma is not None:
-            sigma_m, sigma_rad = self.settings.prior_sigma
-            self.prior[:] = [sigma_rad**-2.0] + [sigma_m**-2.0] * 3
-        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+        self.with_yaw = self.settings.method == "least_squares_yaw"
+        self.T_drone_sensor = mount_of(T_drone_sensor)
         self.map = SegmentMap(self.settings.fusion)
-        self.prediction = Prediction(self.settings.prior_sigma is not None)
+        self.prediction = Prediction(self.with_yaw)
         self.near_side = NearSide()
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan and add the scan's segments to the map.
 
         ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return;
-        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. A scan without a mapped bar in sight leaves the
-        correction as it was, and its ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a
-        prior that is not rigid.
+        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. If a scan shows no bar of the map, the correction
+        stays, and ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a prior that is not
+        rigid.
         """
         scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        s, clock = self.settings, [time.perf_counter()]
+        s, watch = self.settings, Stopwatch("preprocess", "hough", "match", "map")
         T_world_drone = self.prediction.pose(T_world_drone_prior)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s.preprocess)
-        if s.near_side:
+        if self.with_yaw:
             self.near_side.update(scan.points)
             points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
-        clock.append(time.perf_counter())
+        watch.lap("preprocess")
         found, hough_s = timed_segments(points, s.hough)
         observed = found.transformed(T_world_drone)
-        clock.append(time.perf_counter())
+        watch.lap("hough")
         position = T_world_drone[:3, 3].copy()
-        correction = CORRECTIONS[s.method](observed, self.map, s.robust_scale_m, position, self.prior)
+        correction = CORRECTIONS[s.method](observed, self.map, s.robust_scale_m, position)
         T_world_drone[:3, :3] = Rotation.from_euler("z", correction.yaw_rad).as_matrix() @ T_world_drone[:3, :3]
         T_world_drone[:3, 3] += correction.offset
         if correction.matches:
             self.prediction.correct(T_world_drone, T_world_drone_prior)
         else:
             self.prediction.lose()
-        clock.append(time.perf_counter())
+        watch.lap("match")
         reason = ""
         if not correction.matches:
             reason = "no segment seen" if not len(observed) else "no segment of the map seen"
@@ -82,31 +81,17 @@ class SegmentOdometry:
             reason = "no correction asked for" if s.method == "none" else reason
         if len(observed):
             self.map.insert(shifted(observed, np.append(correction.yaw_rad, correction.offset), position))
-        clock.append(time.perf_counter())
-        seconds = dict(zip(("preprocess", "hough", "match", "map"), np.diff(clock).tolist(), strict=True))
-        seconds["hough"] = hough_s
+        watch.lap("map")
+        seconds = watch.seconds | {"hough": hough_s}
         return OdometryStep(scan.stamp_s, T_world_drone, correction.matches > 0, reason, correction.matches, seconds)
-
-    def map_points(self, spacing_m: float = 0.05) -> Array:
-        """Points along the bars of the map, ``(N, 3)`` in the world frame."""
-        return points_along(self.map.segments, spacing_m)
 
     def map_segments(self) -> Segments:
         """The bars of the map."""
         return self.map.segments
 
 
-def points_along(bars: Segments, spacing_m: float) -> Array:
-    """Points ``(N, 3)`` along bars, at most ``spacing_m`` apart, both ends included."""
-    pieces = [
-        start + np.linspace(0, 1, max(2, int(length / spacing_m) + 1))[:, None] * (end - start)
-        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
-    ]
-    return np.concatenate(pieces) if pieces else np.zeros((0, 3))
-
-
 def segments_in(points: Array, settings: HoughSettings) -> Segments:
-    """Segments of a scan's points ``(N, 3)``; none where there are too few points for one to pass."""
+    """Segments of a scan's points ``(N, 3)``; none if there are too few points for one."""
     if len(points) < settings.min_votes or not np.ptp(points, axis=0).max() > settings.dx_m:
         return Segments.empty()
     return detect_segments_with(points, settings)
@@ -114,8 +99,8 @@ def segments_in(points: Array, settings: HoughSettings) -> Segments:
 
 @contextmanager
 def shared_segments() -> Iterator[None]:
-    """While this lasts, equal points are segmented once for all odometries with equal settings: several methods on one
-    flight mostly see the same points. Odometries give the seconds of the time when a scan was segmented."""
+    """Within this context, equal points are segmented once for all odometries with equal settings: several methods on
+    one flight mostly get the same points. Each odometry reports the time of the first segmentation."""
     token = _shared.set({})
     try:
         yield
@@ -124,7 +109,7 @@ def shared_segments() -> Iterator[None]:
 
 
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
-    """`segments_in`, and the seconds it took; both as they were the first time under `shared_segments`."""
+    """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
     begin, shared = time.perf_counter(), _shared.get()
     if shared is None:
         return segments_in(points, settings), time.perf_counter() - begin

@@ -13,11 +13,13 @@ from steelnb.types import Array, IntArray
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 """Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
+NEIGHBOURS = 20
+"""Default number of points of a covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3
 """Variance along the normal of a plane-shaped covariance; its variance in the plane is 1."""
 
 
-def neighbour_covariances(points: Array, neighbours: int = 20, tree: KdTree | None = None) -> Array:
+def neighbour_covariances(points: Array, neighbours: int = NEIGHBOURS, tree: KdTree | None = None) -> Array:
     """Covariance of the nearest ``neighbours`` points of each point, itself included: upper triangles ``(N, 6)``, m².
 
     ``points (N, 3)`` must be finite. Pass their ``tree`` if it is already built; with ``points`` being ``tree.point``,
@@ -156,7 +158,7 @@ def _covariances_of_leaf(tree, node, k_most, result, scratch):
         m = NO_MOMENTS
         for k in range(k_most):
             c = chosen[k]
-            m = add_point(m, 1.0, xs[c] - x, ys[c] - y, zs[c] - z)
+            m = add_point(m, xs[c] - x, ys[c] - y, zs[c] - z)
         result[i, :] = covariance(m)
 
 

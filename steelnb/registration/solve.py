@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
@@ -16,7 +15,8 @@ from steelnb.registration.target import Target
 from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
-DOFS = ("xyz", "xyz_yaw", "se3")
+FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.eye(6)}
+"""Degrees of freedom → columns ``(6, k)`` that span the free twists ξ = (ω, v). Yaw is about the z axis."""
 EIGENVALUE_RATIO_MIN = 1e-10
 """The solver does not move along eigenvectors of H below this fraction of the largest eigenvalue."""
 
@@ -59,24 +59,6 @@ class Normal(NamedTuple):
     inliers: int
 
 
-def free_directions(dof: str, gravity: Array | None = None) -> Array:
-    """Columns ``(6, k)`` that span the free twists ξ = (ω, v) of ``xyz``, ``xyz_yaw`` or ``se3``.
-
-    Yaw is about ``gravity (3,)``, up or down in the target frame, by default the z axis. Raises `InputError`.
-    """
-    if dof not in DOFS:
-        raise InputError(f"dof = {dof!r}: expected one of {', '.join(map(repr, DOFS))}")
-    up = np.array([0.0, 0.0, 1.0]) if gravity is None else np.asarray(gravity, dtype=np.float64)
-    if up.shape != (3,) or not 0 < np.linalg.norm(up) < np.inf:
-        raise InputError(f"gravity = {gravity!r}: expected three finite numbers, not all zero")
-    if dof == "se3":
-        return np.eye(6)
-    position = np.eye(6)[:, 3:]
-    if dof == "xyz":
-        return position
-    return np.column_stack([np.append(up / np.linalg.norm(up), np.zeros(3)), position])
-
-
 def align(
     source: Array,
     target: AnyTarget,
@@ -98,7 +80,7 @@ def align(
     Parameters
     ----------
     error: ``point``, ``plane`` or ``gicp``.
-    free: columns ``(6, k)`` that span the free twists about the mean of the source (`free_directions`).
+    free: columns ``(6, k)`` that span the free twists about the mean of the source, such as those of `FREE`.
     max_correspondence_m: maximum distance of a pair, metres.
     source_covariance: ``(N, 6)`` upper triangles in m², for ``gicp``.
     robust_scale: scale of the Geman-McClure weights, in metres, for ``gicp`` in standard deviations.

@@ -9,7 +9,7 @@ from numba import njit
 
 from steelnb.errors import InputError
 from steelnb.points import VoxelShapes
-from steelnb.points.covariances import PlaneCovariances, neighbour_covariances, normals
+from steelnb.points.covariances import NEIGHBOURS, PlaneCovariances, neighbour_covariances, normals
 from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
 from steelnb.types import Array, IntArray
@@ -44,15 +44,10 @@ class Target:
     filled: PlaneCovariances | VoxelShapes | None = None
 
     @classmethod
-    def with_planes(cls, tree: KdTree, neighbours: int) -> "Target":
-        """With GICP's covariances from the nearest ``neighbours`` points of each point."""
-        planes = PlaneCovariances.of(tree, neighbours)
+    def with_planes(cls, tree: KdTree) -> "Target":
+        """With GICP's covariances, from the nearest neighbours of each point."""
+        planes = PlaneCovariances.of(tree, NEIGHBOURS)
         return cls(tree, covariance=planes.value, filled=planes)
-
-    @classmethod
-    def of_voxels(cls, tree: KdTree, shapes: VoxelShapes) -> "Target":
-        """With the ``shapes`` of voxels, in the order of the tree, as covariances."""
-        return cls(tree, covariance=shapes.value, filled=shapes)
 
     @property
     def point(self) -> Array:
@@ -72,17 +67,17 @@ class Target:
         return Pairs(match, update)
 
 
-def make_target(points: Array, error: str, neighbours: int = 20) -> Target:
+def make_target(points: Array, error: str) -> Target:
     """Index a cloud ``(M, 3)`` in metres, with the normals or covariances that the error needs.
 
-    ``error`` is ``point``, ``plane`` or ``gicp``. Normals and covariances are estimated from the nearest ``neighbours``
-    points. Raises `InputError`.
+    ``error`` is ``point``, ``plane`` or ``gicp``. Normals and covariances are estimated from the nearest neighbours.
+    Raises `InputError`.
     """
     tree = build_kdtree(finite(points, "target"))
     if error == "gicp":
-        return Target.with_planes(tree, neighbours)
+        return Target.with_planes(tree)
     if error == "plane":
-        return Target(tree, normals(neighbour_covariances(tree.point, neighbours, tree)))
+        return Target(tree, normals(neighbour_covariances(tree.point, tree=tree)))
     return Target(tree)
 
 

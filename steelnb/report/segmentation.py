@@ -12,7 +12,7 @@ import pandas as pd
 
 from steelnb import rng
 from steelnb.errors import InputError
-from steelnb.hough.peers import METHODS
+from steelnb.hough.peers import find_bars
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
@@ -96,7 +96,7 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
 def attempt(method: str, scene: Scene, **options: Any) -> Trial:
     """Segment a scene by one of `steelnb.hough.peers.METHODS` with options of its own, and score it."""
     begin = time.perf_counter()
-    segments = METHODS[method](scene.points, seed=scene.seed, **options)
+    segments = find_bars(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
     members = scene.members
     score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)

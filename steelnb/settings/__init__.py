@@ -23,14 +23,14 @@ from steelnb.settings.odometry import (
     ReportCloudSettings,
     ReportSegmentSettings,
     SegmentSettings,
+    StructureSettings,
 )
 from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.settings.sensors import ImuSettings
-from steelnb.settings.structure import StructureSettings
 from steelnb.settings.world import (
     REPORT_NOISE,
     FlightSettings,
+    ImuSettings,
     Noise,
     TofFault,
     TofSettings,

@@ -2,14 +2,13 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from steelnb import rng
 from steelnb.settings.base import SeedOrReport, Settings, overridden, table
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
 from steelnb.settings.report_plots import ReportPlot
-from steelnb.settings.sensors import ImuSettings
-from steelnb.settings.world import FlightSettings, Noise, TofSettings, TowerSettings, TrajectoryName
+from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettings, TowerSettings, TrajectoryName
 
 
 class ExperimentSettings(Settings):
@@ -26,7 +25,7 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
-    odometry: Annotated[Family, Field(discriminator="family")]
+    odometry: Family
 
     @model_validator(mode="after")
     def _pilot_without_images(self) -> Self:

@@ -1,4 +1,5 @@
-"""Settings of the estimators, one class a family of methods. Lengths in metres, angles in radians."""
+"""Settings of the estimators: one class a family of methods, and the reconstruction. Lengths in metres, angles in
+radians."""
 
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -18,7 +19,7 @@ from steelnb.settings.base import (
     table,
 )
 from steelnb.settings.presets import method_preset, sensor_preset
-from steelnb.settings.sensors import ImuSettings
+from steelnb.settings.world import ImuSettings
 
 SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
 
@@ -75,11 +76,11 @@ class OdometrySettings(Settings):
     ``smooth``: after the last scan, all poses and bars are adjusted together (`steelnb.fusion.smooth`).
     """
 
-    family: str
     method: str
     preprocess: Annotated[PreprocessSettings, table(PreprocessSettings)] = PreprocessSettings()
     smooth: bool = False
 
+    family: ClassVar[str]
     prefix: ClassVar[str] = "odometry"
     """May stand before the name of a setting in `override`."""
     crop: ClassVar[Literal["clouds", "segments"]] = "clouds"
@@ -96,7 +97,7 @@ class OdometrySettings(Settings):
         """
         of_sensor = sensor_preset(sensor)
         values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
-        family = str(values.get("family"))
+        family = str(values.pop("family", None))
         if family not in FAMILIES:
             raise InputError(f"[methods.{method}] family = {family!r}; expected one of {quoted(FAMILIES)}")
         kind = FAMILIES[family]
@@ -107,12 +108,12 @@ class OdometrySettings(Settings):
         return kind(**values).override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> Self:
-        """A copy with single settings changed, named as ``prior_sigma``, ``clouds.map_voxel_m`` or
+        """A copy with single settings changed, named as ``robust_scale``, ``clouds.map_voxel_m`` or
         ``preprocess.crop_m``. Raises `InputError` for one that the family does not have."""
         changed = self
         for path, value in overrides.items():
             name = path.removeprefix(f"{self.prefix}.")
-            known = [each for each in setting_names(self) if each not in ("family", "method")]
+            known = [each for each in setting_names(self) if each != "method"]
             if name not in known and name not in type(self).model_fields:
                 raise InputError(
                     f"overrides: unknown setting {path!r}{guess(name, known)}; method {self.method!r} is of the family"
@@ -125,15 +126,11 @@ class OdometrySettings(Settings):
 class SegmentSettings(OdometrySettings):
     """Correction by segments; the method is the rule (`steelnb.odometry.corrections`).
 
-    ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``. ``near_side`` moves
-    points behind the surfaces seen (`steelnb.odometry.near_side`). ``prior_sigma``: standard deviations of a correction
-    from its prediction, metres and radians, which then follows the rate of the drift; None assumes a constant drift.
+    ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``.
     """
 
-    family: Literal["segments"] = "segments"
+    family: ClassVar[str] = "segments"
     method: SegmentMethod
-    near_side: bool = False
-    prior_sigma: tuple[Positive, Positive] | None = None
     hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
     fusion: Annotated[FusionSettings, table(FusionSettings)] = FusionSettings()
     robust_scale_m: Positive = 0.05
@@ -142,32 +139,30 @@ class SegmentSettings(OdometrySettings):
     crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 
-class RegistrationSettings(OdometrySettings):
+class MapSettings(OdometrySettings):
+    """Registration to voxel maps with voxels of ``map_voxel_m``, of points at most ``max_correspondence_m`` apart."""
+
+    max_correspondence_m: Positive = 0.3
+    map_voxel_m: Positive = 0.1
+
+
+class RegistrationSettings(MapSettings):
     """Registration of each scan to a voxel map.
 
-    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``map``: it
-    is ``re-voxelised`` with every scan, as the original does, or keeps ``weighted`` means by count; with ``measured``,
-    it does too, and the covariances of GICP are those of the points accumulated around each voxel and of the sensor's
-    noise along each ray instead of those of the nearest neighbours, regularised to planes. ``fast`` extrapolates the
-    solver's steps (Besl and McKay 1992) and stops at 0.5 mrad and 0.7 mm instead of 0.1 mrad and 0.2 mm.
-    ``drop_rotation`` is the original's fault: it solves for six degrees of freedom, keeps the translation, and inserts
-    the rotated cloud. With ``sigma_filter_px`` above 0 each range of an organised scan is first averaged with those of
-    its surface within that many pixels (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard deviation of the
-    prior's roll and pitch, which are then corrected, too; 0 keeps them. ``near_side`` and ``prior_sigma`` as in
-    `SegmentSettings`.
+    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``map``: the
+    map is ``re-voxelised`` with every scan, as in the original, or keeps means ``weighted`` by count. A ``measured``
+    map does so too; `steelnb.odometry.clouds` says what else it changes. ``prior_sigma``: standard deviations of a
+    correction from its prediction, metres and radians; the prediction then follows the rate of the drift. None assumes
+    a constant drift. If ``sigma_filter_px`` is above 0, each range of an organised scan is first averaged with the
+    ranges of its surface within that many pixels (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard
+    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them.
     """
 
-    near_side: bool = False
     prior_sigma: tuple[Positive, Positive] | None = None
     error: Literal["point", "plane", "gicp"] = "gicp"
     dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
     robust_scale: Positive | None = None
-    max_correspondence_m: Positive = 0.3
-    iterations_max: Annotated[int, Field(ge=1)] = 150
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
-    map_voxel_m: Positive = 0.1
-    fast: bool = False
-    drop_rotation: bool = False
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
     tilt_sigma_rad: NotNegative = 0.0
     inertial: Inertial = None
@@ -178,67 +173,59 @@ class RegistrationSettings(OdometrySettings):
 class CloudSettings(RegistrationSettings):
     """Odometry by clouds (`steelnb.odometry.clouds`)."""
 
-    family: Literal["clouds"] = "clouds"
+    family: ClassVar[str] = "clouds"
 
 
 class FaceSettings(RegistrationSettings):
     """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`); ``refit_s``: seconds between
     two adjustments of keyframes and bars."""
 
-    family: Literal["faces"] = "faces"
+    family: ClassVar[str] = "faces"
     refit_s: Positive = 10.0
 
 
-class LoamSettings(OdometrySettings):
+class LoamSettings(MapSettings):
     """LOAM (`steelnb.odometry.loam`). What else `RegistrationSettings` has is fixed."""
 
-    family: Literal["loam"] = "loam"
-    max_correspondence_m: Positive = 0.3
-    map_voxel_m: Positive = 0.1
+    family: ClassVar[str] = "loam"
 
     prefix: ClassVar[str] = "loam"
     error: ClassVar[Literal["gicp"]] = "gicp"
     dof: ClassVar[Literal["se3"]] = "se3"
     robust_scale: ClassVar[float] = 5.0
-    iterations_max: ClassVar[int] = 15
     map: ClassVar[Literal["weighted"]] = "weighted"
     sigma_filter_px: ClassVar[int] = 0
-    fast: ClassVar[bool] = False
-    near_side: ClassVar[bool] = False
-    drop_rotation: ClassVar[bool] = False
     prior_sigma: ClassVar[None] = None
     tilt_sigma_rad: ClassVar[float] = 0.0
     inertial: ClassVar[None] = None
 
 
 class OrbSettings(OdometrySettings):
-    """Visual odometry by ORB features (`steelnb.odometry.orb`); ``tilt_sigma_rad`` as in `RegistrationSettings`."""
+    """Visual odometry by ORB features (`steelnb.odometry.orb`)."""
 
-    family: Literal["orb"] = "orb"
-    tilt_sigma_rad: NotNegative = 0.0
+    family: ClassVar[str] = "orb"
     inertial: Inertial = None
 
 
 class DeepVoSettings(OdometrySettings):
     """Learned odometry (`steelnb.odometry.deepvo`); ``weights``: a file of the package's presets, or a path."""
 
-    family: Literal["deepvo"] = "deepvo"
+    family: ClassVar[str] = "deepvo"
     weights: str = "deepvo.npz"
 
 
 class LibrarySettings(OdometrySettings):
-    """Odometry of a library (`steelnb.odometry.peers`)."""
+    """Odometry of a library, which the method names (`steelnb.odometry.peers`)."""
 
-    family: Literal["library"] = "library"
-    library: Literal["kiss_icp", "small_gicp"]
+    family: ClassVar[str] = "library"
+    method: Literal["kiss-icp", "small-gicp"]
 
 
 CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariances", "solver"]
-SegmentTrait = Literal["mount", "logging", "mapping", "weight"]
 
 
 class ReportCloudSettings(OdometrySettings):
-    """The report's program for odometry by clouds (`steelnb.odometry.report_clouds`).
+    """The report's programs for odometry by clouds, one a method (`steelnb.odometry.report_clouds`).
 
     ``switched`` are the traits of the original that are replaced: ``floor``, points below ``preprocess.floor_m`` are
     left out; ``thinning``, the scan goes through a voxel grid of ``preprocess.voxel_leaf_m``; ``mount``, the scan is
@@ -247,24 +234,18 @@ class ReportCloudSettings(OdometrySettings):
     `steelnb.registration.align` instead of PCL's.
     """
 
-    family: Literal["report_clouds"] = "report_clouds"
-    program: Literal["icp", "icp-3dof", "gicp"] = "gicp"
+    family: ClassVar[str] = "report_clouds"
+    method: Literal["report-icp", "report-icp-3dof", "report-gicp"]
     switched: tuple[CloudTrait, ...] = ()
 
     prefix: ClassVar[str] = "report_clouds"
 
 
 class ReportSegmentSettings(OdometrySettings):
-    """The report's program for odometry by segments (`steelnb.odometry.report_segments`).
+    """The report's program for odometry by segments (`steelnb.odometry.report_segments`)."""
 
-    ``switched`` are the traits of the original that are replaced: ``mount``, points are those of the drone frame;
-    ``logging``, the pose put out is that after the scan's own correction; ``mapping``, so is the one at which segments
-    enter the map; ``weight``, a segment moves its bar by its share of the points.
-    """
-
-    family: Literal["report_segments"] = "report_segments"
+    family: ClassVar[str] = "report_segments"
     hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
-    switched: tuple[SegmentTrait, ...] = ()
 
     prefix: ClassVar[str] = "report_segments"
     crop: ClassVar[Literal["clouds", "segments"]] = "segments"
@@ -274,5 +255,17 @@ Family = (
     SegmentSettings | CloudSettings | FaceSettings | LoamSettings | OrbSettings | DeepVoSettings | LibrarySettings
     | ReportCloudSettings | ReportSegmentSettings
 )  # fmt: skip
-FAMILIES: dict[str, type[Family]] = {kind.model_fields["family"].default: kind for kind in get_args(Family)}
+FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Family)}
 """Family → its settings."""
+
+
+class StructureSettings(Settings):
+    """The final reconstruction (`steelnb.fusion.reconstruct`).
+
+    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: adjust poses and
+    bars together first, for poses that were corrected and not smoothed.
+    """
+
+    floor_m: Finite = 0.2
+    range_max_m: Positive = 6.0
+    adjust: bool = False

@@ -1,4 +1,4 @@
-"""Settings of the simulated world: tower, flight, sensor and drift. Estimators do not see them.
+"""Settings of the simulated world: tower, flight, sensors and drift. Estimators see only those of the IMU.
 
 Lengths in metres, angles in radians, times in seconds.
 """
@@ -172,6 +172,28 @@ class TofSettings(Settings):
     def preset(cls, sensor: str) -> "TofSettings":
         """The sensor of ``presets/sensors/NAME.toml`` or of a file ``FILE.toml``. Raises `InputError`."""
         return cls(**sensor_preset(sensor).get("tof", {}))
+
+
+class ImuSettings(Settings):
+    """Errors of an IMU (`steelnb.simulation.imu`), each the same on its three axes; by default there are none.
+    ``presets/sensors/starling2-honest.toml`` has values of a real one, with their sources.
+
+    ``..._noise``: white noise density, rad/s/√Hz and m/s²/√Hz; ``..._walk``: density of the bias random walk,
+    rad/s²/√Hz and m/s³/√Hz; ``..._bias``: standard deviation of the bias at the start, rad/s and m/s².
+    """
+
+    gyro_noise: NotNegative = 0.0
+    gyro_walk: NotNegative = 0.0
+    gyro_bias: NotNegative = 0.0
+    accelerometer_noise: NotNegative = 0.0
+    accelerometer_walk: NotNegative = 0.0
+    accelerometer_bias: NotNegative = 0.0
+
+    @classmethod
+    def preset(cls, sensor: str) -> "ImuSettings | None":
+        """The IMU of a sensor's preset; None without one. Raises `InputError`."""
+        table = sensor_preset(sensor).get("imu")
+        return None if table is None else cls(**table)
 
 
 @dataclass(frozen=True)

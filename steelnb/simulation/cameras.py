@@ -177,9 +177,7 @@ class _Images(Sequence[GreyImage]):
     def __len__(self) -> int:
         return len(self.stamp_s)
 
-    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
+    def __getitem__(self, index: int) -> GreyImage:  # type: ignore[override]
         k = range(len(self))[index]
         noise = rng.stream(self.seed, "camera", k)
         T_world_drone = self.trajectory.between(float(self.stamp_s[k]) + self.camera.moments_s)

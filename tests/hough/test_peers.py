@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.errors import InputError
 from steelnb.hough import bars
-from steelnb.hough.peers import METHODS, segment_by_dbscan, segment_by_gmm, segment_by_hough, segment_by_ransac_lines
+from steelnb.hough.peers import METHODS, find_bars
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
 OPTIONS = {"gmm": {"components": [2, 3, 6], "sample": 900}}
@@ -25,7 +25,7 @@ def ends(bars):
 
 @pytest.mark.parametrize("method", EXACT)
 def test_separate_bars_and_their_ends_are_found(method):
-    found = METHODS[method](cloud(), dx=0.05, **OPTIONS.get(method, {}))
+    found = find_bars(method, cloud(), dx=0.05, **OPTIONS.get(method, {}))
     assert len(found) == 3
     np.testing.assert_allclose(ends(np.stack([found.start, found.end], axis=1)), ends(BARS), atol=0.03)
     assert (found.count >= 290).all()
@@ -34,30 +34,30 @@ def test_separate_bars_and_their_ends_are_found(method):
 
 @pytest.mark.parametrize("method", ["hough", "ransac-lines"])
 def test_clutter_makes_no_bar(method):
-    found = METHODS[method](cloud(clutter=150), dx=0.05)
+    found = find_bars(method, cloud(clutter=150), dx=0.05)
     assert len(found) == 3
-    assert len(METHODS[method](np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
+    assert len(find_bars(method, np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
 
 
 def test_planes_give_one_bar_for_many_in_a_plane():
     points = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
-    assert len(segment_by_hough(points, dx=0.05)) == 4
-    assert len(METHODS["ransac-planes"](points, dx=0.05)) <= 1
-    assert len(METHODS["ransac-planes"](cloud(BARS[:1]), dx=0.05)) == 1
+    assert len(find_bars("hough", points, dx=0.05)) == 4
+    assert len(find_bars("ransac-planes", points, dx=0.05)) <= 1
+    assert len(find_bars("ransac-planes", cloud(BARS[:1]), dx=0.05)) == 1
 
 
 def test_dbscan_takes_touching_bars_for_one_cluster():
     cross = np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float)
     points = cloud(cross, points=1500)
-    assert len(segment_by_hough(points, dx=0.05)) == len(segment_by_ransac_lines(points, dx=0.05)) == 2
-    assert len(segment_by_dbscan(points, dx=0.05)) == 0
+    assert len(find_bars("hough", points, dx=0.05)) == len(find_bars("ransac-lines", points, dx=0.05)) == 2
+    assert len(find_bars("dbscan", points, dx=0.05)) == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_seed_gives_the_same_bars(method):
     points = cloud(clutter=100)
     before = points.copy()
-    once, again = (METHODS[method](points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
+    once, again = (find_bars(method, points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
     for name in ("start", "end", "count", "radius"):
         np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
     np.testing.assert_array_equal(points, before)
@@ -80,7 +80,7 @@ def test_a_seed_gives_the_same_bars(method):
 )
 def test_invalid_input_is_named_in_the_error(method, points, options, error, message):
     with pytest.raises(error, match=message):
-        METHODS[method](points, **options)
+        find_bars(method, points, **options)
 
 
 @pytest.mark.parametrize(
@@ -95,18 +95,18 @@ def test_invalid_input_is_named_in_the_error(method, points, options, error, mes
 )
 def test_invalid_options_are_named_in_the_error(method, options, message):
     with pytest.raises(InputError, match=message):
-        METHODS[method](cloud(), **options)
+        find_bars(method, cloud(), **options)
 
 
 def test_gmm_selects_the_number_of_components():
     points = cloud(noise_m=0.02)
-    picked = segment_by_gmm(points, components=[3, 40], sample=900)
-    np.testing.assert_array_equal(picked.start, segment_by_gmm(points, components=[3], sample=900).start)
+    picked = find_bars("gmm", points, components=[3, 40], sample=900)
+    np.testing.assert_array_equal(picked.start, find_bars("gmm", points, components=[3], sample=900).start)
 
 
 @pytest.mark.parametrize("method", EXACT)
 def test_short_bars_and_bars_of_few_points_are_dropped(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
-    assert len(METHODS[method](cloud(), points_min=400, **options)) == 0
+    assert len(find_bars(method, cloud(), points_min=400, **options)) == 0
     monkeypatch.setattr(bars, "LENGTH_MIN_M", 1.45)
-    assert len(METHODS[method](cloud(), **options)) == 2
+    assert len(find_bars(method, cloud(), **options)) == 2

@@ -4,7 +4,7 @@ import pytest
 from steelnb import experiment
 from steelnb.metrics import position_error_m
 from steelnb.odometry import LoamOdometry, make_odometry
-from steelnb.registration import free_directions
+from steelnb.registration import FREE
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
 
@@ -50,7 +50,7 @@ def test_a_wall_constrains_only_the_direction_of_its_normal():
     prior[:, 2, 3] = 3.0
     prior[:, :3, 3] += np.arange(6)[:, None] * [0.02, 0.01, 0.0]
     odometry = LoamOdometry()
-    odometry.free = free_directions("xyz")
+    odometry.free = FREE["xyz"]
     for T in prior:
         depth = 2.0 + noise.normal(0, 0.002, (40, 60, 1))  # the drone stands still, and the prior drifts
         found = odometry.update(depth * ray, T).T_world_drone

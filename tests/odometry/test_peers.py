@@ -7,7 +7,7 @@ from steelnb import experiment
 from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.odometry import PeerOdometry, make_odometry, run
-from steelnb.settings import ExperimentSettings, OdometrySettings
+from steelnb.settings import ExperimentSettings, LibrarySettings, OdometrySettings
 
 PEERS = {"kiss-icp": "kiss_icp", "small-gicp": "small_gicp"}
 
@@ -64,5 +64,5 @@ def test_a_flight_without_returns_at_first_starts_with_its_first_returns(world, 
 
 
 def test_an_unknown_library_is_refused():
-    with pytest.raises(InputError, match="library = 'pcl'"):
-        OdometrySettings.preset("kiss-icp", overrides={"library": "pcl"})
+    with pytest.raises(InputError, match="method = 'pcl'"):
+        LibrarySettings(method="pcl")

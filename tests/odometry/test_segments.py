@@ -25,8 +25,6 @@ def seen(offset, bars=BARS, noise_m=0.0, seed=0):
 
 DRONE = np.array([-3.0, 1.0, 2.0])
 """Position of the drone, about which a yaw turns."""
-NONE = np.zeros(4)
-"""No prior information."""
 SCALE_M = 0.05
 FUSION = OdometrySettings.preset("average", "report-4cm").fusion
 
@@ -43,7 +41,7 @@ def known():
 @pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
 def test_least_squares_finds_the_translation(known, offset, monkeypatch):
     monkeypatch.setattr(corrections, "DAMPING_PAIRS", 0.0)
-    correction = least_squares(seen(offset), known, SCALE_M, DRONE, NONE)
+    correction = least_squares(seen(offset), known, SCALE_M, DRONE)
     np.testing.assert_allclose(correction.offset, -np.array(offset), atol=1e-3)
     assert correction.matches == len(BARS)
 
@@ -53,17 +51,17 @@ def test_least_squares_ignores_a_bar_that_moved(known, monkeypatch):
     one_moved = seen([0.05, 0, 0])
     one_moved.start[4] += [0, 0.15, 0]
     one_moved.end[4] += [0, 0.15, 0]
-    correction = least_squares(one_moved, known, SCALE_M, DRONE, NONE)
+    correction = least_squares(one_moved, known, SCALE_M, DRONE)
     np.testing.assert_allclose(correction.offset, [-0.05, 0, 0], atol=0.01)
 
 
 def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypatch):
     upright = seen([0.05, 0.04, 0.07], BARS[:2])
-    correction = least_squares(upright, known, SCALE_M, DRONE, NONE)
+    correction = least_squares(upright, known, SCALE_M, DRONE)
     assert abs(correction.offset[2]) < 1e-9
     assert -0.05 < correction.offset[0] < -0.02  # damping holds back
     monkeypatch.setattr(corrections, "DAMPING_PAIRS", 1e-6)
-    free = least_squares(upright, known, SCALE_M, DRONE, NONE)
+    free = least_squares(upright, known, SCALE_M, DRONE)
     np.testing.assert_allclose(free.offset, [-0.05, -0.04, 0], atol=2e-3)
 
 
@@ -71,8 +69,9 @@ def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypa
 def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch):
     monkeypatch.setattr(corrections, "ITERATIONS_MAX", 60)
     monkeypatch.setattr(corrections, "TOLERANCE_M", 1e-9)
+    monkeypatch.setattr(corrections, "PRIOR", np.zeros(4))
     away = shifted(seen(0), np.append(yaw, offset), DRONE)
-    correction = least_squares_yaw(away, known, SCALE_M, DRONE, NONE)
+    correction = least_squares_yaw(away, known, SCALE_M, DRONE)
     back = shifted(away, np.append(correction.yaw_rad, correction.offset), DRONE)
     assert correction.yaw_rad == pytest.approx(-yaw, abs=1e-6)
     np.testing.assert_allclose(back.start, BARS[:, 0], atol=1e-5)
@@ -89,35 +88,36 @@ def equations_by_definition(seen, known):
 def test_bar_equations_are_the_derivatives_of_their_loss(known):
     # Gauss–Newton leaves the change of the robust weights out of H, so b is exact and H is that of fixed weights.
     apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
-    b, step = bar_equations(apart, known, SCALE_M, DRONE).b, 1e-6
+    (_, b, _), step = bar_equations(apart, known, SCALE_M, DRONE), 1e-6
     for k, axis in enumerate(np.eye(4)):
         ends = (shifted(apart, sign * step * axis, DRONE) for sign in (1, -1))
         ahead, behind = (equations_by_definition(each, known)[0] for each in ends)
         slack = 1e-3 * np.abs(b).max()  # the ends shared slide a little
         assert (ahead - behind) / (2 * step) == pytest.approx(b[k], abs=slack)
     near, square = seen([3e-4, -2e-4, 1e-4]), 1e6
-    here = bar_equations(near, known, square, DRONE)
+    H, b, _ = bar_equations(near, known, square, DRONE)
     for k, axis in enumerate(np.eye(4)):
-        there = bar_equations(shifted(near, step * axis, DRONE), known, square, DRONE)
-        np.testing.assert_allclose((there.b - here.b) / step, here.H[:, k], atol=2e-3 * np.abs(here.H[:, k]).max())
+        _, there, _ = bar_equations(shifted(near, step * axis, DRONE), known, square, DRONE)
+        np.testing.assert_allclose((there - b) / step, H[:, k], atol=2e-3 * np.abs(H[:, k]).max())
 
 
 def test_bar_equations_are_those_of_the_definition(known):
     apart = seen([0.03, -0.02, 0.01], noise_m=0.01)
-    found, (_, H, b) = bar_equations(apart, known, SCALE_M, DRONE), equations_by_definition(apart, known)
-    assert found.matches == len(apart)
-    np.testing.assert_allclose(found.H, H, atol=1e-9 * H.max())
-    np.testing.assert_allclose(found.b, b, atol=1e-9 * np.abs(b).max())
+    H, b, matches = bar_equations(apart, known, SCALE_M, DRONE)
+    _, H_defined, b_defined = equations_by_definition(apart, known)
+    assert matches == len(apart)
+    np.testing.assert_allclose(H, H_defined, atol=1e-9 * H.max())
+    np.testing.assert_allclose(b, b_defined, atol=1e-9 * np.abs(b).max())
 
 
 def test_a_prior_holds_what_no_bar_constrains_and_a_new_bar_waits(known):
-    upright, prior = seen([0.05, 0.04, 0.07], BARS[:2]), np.array([0.02**-2, *[0.05**-2] * 3])
-    correction = least_squares_yaw(upright, known, SCALE_M, DRONE, prior)
+    upright = seen([0.05, 0.04, 0.07], BARS[:2])
+    correction = least_squares_yaw(upright, known, SCALE_M, DRONE)
     assert abs(correction.offset[2]) < 1e-9
     np.testing.assert_allclose(correction.offset[:2], [-0.05, -0.04], atol=5e-3)
     new = SegmentMap(FUSION)
     new.insert(seen(0))
-    assert least_squares_yaw(upright, new, SCALE_M, DRONE, prior).matches == 0
+    assert least_squares_yaw(upright, new, SCALE_M, DRONE).matches == 0
 
 
 def test_shared_ends_lie_where_both_are():
@@ -129,7 +129,7 @@ def test_shared_ends_lie_where_both_are():
 
 def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
     # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
-    correction = average(seen([0, 0, 0.06]), known, SCALE_M, DRONE, NONE)
+    correction = average(seen([0, 0, 0.06]), known, SCALE_M, DRONE)
     d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
     across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)
     np.testing.assert_allclose(correction.offset, -0.5 * across.mean(axis=0), atol=1e-9)
@@ -138,7 +138,7 @@ def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
 
 @pytest.mark.parametrize("rule", [average, least_squares, least_squares_yaw])
 def test_no_match_gives_no_correction(known, rule):
-    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, SCALE_M, DRONE, NONE)
+    correction = rule(seen([0.8, 0.8, 0.8], BARS[:1]), known, SCALE_M, DRONE)
     assert correction.matches == 0
     np.testing.assert_array_equal(correction.offset, 0)
 

@@ -77,6 +77,6 @@ def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
     predictor = PosePredictor((0.05, 0.02), SIGMA_RAD)
     predictor.correct(pose, prior)
     for passed_s, sigma_rad in ((1e6, SIGMA_RAD), (0.1, SIGMA_RAD * (0.2 / TILT_S) ** 0.5)):
-        predictor._stamp_s = 0.0
+        predictor._last_s = 0.0
         predictor.pose(passed_s, prior)
         assert np.diag(predictor._information)[:2] == pytest.approx(sigma_rad**-2.0, rel=0.02)

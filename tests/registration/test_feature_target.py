@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.registration import FeatureTarget, align, free_directions
+from steelnb.registration import FREE, FeatureTarget, align
 from tests.naive import full
 
 NONE = np.zeros((0, 3))
@@ -63,7 +63,7 @@ def test_lines_of_different_directions_determine_the_pose(dof):
     source = (points_on(LINES)[::2] - T[:3, 3]) @ T[:3, :3]
     target = FeatureTarget.of(target_points, NONE, np.zeros(len(source), dtype=np.int64), 0.02)
     zero = np.zeros((len(source), 6))
-    found = align(source, target, "gicp", free_directions(dof), np.eye(4), 0.3, zero, 5.0)
+    found = align(source, target, "gicp", FREE[dof], np.eye(4), 0.3, zero, 5.0)
     assert found.converged
     np.testing.assert_allclose(found.T_target_source, T, atol=2e-3)
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.registration import free_directions
+from steelnb.registration import FREE
 from steelnb.registration.observability import unobserved_shifts, without_shifts
 
 SHARE = 0.05
@@ -57,7 +57,7 @@ def test_points_without_a_pair_are_ignored():
 
 @pytest.mark.parametrize("dof", ["xyz", "xyz_yaw", "se3"])
 def test_without_shifts_removes_the_translations_and_keeps_the_rotations(dof):
-    free, along = free_directions(dof), np.array([[0.6, 0.8, 0.0]])
+    free, along = FREE[dof], np.array([[0.6, 0.8, 0.0]])
     remaining = without_shifts(free, along)
     assert remaining.shape == (6, free.shape[1] - 1)
     np.testing.assert_allclose(along @ remaining[3:], 0, atol=1e-12)

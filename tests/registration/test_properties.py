@@ -89,28 +89,15 @@ def test_the_pose_does_not_depend_on_the_order_of_points_or_on_far_target_points
 @settings(max_examples=6, deadline=None)
 @given(seed=SEEDS, dof=st.sampled_from(["xyz", "xyz_yaw"]))
 def test_a_restricted_solve_keeps_the_other_directions_of_the_start(method, seed, dof):
-    # The start is tilted, and the axis of yaw is arbitrary.
     points, tilt = corner(1500, seed), motion(2, 0.03, "se3", seed)
-    gravity = np.random.default_rng(seed).normal(size=3)
-    result = register(points, points, method, dof, T_init=tilt, max_correspondence_m=0.5, gravity=gravity)
+    result = register(points, points, method, dof, T_init=tilt, max_correspondence_m=0.5)
     change = result.T_target_source[:3, :3] @ tilt[:3, :3].T
-    np.testing.assert_allclose(change @ gravity, gravity, atol=1e-12 * np.linalg.norm(gravity))
+    np.testing.assert_allclose(change[:, 2], [0, 0, 1], atol=1e-12)
     if dof == "xyz":
         np.testing.assert_allclose(change, np.eye(3), atol=1e-12)
     else:
-        about = abs(Rotation.from_matrix(tilt[:3, :3]).as_rotvec() @ gravity) / np.linalg.norm(gravity)
+        about = abs(Rotation.from_matrix(tilt[:3, :3]).as_rotvec()[2])
         assert about < 5e-3 or np.abs(change - np.eye(3)).max() > 1e-4  # the free angle was used
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_yaw_is_about_the_given_gravity(method):
-    points, T_true = corner(2000, 2), motion(0, 0.05)
-    T_true[:3, :3] = Rotation.from_rotvec([0, 0.05, 0]).as_matrix()
-    options = {"dof": "xyz_yaw", "max_correspondence_m": 0.5}
-    right = register(points, transformed(points, T_true), method, gravity=[0, -7, 0], **options)
-    wrong = register(points, transformed(points, T_true), method, **options)
-    assert np.less(pose_error(right.T_target_source, T_true), (0.012, 0.2)).all()
-    assert pose_error(wrong.T_target_source, T_true)[1] > 1
 
 
 @settings(max_examples=6, deadline=None)
