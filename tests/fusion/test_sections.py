@@ -58,7 +58,8 @@ def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
     placed = points @ T[:3, :3].T + T[:3, 3]
     kept = (np.linalg.norm(points, axis=1) <= 4) & (placed[:, 2] >= T[2, 3]) & (np.abs(points).max(axis=1) > 0)
     assert 100 < kept.sum() < 300
-    found, weight = world_points(points, T, 4.0, T[2, 3])
+    found, weight, index = world_points(points, T, 4.0, T[2, 3])
+    np.testing.assert_array_equal(index, np.flatnonzero(kept))
     np.testing.assert_allclose(found, placed[kept])
     np.testing.assert_allclose(weight, 1 / (points[kept] ** 2).sum(axis=1))
     voxels = VoxelMap(0.5)

@@ -7,27 +7,31 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
 from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
-from steelnb.fusion.problem import BAR, Bars
+from steelnb.fusion.problem import BAR_DOF, Bars
 from tests.fusion.made import bars_of, made_up
 
 STAMP_S = 0.2 * np.arange(40)
+NONE = 1e-9
+"""A displacement that points of one scan do not share, metres."""
 
 
 def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
     return problem.start(T, T, bars, tilt_sigma_rad)
 
 
-def marginals(state, seen, prior, shared_sigma_m=None):
-    return uncertainty.marginals(state, factors.linearised(state, seen), prior, STAMP_S, shared_sigma_m)
+def marginals(state, seen, prior, shared_sigma_m=uncertainty.SHARED_SIGMA_M):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uncertainty, "SHARED_SIGMA_M", shared_sigma_m / state.sigma_ratio**2)
+        return uncertainty.marginals(state, factors.linearised(state, seen), prior, STAMP_S)
 
 
 def dense(state, seen, prior, stamp_s, shared_sigma_m):
     """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
     eq = factors.linearised(state, seen)
     K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
-    chained, beside, _ = factors.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+    chained, beside, _ = poses.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
     D = poses.pose_size(state.tilt_sigma_rad)
-    size = D * K + BAR * n
+    size = D * K + BAR_DOF * n
     whole = np.zeros((size + 2 * P, size + 2 * P))
     whole[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
     for k in range(K - 1):
@@ -35,7 +39,7 @@ def dense(state, seen, prior, stamp_s, shared_sigma_m):
         whole[pose, behind], whole[behind, pose] = beside[k], beside[k].T
     whole[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(problem.BAR_SIGMA**-2.0)))
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
-        pose, bar = slice(D * k, D * k + D), slice(D * K + BAR * b, D * K + BAR * b + BAR)
+        pose, bar = slice(D * k, D * k + D), slice(D * K + BAR_DOF * b, D * K + BAR_DOF * b + BAR_DOF)
         own = slice(size + 2 * p, size + 2 * p + 2)
         whole[pose, bar], whole[bar, pose] = eq.cross[p], eq.cross[p].T
         whole[pose, own], whole[own, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
@@ -43,7 +47,7 @@ def dense(state, seen, prior, stamp_s, shared_sigma_m):
         whole[own, own] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
     inverse = np.linalg.inv(whole[D:, D:])  # without the first pose, which is held
     pose = [inverse[at : at + D, at : at + D] for at in range(0, D * (K - 1), D)]
-    bar = [inverse[at : at + BAR, at : at + BAR] for at in range(D * (K - 1), size - D, BAR)]
+    bar = [inverse[at : at + BAR_DOF, at : at + BAR_DOF] for at in range(D * (K - 1), size - D, BAR_DOF)]
     return np.array(pose), np.array(bar)
 
 
@@ -65,11 +69,11 @@ def test_the_information_of_a_bar_in_a_scan_saturates():
     sharp = problem.Problem(T, bars, 0.1 * state.sigma_ratio, state.fitted)
     sigma = {
         (name, shared): np.sqrt(np.median(marginals(each, seen, T, shared).pose[1:, 1, 1]))
-        for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)
+        for name, each in (("few", state), ("many", sharp)) for shared in (NONE, 0.01)
     }  # fmt: skip
-    assert sigma["many", 0.0] < 0.25 * sigma["few", 0.0]
+    assert sigma["many", NONE] < 0.25 * sigma["few", NONE]
     assert sigma["many", 0.01] > 0.5 * sigma["few", 0.01]
-    assert sigma["many", 0.01] > 5 * sigma["many", 0.0]
+    assert sigma["many", 0.01] > 5 * sigma["many", NONE]
 
 
 def test_many_runs_scatter_as_they_say():
@@ -88,7 +92,7 @@ def test_many_runs_scatter_as_they_say():
         state = problem.start(T, prior, bars)
         for _ in range(4):
             state = solver.improve(state, factors.linearised(state, seen), prior, STAMP_S)
-        pose = marginals(state, seen, prior, 0.0).pose
+        pose = marginals(state, seen, prior, NONE).pose
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
         error[:, 0] = poses.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
@@ -136,14 +140,14 @@ def test_equations_that_are_not_finite_are_refused():
 @pytest.mark.parametrize(
     ("covariance", "says"),
     [
-        (np.diag([1.0, 0.0, 1.0]), r"pose 5 is not positive definite along 1\.00 y"),
-        (np.diag([1.0, np.inf, 1.0]), "pose 5 is not finite"),
-        (np.diag([1.0, 1.0, 400.0]), r"pose 5 is singular: nothing holds it along 1\.00 z"),
+        (np.diag([1.0, 0.0, 1.0]), r"pose 2 is not positive definite along 1\.00 y"),
+        (np.diag([1.0, np.inf, 1.0]), "pose 2 is not finite"),
+        (np.diag([1.0, 1.0, 400.0]), r"pose 2 is singular: nothing holds it along 1\.00 z"),
     ],
 )
 def test_covariances_that_are_none_are_named(covariance, says):
     with pytest.raises(InputError, match=says):
-        uncertainty.check_covariances(np.stack([np.eye(3), covariance]), "pose", ("x", "y", "z"), first=4)
+        uncertainty.check_poses(np.stack([np.zeros((3, 3)), np.eye(3), covariance]))
 
 
 def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
@@ -170,7 +174,7 @@ def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
     across = np.array([[cosine, sine], [-sine, cosine]]) @ own
     bar = np.zeros((1, 6, 6))
     bar[0, :4, :4] = np.diag([4e-6, 1e-6, 9e-6, 1e-6])
-    found = uncertainty.axis_covariances(bar, segments, across)
+    found = uncertainty.axis_covariances(bar, segments, across, 1.0)
     in_world = across[0].T @ bar[0, :2, :2] @ across[0]
     np.testing.assert_allclose(own[0].T @ found[0, :2, :2] @ own[0], in_world, atol=1e-15)
     assert uncertainty.axis_sigma_m(found, np.zeros(1))[0] == pytest.approx(2e-3)
@@ -178,7 +182,7 @@ def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
 
 def test_ends_of_an_axis_have_their_own_error():
     segments = bars_of([[0, 0, 0], [0, 0, 2.0]])
-    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction))
+    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction), 1.0)
     for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
         sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
         assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)
