@@ -22,6 +22,7 @@ from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STATE_DOF = 15
 """Degrees of freedom of a state: pose (6), velocity (3), biases of gyroscope (3) and accelerometer (3)."""
+NO_STEP = np.zeros(STATE_DOF)
 VELOCITY_SIGMA_M_S = 100.0
 """Prior standard deviation of each velocity: nothing is known of it."""
 SIGMA_MIN = 1e-7
@@ -88,21 +89,19 @@ class Inertial:
         """In a world frame that is rotated by ``(3, 3)``."""
         return replace(self, motion=np.hstack([self.motion[:, :3] @ rotation.T, self.motion[:, 3:]]))
 
-    def errors(self, T_world_sensor: Array) -> Array:
-        """Errors ``(K − 1, 15)`` between poses of the sensor ``(K, 4, 4)``: three each of rotation, rad, velocity, m/s,
-        and position, m, in the world frame, and the change of the two biases."""
-        return self._errors(T_world_sensor, np.zeros(STATE_DOF), np.zeros(STATE_DOF))
-
     def equations(self, T_world_sensor: Array) -> ChainEquations:
         """The normal equations of the states, D = 15, at poses of the sensor ``(K, 4, 4)``."""
-        none = np.zeros(STATE_DOF)
-        before = _jacobian(lambda step: self._errors(T_world_sensor, step, none))
-        after = _jacobian(lambda step: self._errors(T_world_sensor, none, step))
+        before = _jacobian(lambda step: self.errors(T_world_sensor, before=step))
+        after = _jacobian(lambda step: self.errors(T_world_sensor, after=step))
         state_error, state_weight = (np.pad(each, ((0, 0), (POSE_DOF, 0))) for each in (self.motion, self.information))
         return chain_equations(state_error, state_weight, self.errors(T_world_sensor), self.weight, before, after)
 
-    def _errors(self, T_world_sensor: Array, before: Array, after: Array) -> Array:
-        """The errors after the earlier state of each interval moves by ``before (15,)``, the later by ``after``."""
+    def errors(self, T_world_sensor: Array, before: Array = NO_STEP, after: Array = NO_STEP) -> Array:
+        """Errors ``(K − 1, 15)`` between poses of the sensor ``(K, 4, 4)``: three each of rotation, rad, velocity, m/s,
+        and position, m, in the world frame, and the change of the two biases.
+
+        They are those after a step ``before (15,)`` of the earlier state of each interval, and ``after`` of the later.
+        """
         from_sensor, gap_s = np.linalg.inv(self.T_drone_sensor), np.diff(self.stamp_s)[:, None]
         T0, T1 = (
             moved_poses(T, np.tile(step[:POSE_DOF], (len(T), 1))) @ from_sensor

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion import problem, solver
-from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion import problem
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
@@ -59,7 +58,7 @@ class Keyframes:
             self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
 
     def adjust(self) -> Problem | None:
-        """Find bars, and adjust bars and poses together (`fusion.solver`); None if there are too few bars."""
+        """Find bars, and adjust bars and poses together (`MappedScans.adjusted`); None if there are too few bars."""
         if not len(self.voxels):
             return None
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
@@ -74,7 +73,6 @@ class Keyframes:
             )
         state = problem.start(self.T_world_sensor, self._prior, fitted.bars, self.tilt_sigma_rad, inertial)
         voxels = mapped.around(fitted.bars.segments)
-        observations = Observations.gathered(mapped.face_points(voxels, state.bars, self._ratio))
-        state, _ = solver.adjusted(state, observations, self._prior, stamp_s, STEPS)
+        state, _ = mapped.adjusted(state, voxels, self._prior, stamp_s, STEPS, self._ratio)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

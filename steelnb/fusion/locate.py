@@ -9,18 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion import sections
+from steelnb.fusion import poses, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import linearised, noise_ratio
-from steelnb.fusion.poses import (
-    DRIFT_PERIOD_S,
-    UPRIGHT_DOF,
-    drift_variance,
-    moved_poses,
-    pose_size,
-    pose_step,
-    tilt_decay,
-)
+from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
 from steelnb.fusion.problem import BAR_DOF, Bars, Problem
 from steelnb.types import Array, IntArray, Scan
 
@@ -62,17 +54,17 @@ class Locator:
 
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
-        self.variance, self._stamp_s = np.zeros(pose_size(tilt_sigma_rad)), stamp_s
+        self.variance, self._stamp_s = np.zeros(poses.pose_size(tilt_sigma_rad)), stamp_s
         self._corner = sections.outlines(bars.turn, bars.flange)
         self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
         """Add the variance of the drift since the last scan."""
-        passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
+        passed_s = max(stamp_s - self._stamp_s, 0.0) or poses.DRIFT_PERIOD_S
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
-        self.variance[-UPRIGHT_DOF:] += drift_variance(passed_s)
-        decay = tilt_decay(2.0 * passed_s)  # of a variance
+        self.variance[-UPRIGHT_DOF:] += poses.drift_variance(passed_s)
+        decay = poses.tilt_decay(2.0 * passed_s)  # of a variance
         self.variance[:-UPRIGHT_DOF] = decay * self.variance[:-UPRIGHT_DOF] + (1.0 - decay) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:

@@ -79,7 +79,7 @@ class Problem:
         return np.nan_to_num(np.column_stack([self.bars.turn, self.bars.flange]) - self.fitted)
 
     def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float) -> "Problem":
-        """After steps ``(K, D)`` of the states, D as in `solver.StateEquations`, and ``(B, 6)`` of the bars."""
+        """After steps ``(K, D)`` of the states, D as in `solver.state_equations`, and ``(B, 6)`` of the bars."""
         pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]
         return replace(
             self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step), bars=_moved_bars(self.bars, bar_step),

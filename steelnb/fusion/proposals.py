@@ -62,7 +62,7 @@ def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GR
     extension = np.arange(0, REACH_M + 1e-9, 0.03)[:, None, None] * struts.direction
     extended = np.stack([struts.start - extension, struts.end + extension])
     near = within(extended.reshape(-1, 3), bars, TUBE_M).reshape(extended.shape[:3])
-    return struts.take(near.any(axis=1).all(axis=0))
+    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
 
 
 def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = math.inf) -> Segments:

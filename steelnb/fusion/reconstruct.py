@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import InputError
-from steelnb.fusion import problem, sections, solver
+from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
+from steelnb.fusion.factors import PointEquations, linearised
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
 from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.problem import Bars
+from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
 from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.section_fit import fit_sections
+from steelnb.fusion.solver import improve
 from steelnb.fusion.structure import Structure
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
@@ -70,7 +72,10 @@ def reconstruct(
     if settings.adjust:
         flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
         if fitted is not None:
-            T_world_sensor = flight.adjusted(fitted.bars)
+            prior, stamp_s = T_world_sensor, DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
+            state, voxels = problem.start(prior, prior, fitted.bars), flight.around(fitted.bars.segments)
+            state, _ = flight.adjusted(state, voxels, prior, stamp_s, ADJUST_STEPS, pixels=ADJUST_PIXELS)
+            T_world_sensor = state.T_world_sensor
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
     segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(segments):
@@ -166,12 +171,16 @@ class MappedScans:
             on_face = voxels.on_face(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
             yield k, points[on_face], bar[on_face]
 
-    def adjusted(self, bars: Bars) -> Array:
-        """The poses after `ADJUST_STEPS` of poses and bars together, by one in `ADJUST_PIXELS` of the points. The poses
-        before serve as the prior, with the usual drift."""
-        T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
-        observations = Observations.gathered(self.bar_points(self.around(bars.segments), 1, ADJUST_PIXELS))
-        return solver.adjusted(problem.start(T, T, bars), observations, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
+    def adjusted(
+        self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
+        sigma_ratio: float | None = None, pixels: int = 1,
+    ) -> tuple[Problem, PointEquations]:  # fmt: skip
+        """The state after some `solver.improve` with the `face_points`, and the equations of the last step."""
+        observations = Observations.gathered(self.face_points(voxels, state.bars, sigma_ratio, pixels))
+        for _ in range(steps):
+            equations = linearised(state, observations)
+            state = improve(state, equations, prior, stamp_s)
+        return state, equations
 
     def fit(self, bars: Segments, every: int) -> FittedBars:
         """Fit sections, angles or circles, to the points on each bar in one in ``every`` scans. The axes move to the

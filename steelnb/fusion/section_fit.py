@@ -11,16 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.sections import (
-    VIEWS,
-    cells_of,
-    direction_of,
-    edges_of,
-    front_face,
-    merged_cells,
-    nearest_edge,
-    outline,
-)
+from steelnb.fusion import sections
+from steelnb.fusion.sections import VIEWS, cells_of, front_face, merged_cells, outline
 from steelnb.types import Array
 
 TURNS = VIEWS
@@ -60,7 +52,7 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     flange, spread, tilt = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     face, side = profiles()
     for b in range(n):
-        cells, rows = cells_of(histogram[b], length[b]), edges_of(histogram[b])
+        cells, rows = cells_of(histogram[b], length[b]), sections.edges_of(histogram[b])
         if len(cells) >= 8 and len(rows) >= 1:
             flange[b], turn[b], spread[b], tilt[b], _ = fit_section(
                 cells, merged_cells(histogram[b]), rows, face, side, centre[b], slope[b]
@@ -77,7 +69,7 @@ def profiles():  # type: ignore[no-untyped-def]
     outline(0.0, 1.0, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
     for view in range(VIEWS):
-        cosine, sine = direction_of(view)
+        cosine, sine = sections.direction_of(view)
         beside = -sine * corner[:, 0] + cosine * corner[:, 1]
         side[view, 0], side[view, 1] = beside.min(), beside.max()
         for k in range(PROFILE):
@@ -161,7 +153,7 @@ def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped
             ju, jv = -cosine - rise * sine, -sine + rise * cosine
             weight /= 1.0 + rise * rise
         else:  # beside the section
-            residual = beside - nearest_edge(corner, cosine, sine, beside)
+            residual = beside - sections.nearest_edge(corner, cosine, sine, beside)
             ju, jv = sine, -cosine
         loss, weight = robust(residual, weight)
         cost += loss
@@ -213,8 +205,8 @@ def _settle(cells, rows, corner, place, normal, steps):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
-    """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search with its `merged_cells` and the tables
-    `profiles`.
+    """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search with its `merged_cells` and the
+    tables `profiles`.
 
     Returns flange, turn, spread and tilt (`Sections`), and the least cost; fills ``centre (2,)`` and ``slope (2,)``.
     """

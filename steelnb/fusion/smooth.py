@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.fusion import problem, solver, uncertainty
-from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion import problem, uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
 from steelnb.fusion.reconstruct import map_and_fit
@@ -69,8 +68,7 @@ def smooth(
         voxels = scans.around(fitted.bars.segments)
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
-            observations = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
-            state, equations = solver.adjusted(state, observations, prior, stamp_s, steps)
+            state, equations = scans.adjusted(state, voxels, prior, stamp_s, steps, ratio, pixels)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""

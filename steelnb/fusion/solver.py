@@ -10,26 +10,15 @@ import numpy as np
 from numba import njit
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.factors import PointEquations, linearised, noise_ratio
+from steelnb.fusion.factors import PointEquations, noise_ratio
 from steelnb.fusion.inertial import STATE_DOF
-from steelnb.fusion.poses import prior_equations
+from steelnb.fusion.poses import ChainEquations, prior_equations
 from steelnb.fusion.problem import BAR_SIGMA, Problem
 from steelnb.types import Array
 
 TINY = 1e-12
 """Smaller numbers count as zero. Contributions of a bar fade from pose to pose once it is out of view, and arithmetic
 with denormal numbers is slow."""
-
-
-def adjusted(
-    problem: Problem, observations: Observations, prior: Array, stamp_s: Array, steps: int
-) -> tuple[Problem, PointEquations]:
-    """The problem after ``steps`` times `improve` with the same points, and the equations of the last step."""
-    for _ in range(steps):
-        equations = linearised(problem, observations)
-        problem = improve(problem, equations, prior, stamp_s)
-    return problem, equations
 
 
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
@@ -40,7 +29,7 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     """
     rhs = equations.rhs.copy()
     rhs[:, 4:] -= problem.from_fitted() * BAR_SIGMA[4:] ** -2.0
-    matrix, beside, vector, between = state_equations(problem, equations, prior, stamp_s)
+    (matrix, beside, vector), between = state_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
     forward = chain.forward(np.concatenate([between, vector[:, :, None]], axis=2))
     flat = forward.reshape(-1, forward.shape[2])
@@ -51,30 +40,23 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     return problem.moved(state_step, bar_step.reshape(rhs.shape), ratio)
 
 
-class StateEquations(NamedTuple):
-    """`ChainEquations` of the states of K scans by points, prior and IMU, and the block ``between (K, D, 6 B)`` of
-    states and bars. A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15."""
+def state_equations(
+    problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
+) -> tuple[ChainEquations, Array]:
+    """The normal equations of the states of K scans by points, prior and IMU, and the block ``(K, D, 6 B)`` between
+    states and bars; the arguments are those of `improve`.
 
-    matrix: Array
-    beside: Array
-    vector: Array
-    between: Array
-
-
-def state_equations(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> StateEquations:
-    """The normal equations of all states; the arguments are those of `improve`."""
+    A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
+    """
     T, inertial = problem.T_world_sensor, problem.inertial
     matrix, beside, vector = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
     matrix, vector, between = matrix + equations.matrix, vector + equations.vector, equations.between()
     if inertial is None:
-        return StateEquations(matrix, beside, vector, between)
+        return ChainEquations(matrix, beside, vector), between
     by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
-    return StateEquations(
-        by_imu.matrix + np.pad(matrix, ((0, 0), padding, padding)),
-        by_imu.beside + np.pad(beside, ((0, 0), padding, padding)),
-        by_imu.vector + np.pad(vector, ((0, 0), padding)),
-        np.pad(between, ((0, 0), padding, (0, 0))),
-    )
+    matrix, beside = (np.pad(each, ((0, 0), padding, padding)) for each in (matrix, beside))
+    vector, between = np.pad(vector, ((0, 0), padding)), np.pad(between, ((0, 0), padding, (0, 0)))
+    return ChainEquations(by_imu.matrix + matrix, by_imu.beside + beside, by_imu.vector + vector), between
 
 
 def schur(block: Array, eliminated: Array) -> Array:

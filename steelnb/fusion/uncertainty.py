@@ -57,7 +57,7 @@ def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s
     """
     equations = _with_displacements(equations, SHARED_SIGMA_M * problem.sigma_ratio**2)
     n = len(equations.block)
-    matrix, beside, _, between = state_equations(problem, equations, prior, stamp_s)
+    (matrix, beside, _), between = state_equations(problem, equations, prior, stamp_s)
     matrix = matrix + HOLD * np.eye(matrix.shape[1])
     if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
         raise InputError("normal equations that are not finite: expected finite poses, stamps and points")

@@ -77,10 +77,8 @@ def test_the_equations_are_those_of_derivatives_by_differences():
     def cost(states):
         moved = factors.moved(states)
         error = moved.errors(moved_poses(T, states[:, :6]))
-        return (
-            0.5 * np.einsum("kd,kde,ke", error, factors.weight, error)
-            + 0.5 * (moved.information * moved.motion**2).sum()
-        )
+        between = 0.5 * np.einsum("kd,kde,ke", error, factors.weight, error)
+        return between + 0.5 * (moved.information * moved.motion**2).sum()
 
     found = factors.equations(T)
     for _ in range(20):

@@ -107,7 +107,8 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
         columns = [
             (residuals_of(*moved(T, bars, k, b, n, step, size), seen, p)[0]
-             - residuals_of(*moved(T, bars, k, b, n, -step, size), seen, p)[0]) / (2 * step) for n in range(size + BAR_DOF)
+             - residuals_of(*moved(T, bars, k, b, n, -step, size), seen, p)[0]) / (2 * step)
+            for n in range(size + BAR_DOF)
         ]  # fmt: skip
         sigma = residuals_of(T, bars, seen, p)[1]
         g = np.column_stack(columns) / sigma[:, None]
