@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.fusion import sections
+from steelnb.fusion.problem import Bars
 from steelnb.points.voxel_kernels import EMPTY, find, pack, put, rehash
 from steelnb.types import Array, IntArray, Segments
 
@@ -52,19 +53,12 @@ class BarVoxels(NamedTuple):
         return points[index[bar >= 0]], bar[bar >= 0]
 
     def on_face(
-        self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Segments, across: Array, corner: Array,
-        sigmas: float, most_m: float,
-    ) -> NDArray[np.bool_]:  # fmt: skip
-        """Mask of the points of a scan ``(N, 3)``, sensor frame, each on its ``bar (N,)``, whose distance to the front
-        face is within ``sigmas`` standard deviations of `points.ranges`, at most ``most_m`` metres, if this whole
-        interval lies in voxels of the bar.
-
-        ``bars`` have frames ``across (B, 2, 3)`` and outlines ``corner (B, 6, 2)``, see `fusion.sections`.
-        """
-        mask = _on_face(
-            points, bar, T_world_sensor, bars.start, bars.direction, bars.length, across, corner, sigmas, most_m, *self
-        )
-        return np.asarray(mask)
+        self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Bars, sigmas: float, most_m: float
+    ) -> NDArray[np.bool_]:
+        """Mask of the points of a scan ``(N, 3)``, sensor frame, near the front face of their ``bar (N,)``: within
+        ``sigmas`` standard deviations of `points.ranges`, at most ``most_m`` metres, if this whole interval lies in
+        voxels of the bar."""
+        return np.asarray(_on_face(points, bar, T_world_sensor, *bars.faces(), sigmas, most_m, *self))
 
 
 class Observations(NamedTuple):

@@ -56,12 +56,8 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     pair.
     """
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
-    segments = bars.segments
-    shares, rhs, residuals = _gathered(
-        *observations, T, segments.start, segments.direction, segments.length, bars.across,
-        sections.outlines(bars.turn, bars.flange), bars.flange, problem.sigma_ratio,
-    )  # fmt: skip
-    by_pose = _bar_motion(T[scan, :3, 3] - segments.start[bar], bars, bar, pose_size(problem.tilt_sigma_rad))
+    shares, rhs, residuals = _gathered(*observations, T, *bars.faces(), bars.flange, problem.sigma_ratio)
+    by_pose = _bar_motion(T[scan, :3, 3] - bars.segments.start[bar], bars, bar, pose_size(problem.tilt_sigma_rad))
     cross, vector = by_pose @ shares, (by_pose @ rhs[:, :, None])[:, :, 0]
     return PointEquations(
         matrix=summed(cross @ by_pose.transpose(0, 2, 1), scan, len(T)), vector=summed(vector, scan, len(T)),

@@ -3,7 +3,7 @@
 The readings between two scans are integrated once, whatever the pose and velocity before them. They determine what
 bars and a drifting prior do not: the vertical, and the scale. Source: Forster, Carlone, Dellaert, Scaramuzza,
 "On-manifold preintegration for real-time visual-inertial odometry" (T-RO 33, 2017). Two differences: Jacobians are
-numerical, and each step integrates anew instead of a first-order correction for the bias.
+numerical, and each step integrates anew, where the source corrects for the bias to first order.
 """
 
 from collections.abc import Callable

@@ -55,7 +55,6 @@ class Locator:
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
         self.variance, self._stamp_s = np.zeros(poses.pose_size(tilt_sigma_rad)), stamp_s
-        self._corner = sections.outlines(bars.turn, bars.flange)
         self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
@@ -122,13 +121,10 @@ class Locator:
         """For each bar, how many of the ``points (N, 3)``, sensor frame, belong to it, and how many of these lie on its
         front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
         world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        bar, b = self._voxels.bar_of(world), self.bars
-        distance = _face_sigmas(
-            world, T_world_sensor[:3, 3], bar, b.segments.start, b.segments.direction, b.segments.length, b.across,
-            self._corner, self.ratio,
-        )  # fmt: skip
+        bar, n = self._voxels.bar_of(world), len(self.bars.turn)
+        distance = _face_sigmas(world, T_world_sensor[:3, 3], bar, *self.bars.faces(), self.ratio)
         on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
-        return np.bincount(bar[bar >= 0], minlength=len(b.turn)), np.bincount(bar[on], minlength=len(b.turn))
+        return np.bincount(bar[bar >= 0], minlength=n), np.bincount(bar[on], minlength=n)
 
 
 def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int = 0) -> Array:

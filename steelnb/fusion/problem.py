@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.fusion import sections
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.poses import moved_poses, pose_size, yaw_of
 from steelnb.types import Array, Segments
@@ -48,6 +49,11 @@ class Bars:
     def has_section(self) -> NDArray[np.bool_]:
         """Which bars have a known section ``(B,)``."""
         return np.isfinite(self.flange)
+
+    def faces(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
+        s = self.segments
+        return s.start, s.direction, s.length, self.across, sections.outlines(self.turn, self.flange)
 
     def take(self, mask: NDArray[np.bool_] | NDArray[np.int64]) -> "Bars":
         """The bars selected by a mask or an index."""

@@ -164,11 +164,9 @@ class MappedScans:
         if sigma_ratio is None:
             yield from self.bar_points(voxels, 1, pixels)
             return
-        corner, sigmas = sections.outlines(bars.turn, bars.flange), FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
-        most_m = FACE_MAX_TUBES * TUBE_M
+        sigmas, most_m = FACE_SIGMAS * max(sigma_ratio, RATIO_MIN), FACE_MAX_TUBES * TUBE_M
         for k, points, bar in self.bar_points(voxels, 1, pixels):
-            T = self.T_world_sensor[k]
-            on_face = voxels.on_face(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
+            on_face = voxels.on_face(points, bar, self.T_world_sensor[k], bars, sigmas, most_m)
             yield k, points[on_face], bar[on_face]
 
     def adjusted(

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from steelnb.fusion import section_fit, sections
 from steelnb.fusion.bar_voxels import BarVoxels, world_points
+from steelnb.fusion.problem import Bars
 from steelnb.points import VoxelMap
 from tests.fusion.made import bars_of, random_bars, rigid
 
@@ -115,6 +116,7 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     rng, sigma_m, n = np.random.default_rng(0), 0.03, 16_000
     bars, turn, flange = bars_of([[0, 0, 0], [0, 0, 2]], [[0.13, 0, 0], [0.13, 0, 2]]), np.full(2, 0.3), np.full(2, 0.1)
     across, corner = sections.frames(bars.direction), sections.outlines(turn, flange)
+    sectioned = Bars(bars, across, turn, flange)
     T = np.eye(4)
     T[:3, 3] = sensor = np.array([3.0, 0.5, 1.0])
     towards = across[0] @ (sensor * [1, 1, 0])
@@ -125,10 +127,10 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     voxels = BarVoxels.around(bars, 0.144, 0.03, 0.04)
     first = voxels.bar_of(points + sensor) == 0
     none = np.zeros(first.sum(), dtype=np.int64)
-    on_face = voxels.on_face(points[first], none, T, bars, across, corner, 2.0, 0.06)
+    on_face = voxels.on_face(points[first], none, T, sectioned, 2.0, 0.06)
     chosen = noise[first][on_face]
     assert len(chosen) > 1000
     assert np.abs(chosen).max() <= 2.0 * 1.05  # the noise of a range grows with it
     assert abs(chosen.mean()) < 3 / np.sqrt(len(chosen))
     assert noise[first].mean() > 0.1
-    assert not voxels.on_face(points[first], none, T, bars, across, corner, 0.0, 0.06).any()
+    assert not voxels.on_face(points[first], none, T, sectioned, 0.0, 0.06).any()
