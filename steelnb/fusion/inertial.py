@@ -24,7 +24,7 @@ STATE_DOF = 15
 """Degrees of freedom of a state: pose (6), velocity (3), biases of gyroscope (3) and accelerometer (3)."""
 NO_STEP = np.zeros(STATE_DOF)
 VELOCITY_SIGMA_M_S = 100.0
-"""Prior standard deviation of each velocity: nothing is known of it."""
+"""Prior standard deviation of each velocity, so large that it has no effect."""
 SIGMA_MIN = 1e-7
 """Minimum noise density and minimum standard deviation of a bias, for an IMU without."""
 GAP_MAX_S = 0.1
@@ -40,13 +40,13 @@ RATE_MIN, UNIT_FACTOR = 0.5, 10.0
 
 
 class Integrated(NamedTuple):
-    """Readings integrated between K scans, each in the frame of the earlier one: rotation ``turn (K − 1, 3, 3)``, and
-    without gravity the change of ``velocity (K − 1, 3)``, m/s, and of position, ``place (K − 1, 3)``, metres, in
-    addition to that by the initial velocity."""
+    """Readings integrated between K scans, each in the frame of the earlier one: ``rotation (K − 1, 3, 3)``, and
+    without gravity the change of ``velocity (K − 1, 3)``, m/s, and of ``position (K − 1, 3)``, metres, in addition to
+    that by the initial velocity."""
 
-    turn: Array
+    rotation: Array
     velocity: Array
-    place: Array
+    position: Array
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ class Inertial:
         old, new = self.motion[:-1] + before[POSE_DOF:], self.motion[1:] + after[POSE_DOF:]
         R, read = T0[:, :3, :3], integrated(self.imu, self.stamp_s, old[:, 3:])
         by_gravity = np.array([0.0, 0.0, -GRAVITY]) * gap_s
-        rotation = T1[:, :3, :3] @ (R @ read.turn).transpose(0, 2, 1)
-        by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
+        rotation = T1[:, :3, :3] @ (R @ read.rotation).transpose(0, 2, 1)
+        by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.position))
         return np.hstack(
             [
                 Rotation.from_matrix(rotation).as_rotvec(),
@@ -161,10 +161,10 @@ def integrated(imu: Imu, stamp_s: Array, bias: Array) -> Integrated:
 @njit(cache=True)
 def _integrate(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def]
     count = len(stamp_s) - 1
-    turn, velocity, place = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    rotation, velocity, position = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
     step, before = np.empty((3, 3)), np.empty((3, 3))
     for k in range(count):
-        R, v, p = turn[k], velocity[k], place[k]
+        R, v, p = rotation[k], velocity[k], position[k]
         R[0, 0] = R[1, 1] = R[2, 2] = 1.0
         i = max(1, np.searchsorted(at_s, stamp_s[k], side="right"))
         while i < len(at_s) and at_s[i - 1] < stamp_s[k + 1]:
@@ -185,13 +185,13 @@ def _integrate(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def
                 p[n] += h * v[n] + 0.5 * h * h * f
                 v[n] += h * f
             i += 1
-    return turn, velocity, place
+    return rotation, velocity, position
 
 
 def check_imu(imu: Imu, prior: Trajectory) -> None:
     """Raise `InputError` if readings are in other units or axes than those of the drone.
 
-    Magnitude and direction of gravity tell, and the rotation of the ``prior``.
+    Checked are magnitude and direction of gravity, and the rotation between the poses of the ``prior``.
     """
     inside = (imu.stamp_s >= prior.stamp_s[0]) & (imu.stamp_s <= prior.stamp_s[-1])
     if inside.sum() < 2 or len(prior) < 2:

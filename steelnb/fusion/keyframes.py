@@ -8,13 +8,13 @@ from steelnb.fusion import problem
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
-from steelnb.fusion.reconstruct import MappedScans, insert_scan
+from steelnb.fusion.reconstruct import ADJUST_STEPS, MappedScans, insert_scan
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
 
-STEPS, FITS = 2, 2
-"""Number of steps of an adjustment, and of fits of the bars before it. Chosen on the development seed 11."""
+FITS = 2
+"""Number of fits of the bars before an adjustment. Chosen on the development seed 11."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. It bounds the time of
 an adjustment."""
@@ -73,6 +73,6 @@ class Keyframes:
             )
         state = problem.start(self.T_world_sensor, self._prior, fitted.bars, self.tilt_sigma_rad, inertial)
         voxels = mapped.around(fitted.bars.segments)
-        state, _ = mapped.adjusted(state, voxels, self._prior, stamp_s, STEPS, self._ratio)
+        state, _ = mapped.adjusted(state, voxels, self._prior, stamp_s, ADJUST_STEPS, self._ratio)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

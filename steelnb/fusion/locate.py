@@ -14,10 +14,11 @@ from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import linearised, noise_ratio
 from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
 from steelnb.fusion.problem import BAR_DOF, Bars, Problem
+from steelnb.fusion.proposals import VOXEL_M
 from steelnb.types import Array, IntArray, Scan
 
-VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
-"""Voxels around bars (`BarVoxels.around`)."""
+MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
+"""Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
 SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
 """Standard deviations of a bar: of its position, an error that all scans share; of the rotation of its section,
 radians; and of its flange. Chosen on the development seeds 11 and 12."""
@@ -25,7 +26,7 @@ MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
-SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
+SHARE_MIN, MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
 """Minimum share of the points on front faces, number of bars, points a bar, and points a scan; below them a
 registration is rejected. Chosen on the development seeds 11 and 12."""
 RATIO_BOUNDS = (1.0, 6.0)
@@ -55,7 +56,7 @@ class Locator:
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
         self.variance, self._stamp_s = np.zeros(poses.pose_size(tilt_sigma_rad)), stamp_s
-        self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
+        self._voxels = BarVoxels.around(bars.segments, MATCH_REACH_M, MATCH_MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
         """Add the variance of the drift since the last scan."""
@@ -84,7 +85,7 @@ class Locator:
                 break
         near, on = self._matched(points, T)
         bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
-        enough = bars >= BARS_MIN and share >= SHARE_MIN
+        enough = bars >= MATCHED_BARS_MIN and share >= SHARE_MIN
         reason = "" if enough else f"too little of the map in sight: {bars} bars, {100 * share:.0f} % of the points"
         return Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
 

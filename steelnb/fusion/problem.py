@@ -29,7 +29,7 @@ BAR_DOF = 6
 """Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Prior standard deviations of a bar. Of position and direction for one step: they hold what no point determines, such
-as a face seen from one side along itself. Of rotation and flange about those fitted to the outlines, which are no
+as the position of a single face along itself. Of rotation and flange about those fitted to the outlines, which are no
 factors here. Chosen on the development seed 11."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 

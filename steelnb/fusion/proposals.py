@@ -23,7 +23,7 @@ STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0
 """The same for struts, short bars between two others, and their minimum distance from all bars."""
 GRIDS = 4
 """Number of grids of blocks in which bars are proposed. On flights eight find no more."""
-IN_LINE_RAD, GAP_MAX_M = math.radians(4), 0.3
+IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
 """Maximum angle of two pieces of one bar, and maximum gap between them."""
 COPY_RAD, COPY_M, COPY_SHARE = math.radians(15), 0.2, 0.6
 """Maximum angle and distance of a copy from a stronger bar, and minimum share of its samples within this distance."""
@@ -68,8 +68,8 @@ def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GR
 def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = math.inf) -> Segments:
     """Join the pieces of bars, drop copies of stronger bars, and sort by strength.
 
-    Pieces are in line, at most `GAP_MAX_M` apart, and at most `TUBE_M` beside each other. A joined bar has the moments
-    of its pieces, each taken as a uniform bar of its points. They add exactly, in any order.
+    Pieces are in line, at most `PIECE_GAP_MAX_M` apart, and at most `TUBE_M` beside each other. A joined bar has the
+    moments of its pieces, each taken as a uniform bar of its points. They add exactly, in any order.
 
     A copy is another line through the points of a stronger bar. It lies mostly within `COPY_M` of that, at a small
     angle, and rises across it by at most ``rise_m`` metres over its length. The rise tells a copy from a brace at an
@@ -127,7 +127,7 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
             for k in range(3):  # scalars, since few of all pairs pass
                 middle = start[j, k] + 0.5 * length[j] * direction[j, k]
                 square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + GAP_MAX_M + copy[i]:
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + PIECE_GAP_MAX_M + copy[i]:
                 continue
             cosine = abs((direction[i] * direction[j]).sum())
             if cosine < math.cos(COPY_RAD):
@@ -144,7 +144,7 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
             if near >= COPY_SHARE * SAMPLES and across <= rise[i]:
                 fate[j] = -1
                 break
-            if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j] or max(low - length[i], -high) > GAP_MAX_M:
+            if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j] or max(low - length[i], -high) > PIECE_GAP_MAX_M:
                 continue
             # Their distance is that in the middle of the gap or of the overlap.
             t = 0.5 * (min(max(low, 0.0), length[i]) + min(max(high, 0.0), length[i]))

@@ -29,6 +29,8 @@ TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
 the end runs from joint to joint; above the second it is dropped. Chosen on the development seed 11."""
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
+"""Number of steps of an adjustment, chosen on the development seed 11; and one in so many pixels takes part in that of
+`reconstruct`."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8

@@ -59,11 +59,11 @@ def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """
     level = steps[steps[:, 2] == 0]
     height = np.array([steps[(steps[:, :2] == at[:2]).all(axis=1), 2].max() for at in level])
-    place = {tuple(step): k for k, step in enumerate(steps.tolist())}
+    index_of = {tuple(step): k for k, step in enumerate(steps.tolist())}
     rank = np.zeros((len(level), 2 * int(height.max()) + 1), dtype=np.int64)
     for c, (i, j, _) in enumerate(level.tolist()):
         for k in range(-int(height[c]), int(height[c]) + 1):
-            rank[c, k + height[c]] = place[i, j, k]
+            rank[c, k + height[c]] = index_of[i, j, k]
     return pack(level[:, 0], level[:, 1], level[:, 2]) - pack(0, 0, 0), height, rank
 
 

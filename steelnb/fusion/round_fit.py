@@ -23,7 +23,7 @@ COST_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
 its log-likelihood is larger by this much: half the number of cells times the logarithm of the share, as for normal
 residuals of unknown variance. In 7000 fits to angle sections (development seeds 11 and 12, both sensors and flights,
 true and corrected poses) the least share beyond 100 cells was 0.86, and the largest log-likelihood 15."""
-SEARCH_STEPS, STEPS = 10, 6
+SEARCH_STEPS, CIRCLE_STEPS = 10, 6
 CIRCLE_DOF = 5
 """Degrees of freedom: position (2), slope (2), radius."""
 
@@ -38,14 +38,14 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     """
     face, side = profiles()
     n = len(length)
-    place, normal, cost = np.empty((n, CIRCLE_DOF)), np.empty((n, CIRCLE_DOF, CIRCLE_DOF + 1)), np.empty(n)
+    state, normal, cost = np.empty((n, CIRCLE_DOF)), np.empty((n, CIRCLE_DOF, CIRCLE_DOF + 1)), np.empty(n)
     unclear, pooled = np.zeros(n, np.bool_), 0.0
     for b in range(n):
         if np.isnan(fitted.flange[b]):
             continue
         cells = cells_of(histogram[b], length[b])
-        cost[b] = fit_circle(cells, merged_cells(histogram[b]), place[b], normal[b])
-        if place[b, 4] > TUBE_MAX_M:
+        cost[b] = fit_circle(cells, merged_cells(histogram[b]), state[b], normal[b])
+        if state[b, 4] > TUBE_MAX_M:
             continue
         unclear[b] = True
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
@@ -55,7 +55,7 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
         if cost[b] <= bound * least:
             unclear[b] = False
             pooled += 0.5 * len(cells) * math.log(least / cost[b])
-            _make_round(fitted, b, cells, cost[b], place[b], normal[b])
+            _make_round(fitted, b, cells, cost[b], state[b], normal[b])
     if pooled == 0.0:
         return
     likelihood = np.zeros(n)
@@ -67,16 +67,16 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
             pooled += likelihood[b]
     for b in range(n):
         if pooled > 0.0 and unclear[b] and likelihood[b] > -LIKELIHOOD_MIN:
-            _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], place[b], normal[b])
+            _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], state[b], normal[b])
 
 
 @njit(cache=True)
 def _angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
     """Cost of the depths at the section of bar b, which was fitted to depths and edges."""
-    corner, place = np.empty((6, 2)), np.empty(4)
+    corner, state = np.empty((6, 2)), np.empty(4)
     outline(fitted.turn[b], fitted.flange[b], corner)
-    place[:2], place[2:] = fitted.centre[b], fitted.slope[b]
-    return section_step(cells, np.empty((0, 6)), corner, place, np.empty((4, 5)))
+    state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
+    return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
 
 
 @njit(cache=True)
@@ -86,53 +86,53 @@ def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
-def _make_round(fitted, b, cells, cost, place, normal):  # type: ignore[no-untyped-def]
-    """Replace the section of bar b by a circle at ``place (5,)``."""
+def _make_round(fitted, b, cells, cost, state, normal):  # type: ignore[no-untyped-def]
+    """Replace the section of bar b by a circle at ``state (5,)``."""
     total = cells[:, 2].sum()
     inverse = np.linalg.inv(normal[:, :CIRCLE_DOF] + 1e-6 * total * np.eye(CIRCLE_DOF)) * cost / len(cells)
-    fitted.centre[b], fitted.slope[b] = place[:2], place[2:4]
-    fitted.flange[b], fitted.turn[b] = 2.0 * place[4], np.nan
+    fitted.centre[b], fitted.slope[b] = state[:2], state[2:4]
+    fitted.flange[b], fitted.turn[b] = 2.0 * state[4], np.nan
     fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
     fitted.tilt[b] = math.sqrt(inverse[2, 2] + inverse[3, 3])
 
 
 @njit(cache=True)
-def fit_circle(cells, merged, place, normal):  # type: ignore[no-untyped-def]
+def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
     """Fit a circle to the `cells_of` a bar, after a search with its `merged_cells`; returns the cost.
 
-    Fills ``place (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` there.
+    Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` there.
     """
     total, low, start = cells[:, 2].sum(), np.inf, np.zeros(CIRCLE_DOF)
     u = (merged[:, 0] * merged[:, 2]).sum() / merged[:, 2].sum()
     v = (merged[:, 1] * merged[:, 2]).sum() / merged[:, 2].sum()
     for k in range(len(RADII_M)):
-        place[0], place[1], place[2], place[3], place[4] = u, v, 0.0, 0.0, RADII_M[k]
-        cost = _settle_circle(merged, place, normal, total, SEARCH_STEPS)
+        state[0], state[1], state[2], state[3], state[4] = u, v, 0.0, 0.0, RADII_M[k]
+        cost = _settle_circle(merged, state, normal, total, SEARCH_STEPS)
         if cost < low:
             low = cost
-            start[:] = place
-    place[:] = start
-    return _settle_circle(cells, place, normal, total, STEPS)
+            start[:] = state
+    state[:] = start
+    return _settle_circle(cells, state, normal, total, CIRCLE_STEPS)
 
 
 @njit(cache=True)
-def _settle_circle(cells, place, normal, total, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton from ``place``, changed in place; the cost there."""
+def _settle_circle(cells, state, normal, total, steps):  # type: ignore[no-untyped-def]
+    """Gauss-Newton from ``state``, changed in place; the cost there."""
     for _ in range(steps):
-        circle_step(cells, place, normal)
-        damped_step(place, normal, total)
-        place[4] = min(max(place[4], RADIUS_MIN_M), RADIUS_MAX_M)
-    return circle_step(cells, place, normal)
+        circle_step(cells, state, normal)
+        damped_step(state, normal, total)
+        state[4] = min(max(state[4], RADIUS_MIN_M), RADIUS_MAX_M)
+    return circle_step(cells, state, normal)
 
 
 @njit(cache=True)
-def circle_step(cells, place, normal):  # type: ignore[no-untyped-def]
-    """Cost of a circle at ``place``; fills the normal equations ``(5, 6)``."""
+def circle_step(cells, state, normal):  # type: ignore[no-untyped-def]
+    """Cost of a circle at ``state (5,)``; fills the normal equations ``(5, 6)``."""
     normal[:, :] = 0.0
-    cost, radius, jacobian = 0.0, place[4], np.empty(CIRCLE_DOF)
+    cost, radius, jacobian = 0.0, state[4], np.empty(CIRCLE_DOF)
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
-        u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
+        u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, weight = -sine * u + cosine * v, cells[k, 2]
         if abs(beside) < 0.999 * radius:
             front = math.sqrt(radius * radius - beside * beside)

@@ -20,9 +20,9 @@ TURNS = VIEWS
 PROFILE = 128
 """Number of cells of a face in the table of the search: half a millimetre and less."""
 FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2])
-ROBUST_M = 0.03
+DEPTH_SCALE_M = 0.03
 OUTLINE_WEIGHT = 0.5
-"""Weight of an edge of the outline against all depths from its direction. `ROBUST_M`, this and `TELL_APART_M` were
+"""Weight of an edge of the outline against all depths from its direction. `DEPTH_SCALE_M`, this and `TELL_APART_M` were
 chosen with `fusion.proposals.TUBE_M`."""
 TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less are equally likely, and averaged."""
@@ -80,13 +80,13 @@ def profiles():  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def robust(residual, weight):  # type: ignore[no-untyped-def]
-    """Cost and weight of a residual under Geman-McClure with the scale `ROBUST_M`."""
-    square, bound = residual * residual, ROBUST_M * ROBUST_M
+    """Cost and weight of a residual under Geman-McClure with the scale `DEPTH_SCALE_M`."""
+    square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
     return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
 
 
 @njit(cache=True)
-def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore[no-untyped-def]
+def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # type: ignore[no-untyped-def]
     """`_settle` without slopes, for a flange of `FLANGES_M` and a whole number of rotations: with faces from the table
     `profiles`, and scalars."""
     cost = 0.0
@@ -96,7 +96,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         for k in range(len(cells)):
             cosine, sine = cells[k, 3], cells[k, 4]
             view = (int(cells[k, 6]) - turn) % VIEWS
-            u, v = cells[k, 0] - place[0], cells[k, 1] - place[1]
+            u, v = cells[k, 0] - state[0], cells[k, 1] - state[1]
             beside, depth = -sine * u + cosine * v, cosine * u + sine * v
             low, high = flange * side[view, 0], flange * side[view, 1]
             weight = cells[k, 2]
@@ -118,7 +118,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         for k in range(len(rows)):
             cosine, sine = rows[k, 2], rows[k, 3]
             view = (int(rows[k, 5]) - turn) % VIEWS
-            middle = -sine * place[0] + cosine * place[1]
+            middle = -sine * state[0] + cosine * state[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
                 loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
@@ -131,20 +131,20 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         uu += 1e-3 * total
         vv += 1e-3 * total
         determinant = uu * vv - uv * uv
-        place[0] += min(max((vv * ru - uv * rv) / determinant, -0.03), 0.03)
-        place[1] += min(max((uu * rv - uv * ru) / determinant, -0.03), 0.03)
+        state[0] += min(max((vv * ru - uv * rv) / determinant, -0.03), 0.03)
+        state[1] += min(max((uu * rv - uv * ru) / determinant, -0.03), 0.03)
     return cost
 
 
 @njit(cache=True)
-def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
-    """Cost of a section at ``place`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
+def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped-def]
+    """Cost of a section at ``state (4,)`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
     normal[:, :] = 0.0
     cost = 0.0
     jacobian = np.zeros(4)
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
-        u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
+        u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, depth = -sine * u + cosine * v, cosine * u + sine * v
         front, rise = front_face(corner, cosine, sine, beside)
         weight = cells[k, 2]
@@ -163,7 +163,7 @@ def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped
         cosine, sine = rows[k, 2], rows[k, 3]
         low, high = 1e9, -1e9
         for i in range(6):
-            beside = -sine * (corner[i, 0] + place[0]) + cosine * (corner[i, 1] + place[1])
+            beside = -sine * (corner[i, 0] + state[0]) + cosine * (corner[i, 1] + state[1])
             low, high = min(low, beside), max(high, beside)
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = sine, -cosine, 0.0, 0.0
         for side in range(2):
@@ -185,21 +185,21 @@ def add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def damped_step(place, normal, total):  # type: ignore[no-untyped-def]
-    """Levenberg-Marquardt step of ``place (D,)``, in place, by normal equations ``(D, D + 1)``, at most 3 cm or 0.03
+def damped_step(state, normal, total):  # type: ignore[no-untyped-def]
+    """Levenberg-Marquardt step of ``state (D,)``, in place, by normal equations ``(D, D + 1)``, at most 3 cm or 0.03
     each; ``total``: weight of all points."""
-    size = len(place)
+    size = len(state)
     step = np.linalg.solve(normal[:, :size] + 1e-3 * total * np.eye(size), normal[:, size].copy())
-    place += np.minimum(np.maximum(step, -0.03), 0.03)
+    state += np.minimum(np.maximum(step, -0.03), 0.03)
 
 
 @njit(cache=True)
-def _settle(cells, rows, corner, place, normal, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton from ``place (4,)``, changed in place; the cost before the last step."""
+def _settle(cells, rows, corner, state, normal, steps):  # type: ignore[no-untyped-def]
+    """Gauss-Newton from ``state (4,)``, changed in place; the cost before the last step."""
     cost, total = 0.0, cells[:, 2].sum()
     for _ in range(steps):
-        cost = section_step(cells, rows, corner, place, normal)
-        damped_step(place, normal, total)
+        cost = section_step(cells, rows, corner, state, normal)
+        damped_step(state, normal, total)
     return cost
 
 
@@ -215,17 +215,17 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
     mean_v = (cells[:, 1] * cells[:, 2]).sum() / cells[:, 2].sum()
     tried = np.empty((TURNS * len(FLANGES_M), 5))
-    place = np.zeros(4)
+    state = np.zeros(4)
     for n in range(len(tried)):
         f, k = n // TURNS, n % TURNS
-        place[0], place[1] = mean_u, mean_v
-        cost = _place(merged, rows, face, side, FLANGES_M[f], k, place, 4)
+        state[0], state[1] = mean_u, mean_v
+        cost = _settle_by_table(merged, rows, face, side, FLANGES_M[f], k, state, 4)
         tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
-        tried[n, 3:] = place[:2]
+        tried[n, 3:] = state[:2]
     best = np.argmin(tried[:, 0])
     low, flange, turn = np.inf, tried[best, 1], tried[best, 2]
-    place[:2] = tried[best, 3:]
-    settled = place.copy()
+    state[:2] = tried[best, 3:]
+    settled = state.copy()
     for size in (0.12, 0.06, 0.03):  # relative to the flange, and radians
         flange0, turn0 = flange, turn
         for i in range(-1, 2):
@@ -233,11 +233,11 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
                 if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
                 outline(turn0 + j * size, flange0 * (1.0 + i * size), corner)
-                place[:] = settled
-                cost = _settle(cells, rows, corner, place, normal, 2 if low < np.inf else 4)
+                state[:] = settled
+                cost = _settle(cells, rows, corner, state, normal, 2 if low < np.inf else 4)
                 if cost < low:
                     low, flange, turn = cost, flange0 * (1.0 + i * size), turn0 + j * size
-                    settled[:] = place
+                    settled[:] = state
     # Mean and spread of all fits of the search, weighted by likelihood.
     weight = u = v = uu = 0.0
     lowest = tried[:, 0].min()
