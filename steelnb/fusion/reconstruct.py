@@ -35,9 +35,9 @@ REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
 """Maximum distance of a point of an adjustment from the front face of its bar, in standard deviations of the range
-noise and in tube radii. Any number of standard deviations from 2 to 3 gives the same errors with ``starling2``,
-development seeds 11 and 12. With the report's sensor more leave too few points of the first scan, which holds the
-world. Below the minimum noise ratio, poses and sections are wrong, not points."""
+noise and in tube radii; and minimum noise ratio, below which poses and sections are wrong, not points. On the
+development seeds 11 and 12, with ``starling2``, 2 to 3 standard deviations give similar errors. With the report's
+sensor a larger bound leaves too few points of the first scan, which holds the world frame."""
 
 
 def reconstruct(
@@ -175,7 +175,8 @@ class MappedScans:
         self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
         sigma_ratio: float | None = None, pixels: int = 1,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
-        """The state after some `solver.improve` with the `face_points`, and the equations of the last step."""
+        """The state after a number of ``steps`` with the same `face_points`, and the equations of the last one; ``prior``
+        and ``stamp_s`` as for `solver.improve`."""
         observations = Observations.gathered(self.face_points(voxels, state.bars, sigma_ratio, pixels))
         for _ in range(steps):
             equations = linearised(state, observations)
