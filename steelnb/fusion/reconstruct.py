@@ -175,8 +175,8 @@ class MappedScans:
         self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
         sigma_ratio: float | None = None, pixels: int = 1,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
-        """The state after a number of ``steps`` with the same `face_points`, and the equations of the last one; ``prior``
-        and ``stamp_s`` as for `solver.improve`."""
+        """The state after a number of ``steps`` with the same `face_points`, and the equations of the last one;
+        ``prior`` and ``stamp_s`` as for `solver.improve`."""
         observations = Observations.gathered(self.face_points(voxels, state.bars, sigma_ratio, pixels))
         for _ in range(steps):
             equations = linearised(state, observations)
