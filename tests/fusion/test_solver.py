@@ -54,12 +54,12 @@ def test_a_matrix_that_is_not_positive_definite_is_refused():
         Chain.factored(matrix, beside)
 
 
-def residuals_of(T, bars, seen, p):
+def residuals_of(T, bars, observed, p):
     """Residuals of the points of pair p, and their standard deviations, straight from the definition."""
-    k, b = seen.pair_scan[p], seen.pair_bar[p]
+    k, b = observed.pair_scan[p], observed.pair_bar[p]
     corner, direction = sections.outlines(bars.turn, bars.flange)[b], bars.segments.direction[b]
     found = []
-    for s in seen.point[seen.first[p] : seen.first[p + 1]].astype(np.float64):
+    for s in observed.point[observed.first[p] : observed.first[p + 1]].astype(np.float64):
         point = T[k, :3, :3] @ s + T[k, :3, 3]
         frame = np.vstack([bars.across[b], direction])
         at, towards = frame @ (point - bars.segments.start[b]), frame @ (T[k, :3, 3] - point)
@@ -92,30 +92,30 @@ def moved(T, bars, k, b, n, step, size):
 
 @pytest.mark.parametrize(("tilt_sigma_rad", "tubes"), [(0.0, ()), (0.02, (1, 4))])
 def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes):
-    T, bars, seen = made_up(4, 0.0, tubes, scans=8)
+    T, bars, observed = made_up(4, 0.0, tubes, scans=8)
     bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
     T = T.copy()
     tilted = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix()  # roll and pitch, and a face seen aslant
-    whole = np.eye(4)
-    whole[:3, :3], whole[:3, 3] = tilted, [0.3, -0.2, 0.5]
-    T, segments = whole @ T, bars.segments.transformed(whole)
+    T_world = np.eye(4)
+    T_world[:3, :3], T_world[:3, 3] = tilted, [0.3, -0.2, 0.5]
+    T, segments = T_world @ T, bars.segments.transformed(T_world)
     bars = Bars(segments, bars.across @ tilted.T, bars.turn, bars.flange)
     state = problem.start(T, T, bars, tilt_sigma_rad)
-    eq = factors.linearised(state, seen)
+    eq = factors.linearised(state, observed)
     step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
     matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR_DOF, BAR_DOF))
-    for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
+    for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
         columns = [
-            (residuals_of(*moved(T, bars, k, b, n, step, size), seen, p)[0]
-             - residuals_of(*moved(T, bars, k, b, n, -step, size), seen, p)[0]) / (2 * step)
+            (residuals_of(*moved(T, bars, k, b, n, step, size), observed, p)[0]
+             - residuals_of(*moved(T, bars, k, b, n, -step, size), observed, p)[0]) / (2 * step)
             for n in range(size + BAR_DOF)
         ]  # fmt: skip
-        sigma = residuals_of(T, bars, seen, p)[1]
+        sigma = residuals_of(T, bars, observed, p)[1]
         g = np.column_stack(columns) / sigma[:, None]
         g = g[np.isfinite(g).all(axis=1)]
         matrix[k] += g[:, :size].T @ g[:, :size]
         block[b] += g[:, size:].T @ g[:, size:]
-        if len(g) == seen.first[p + 1] - seen.first[p]:
+        if len(g) == observed.first[p + 1] - observed.first[p]:
             scale = np.abs(g.T @ g).max()
             np.testing.assert_allclose(eq.cross[p], g[:, :size].T @ g[:, size:], atol=0.01 * scale)
             np.testing.assert_allclose(eq.shares[p], g[:, size:].T @ g[:, size:], atol=0.01 * scale)
