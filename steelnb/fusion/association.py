@@ -9,15 +9,15 @@ from steelnb.settings import FusionSettings
 from steelnb.types import Array, IntArray, Segments
 
 GAP_MAX_M = 0.2
-"""Along the axis, between the ends of a segment and of the bar that it belongs to."""
+"""Maximum gap along the axis between a segment and its bar."""
 
 
 def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
-    """The nearest of K known segments for each of M new ones ``(M,)``, −1 where none matches.
+    """The nearest of K known segments for each of M new ones ``(M,)``, −1 if none matches.
 
-    Both in the same frame, metres. Two segments match when the angle between them, the distance across (at the middle
-    of their overlap along the known axis, or of the gap between them) and the gap along that axis are within the
-    settings. Nearest: smallest distance across. Which end of a segment is its start does not matter.
+    Both in the same frame, metres. Two segments match if the angle between them and the distance across are within the
+    settings, and the gap along the known axis within `GAP_MAX_M`. The distance across is that in the middle of their
+    overlap, or of the gap between them. The order of the ends of a segment does not matter.
     """
     if not len(new) or not len(known):
         return np.full(len(new), -1, dtype=np.int64)
@@ -53,7 +53,6 @@ def _pair_distance(start, end, radius, known_start, known_end, known_radius, cos
             low, high = min(t_start, t_start + run), max(t_start, t_start + run)
             if max(low - length, -high) > GAP_MAX_M:
                 continue
-            # Compare the axes where both are: in the middle of the overlap, or of the gap between them.
             t_middle = 0.5 * (min(max(low, 0.0), length) + min(max(high, 0.0), length))
             share = min(max((t_middle - t_start) / (run if abs(run) > 1e-9 else 1e-9), 0.0), 1.0)
             ax, ay, az = ax + share * rx, ay + share * ry, az + share * rz

@@ -1,10 +1,10 @@
-"""The voxels around bars, and which points of a scan are observations of which bar.
+"""The voxels around bars, and the association of the points of scans with bars.
 
-A point belongs to the bar nearest to its voxel. Where voxels of another bar or of none begin, points are lost on the
-side to which their noise takes them, and what is left lies too near to the axis, by up to 4 mm with a range noise of
-2 cm: flanges come out too small, and paths around a structure too close to it. So an adjustment takes a point only if
-its whole interval of noise, along its ray about the front face, lies in voxels of the bar: what is left out does not
-depend on the noise then.
+A point belongs to the bar nearest to its voxel. At a border to voxels of another bar or of none, noise moves points
+across, and only one way counts: the remaining points are biased towards the axis, by up to 4 mm with a range noise of
+2 cm. Flanges then become too small, and paths around a structure too close to it. So an adjustment takes a point only
+if its whole noise interval, along its ray about the front face, lies in voxels of the bar: this choice does not depend
+on the noise.
 """
 
 import math
@@ -16,13 +16,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.fusion import sections
+from steelnb.fusion.problem import Bars
 from steelnb.points.voxel_kernels import EMPTY, find, pack, put, rehash
 from steelnb.types import Array, IntArray, Segments
 
 
 class BarVoxels(NamedTuple):
-    """The bar ``(V,)`` of each voxel around bars, −1 where it is too far or a second one is hardly farther; the edge of
-    the voxels, metres; and their hash table."""
+    """The bar ``(V,)`` of each voxel around bars, −1 for none or if two are almost equally near; the edge of the
+    voxels, metres; and their hash table."""
 
     bar: IntArray
     voxel_m: float
@@ -31,8 +32,8 @@ class BarVoxels(NamedTuple):
 
     @classmethod
     def around(cls, bars: Segments, reach_m: float, margin_m: float, voxel_m: float) -> "BarVoxels":
-        """The voxels with their centres within ``reach_m + margin_m`` of bars. One within ``reach_m`` belongs to the
-        nearest bar unless a second one is less than ``margin_m`` farther away."""
+        """The voxels whose centres lie within ``reach_m + margin_m`` of a bar. A voxel within ``reach_m`` belongs to
+        the nearest bar unless a second one is less than ``margin_m`` farther away."""
         key, bar = _label(bars.start, bars.end, reach_m, margin_m, voxel_m)
         size = 1 << max(10, (2 * len(key)).bit_length())
         table = np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
@@ -46,30 +47,25 @@ class BarVoxels(NamedTuple):
     def points_on_bars(
         self, points: Array, T_world_sensor: Array, range_max_m: float, floor_m: float
     ) -> tuple[Array, IntArray]:
-        """Those of a scan's points ``(N, 3)``, sensor frame, that belong to a bar, and their bars."""
-        return _points_on_bars(points, T_world_sensor, range_max_m, floor_m, *self)
+        """The points of a scan ``(N, 3)``, sensor frame, that belong to a bar, and their bars."""
+        world, _, index = world_points(points, T_world_sensor, range_max_m, floor_m)
+        bar = self.bar_of(world)
+        return points[index[bar >= 0]], bar[bar >= 0]
 
     def on_face(
-        self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Segments, across: Array, corner: Array,
-        sigmas: float, most_m: float,
-    ) -> NDArray[np.bool_]:  # fmt: skip
-        """Which of a scan's points ``(N, 3)``, sensor frame, on a ``bar (N,)`` are within ``sigmas`` standard
-        deviations of `points.ranges`, at most ``most_m`` metres, of its front face, with all of this interval in voxels
-        of the bar.
-
-        ``bars`` have frames ``across (B, 2, 3)`` and outlines ``corner (B, 6, 2)``, see `fusion.sections`.
-        """
-        mask = _on_face(
-            points, bar, T_world_sensor, bars.start, bars.direction, bars.length, across, corner, sigmas, most_m, *self
-        )
-        return np.asarray(mask)
+        self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Bars, sigmas: float, most_m: float
+    ) -> NDArray[np.bool_]:
+        """Mask of the points of a scan ``(N, 3)``, sensor frame, near the front face of their ``bar (N,)``: within
+        ``sigmas`` standard deviations of `points.ranges`, at most ``most_m`` metres, if this whole interval lies in
+        voxels of the bar."""
+        return np.asarray(_on_face(points, bar, T_world_sensor, *bars.faces(), sigmas, most_m, *self))
 
 
 class Observations(NamedTuple):
-    """Points of scans on bars, pair by pair of a scan and a bar that it sees.
+    """Points of scans on bars, grouped by pairs of a scan and a bar, sorted by scan.
 
-    ``point (N, 3)`` float32, sensor frame, metres: those of pair p are ``first[p]`` to ``first[p + 1]``, seen by the
-    scan ``pair_scan[p]`` on the bar ``pair_bar[p]``. Pairs are sorted by scan.
+    The points of pair p are ``point[first[p] : first[p + 1]]`` of ``point (N, 3)``, float32, sensor frame, metres. They
+    belong to the scan ``pair_scan[p]`` and the bar ``pair_bar[p]``.
     """
 
     point: np.ndarray
@@ -79,22 +75,25 @@ class Observations(NamedTuple):
 
     @classmethod
     def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]]) -> "Observations":
-        """From points in the sensor frame and their bars, scan by scan, as `fusion.reconstruct` yields them."""
+        """From the number of each scan, its points in the sensor frame, and their bars."""
         points, counts = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int64)]
         for k, point, bar in scans:
             count = np.bincount(bar)
-            name = np.flatnonzero(count)
+            observed = np.flatnonzero(count)
             points.append(point[np.argsort(bar, kind="stable")].astype(np.float32))
-            counts.append(np.column_stack([np.full(len(name), k), name, count[name]]))
+            counts.append(np.column_stack([np.full(len(observed), k), observed, count[observed]]))
         scan, bar, count = np.concatenate(counts).T
         return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
-    """Points of a scan ``(N, 3)``, sensor frame, in the world frame with their weights 1/range²; NaN, points beyond
-    ``range_max`` metres and below the height ``floor`` are left out."""
-    placed, weight = np.empty((len(points), 3)), np.empty(len(points))
+    """The points ``(M, 3)`` of a scan ``(N, 3)``, sensor frame, in the world frame, with their weights ``(M,)``, which
+    are 1/range², and their indices ``(M,)`` in the scan.
+
+    NaN, points beyond ``range_max`` metres and points below the height ``floor`` are dropped.
+    """
+    placed, weight, index = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
     n = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -107,64 +106,46 @@ def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
         placed[n, 0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
         placed[n, 1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
         placed[n, 2] = height
-        weight[n] = 1.0 / square
+        weight[n], index[n] = 1.0 / square, i
         n += 1
-    return placed[:n], weight[:n]
-
-
-@njit(cache=True, nogil=True)
-def _points_on_bars(points, T, range_max, floor, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
-    """Those of the points of a scan ``(N, 3)`` that lie in the voxels of bars, sensor frame, and their bars; points are
-    left out as by `world_points`."""
-    found, bar, n, inverse = np.empty((len(points), 3)), np.empty(len(points), np.int64), 0, 1.0 / voxel
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if not 0.0 < x * x + y * y + z * z <= range_max * range_max:  # NaN too
-            continue
-        height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        if height < floor:
-            continue
-        a = np.int64(np.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) * inverse))
-        b = np.int64(np.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) * inverse))
-        slot = find(pack(a, b, np.int64(np.floor(height * inverse))), table_key, table_slot)
-        if slot >= 0 and bar_of_voxel[slot] >= 0:
-            found[n, 0], found[n, 1], found[n, 2], bar[n] = x, y, z, bar_of_voxel[slot]
-            n += 1
-    return found[:n], bar[:n]
+    return placed[:n], weight[:n], index[:n]
 
 
 @njit(cache=True)
+def _bar_at(x, y, z, bar_of_voxel, inverse, table_key, table_slot):  # type: ignore[no-untyped-def]
+    """The bar of the voxel that holds a point, −1 for none; ``inverse``: one over the edge of the voxels."""
+    i, j, k = np.int64(np.floor(x * inverse)), np.int64(np.floor(y * inverse)), np.int64(np.floor(z * inverse))
+    slot = find(pack(i, j, k), table_key, table_slot)
+    return bar_of_voxel[slot] if slot >= 0 else np.int64(-1)
+
+
+@njit(cache=True, nogil=True)
 def _bars_of_points(points, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
-    """The bar ``(N,)`` of the voxel in which each point ``(N, 3)`` lies, −1 for none."""
-    bar = np.full(len(points), -1, np.int64)
-    inverse = 1.0 / voxel
+    bar, inverse = np.empty(len(points), np.int64), 1.0 / voxel
     for n in range(len(points)):
-        i, j = np.int64(np.floor(points[n, 0] * inverse)), np.int64(np.floor(points[n, 1] * inverse))
-        slot = find(pack(i, j, np.int64(np.floor(points[n, 2] * inverse))), table_key, table_slot)
-        if slot >= 0:
-            bar[n] = bar_of_voxel[slot]
+        bar[n] = _bar_at(points[n, 0], points[n, 1], points[n, 2], bar_of_voxel, inverse, table_key, table_slot)
     return bar
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
-    """Keys ``(V,)`` of the voxels with their centres within ``reach + margin`` of bars, and the bar of each ``(V,)``.
+    """Keys ``(V,)`` of the voxels whose centres lie within ``reach + margin`` of a bar, and the bar of each ``(V,)``.
 
-    Slab by slab along the axis of the world that a bar is nearest to, so that it meets each voxel once.
+    Each bar is traversed slab by slab along the world axis nearest to it, so it meets each voxel once.
     """
-    wide = reach + margin
-    room, half = 0, np.empty(len(start), np.int64)
+    limit = reach + margin
+    capacity, width = 0, np.empty(len(start), np.int64)
     for b in range(len(start)):
         along = np.abs(end[b] - start[b])
-        # Across its main axis a slanted bar is wider by the cosine of its slant.
-        half[b] = int(wide * math.sqrt((along * along).sum()) / max(along.max(), 1e-12) / voxel) + 1
-        room += int((along.max() + 2.0 * wide) / voxel + 2.0) * (2 * half[b] + 1) ** 2
+        # A slanted bar is wider across that axis, by one over the cosine of its slant.
+        width[b] = int(limit * math.sqrt((along * along).sum()) / max(along.max(), 1e-12) / voxel) + 1
+        capacity += int((along.max() + 2.0 * limit) / voxel + 2.0) * (2 * width[b] + 1) ** 2
     size = 1 << 10
-    while size < room:
+    while size < capacity:
         size *= 2
     table_key, table_slot = np.full(size, EMPTY, np.int64), np.zeros(size, np.int64)
-    keys, bar = np.empty(room, np.int64), np.empty(room, np.int64)
-    nearest, second = np.empty(room), np.empty(room)
+    keys, bar = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    nearest, second = np.empty(capacity), np.empty(capacity)
     n, index, centre = 0, np.empty(3, np.int64), np.empty(3)
     for b in range(len(start)):
         along = end[b] - start[b]
@@ -172,21 +153,21 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
         along = along / max(length, 1e-12)
         d0 = int(np.argmax(np.abs(along)))
         d1, d2 = (d0 + 1) % 3, (d0 + 2) % 3
-        low, high = min(start[b, d0], end[b, d0]) - wide, max(start[b, d0], end[b, d0]) + wide
+        low, high = min(start[b, d0], end[b, d0]) - limit, max(start[b, d0], end[b, d0]) + limit
         for i in range(math.floor(low / voxel), math.floor(high / voxel) + 1):
             index[d0], centre[d0] = i, (i + 0.5) * voxel
             t = (centre[d0] - start[b, d0]) / along[d0]
             j0 = math.floor((start[b, d1] + t * along[d1]) / voxel)
             k0 = math.floor((start[b, d2] + t * along[d2]) / voxel)
-            for j in range(j0 - half[b], j0 + half[b] + 1):
+            for j in range(j0 - width[b], j0 + width[b] + 1):
                 index[d1], centre[d1] = j, (j + 0.5) * voxel
-                for k in range(k0 - half[b], k0 + half[b] + 1):
+                for k in range(k0 - width[b], k0 + width[b] + 1):
                     index[d2], centre[d2] = k, (k + 0.5) * voxel
                     x, y, z = centre[0] - start[b, 0], centre[1] - start[b, 1], centre[2] - start[b, 2]
                     s = min(max(x * along[0] + y * along[1] + z * along[2], 0.0), length)
                     x, y, z = x - s * along[0], y - s * along[1], z - s * along[2]
                     distance = math.sqrt(x * x + y * y + z * z)
-                    if distance > wide:
+                    if distance > limit:
                         continue
                     key = pack(index[0], index[1], index[2])
                     slot = find(key, table_key, table_slot)
@@ -198,8 +179,8 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
                         bar[slot], second[slot], nearest[slot] = b, nearest[slot], distance
                     elif distance < second[slot]:
                         second[slot] = distance
-    own = (nearest[:n] <= reach) & (second[:n] - nearest[:n] >= margin)
-    return keys[:n], np.where(own, bar[:n], -1)
+    is_unique = (nearest[:n] <= reach) & (second[:n] - nearest[:n] >= margin)
+    return keys[:n], np.where(is_unique, bar[:n], -1)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -217,12 +198,9 @@ def _on_face(  # type: ignore[no-untyped-def]
         if not abs(residual) <= bound:  # NaN too
             continue
         inside = True
-        for end in (residual - bound, residual + bound):  # both ends of the interval, from the point away from sensor
-            step = -end / distance
-            a = np.int64(np.floor((start[b, 0] + x + step * cx) * inverse))
-            c = np.int64(np.floor((start[b, 1] + y + step * cy) * inverse))
-            d = np.int64(np.floor((start[b, 2] + z + step * cz) * inverse))
-            slot = find(pack(a, c, d), table_key, table_slot)
-            inside = inside and slot >= 0 and bar_of_voxel[slot] == b
+        for end in (residual - bound, residual + bound):  # both ends of the interval
+            step = -end / distance  # along the ray, as a multiple of the vector from the point to the sensor
+            ex, ey, ez = start[b, 0] + x + step * cx, start[b, 1] + y + step * cy, start[b, 2] + z + step * cz
+            inside = inside and _bar_at(ex, ey, ez, bar_of_voxel, inverse, table_key, table_slot) == b
         result[i] = inside
     return result

@@ -1,9 +1,9 @@
-"""Inertial factors of an adjustment (`fusion.problem`): velocities and biases of the IMU as states beside the poses.
+"""Inertial factors of an adjustment (`fusion.problem`): velocities and IMU biases as states beside the poses.
 
-The readings between two scans are integrated once, whatever the pose and the velocity before them. They tell what bars
-and a drifting prior do not: where down is, and metres, by how long a speed lasts. Source: Forster, Carlone, Dellaert,
-Scaramuzza, "On-manifold preintegration for real-time visual-inertial odometry" (T-RO 33, 2017); here with derivatives
-by differences, and integrated anew at each step instead of corrected for a bias to first order.
+The readings between two scans are integrated once, whatever the pose and velocity before them. They determine what
+bars and a drifting prior do not: the vertical, and the scale. Source: Forster, Carlone, Dellaert, Scaramuzza,
+"On-manifold preintegration for real-time visual-inertial odometry" (T-RO 33, 2017). Two differences: Jacobians are
+numerical, and each step integrates anew, where the source corrects for the bias to first order.
 """
 
 from collections.abc import Callable
@@ -16,120 +16,105 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
-from steelnb.fusion.poses import moved_poses
+from steelnb.fusion.poses import POSE_DOF, ChainEquations, chain_equations, moved_poses
 from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
-POSE, STATE = 6, 15
-"""Degrees of freedom of a pose with roll and pitch; and with velocity and the biases of gyroscope and accelerometer."""
+STATE_DOF = 15
+"""Degrees of freedom of a state: pose (6), velocity (3), biases of gyroscope (3) and accelerometer (3)."""
+NO_STEP = np.zeros(STATE_DOF)
 VELOCITY_SIGMA_M_S = 100.0
-"""Standard deviation of each velocity beforehand: nothing is known of it."""
+"""Prior standard deviation of each velocity, so large that it has no effect."""
 SIGMA_MIN = 1e-7
-"""Least density of noise and least standard deviation of a bias, for an IMU without."""
+"""Minimum noise density and minimum standard deviation of a bias, for an IMU without."""
 GAP_MAX_S = 0.1
-"""Longest time between two readings; an interval with a longer one says nothing."""
+"""Maximum time between two readings. An interval with a longer gap has no factor."""
 LEAN_MAX_RAD = 0.5
-"""Readings whose vertical is farther from the prior's are in other axes."""
+"""Maximum angle between the vertical of the readings and the prior's. Beyond, their axes are not the drone's."""
 STEP = 1e-5
-"""Step of the differences that stand for derivatives."""
+"""Step of the numerical Jacobians."""
 UNITS = {"g": 1.0, "mg or cm/s²": 100 * GRAVITY}
 """Gravity in units that are not m/s²."""
 RATE_MIN, UNIT_FACTOR = 0.5, 10.0
-"""Rates above this and larger than the prior's by this factor are not in rad/s: a degree is a 57th."""
-
-
-class InertialEquations(NamedTuple):
-    """Normal equations of the readings: of the states ``matrix (K, 15, 15)``, ``vector (K, 15)``, between each and the
-    next ``beside (K − 1, 15, 15)``."""
-
-    matrix: Array
-    beside: Array
-    vector: Array
+"""Angular rates above the first, and larger than the prior's by the second, are not in rad/s."""
 
 
 class Integrated(NamedTuple):
-    """Readings between K scans in the frame of the earlier one: ``turn (K − 1, 3, 3)``, and without gravity the change
-    of ``velocity (K − 1, 3)``, m/s, and of ``place (K − 1, 3)``, metres, beyond that by the velocity before."""
+    """Readings integrated between K scans, each in the frame of the earlier one: ``rotation (K − 1, 3, 3)``, and
+    without gravity the change of ``velocity (K − 1, 3)``, m/s, and of ``position (K − 1, 3)``, metres, in addition to
+    that by the initial velocity."""
 
-    turn: Array
+    rotation: Array
     velocity: Array
-    place: Array
+    position: Array
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """Readings of an IMU and what they mean for the K scans of an adjustment.
+    """The IMU factors of an adjustment of K scans at ``stamp_s (K,)``.
 
     ``motion (K, 9)``: velocity in the world, m/s, and biases of gyroscope, rad/s, and accelerometer, m/s²;
-    ``known (K, 9)``: the weights with which they are zero; ``weight (K − 1, 15, 15)`` of the `errors` between scans.
-    ``T_drone_sensor`` is the mount, ``stamp_s (K,)`` the stamps of the scans.
+    ``information (K, 9)``: that of their prior, which is zero; ``weight (K − 1, 15, 15)``: information of the `errors`
+    between scans; ``T_drone_sensor (4, 4)``: the sensor's mount.
     """
 
     imu: Imu
     T_drone_sensor: Array
     stamp_s: Array
     motion: Array
-    known: Array
+    information: Array
     weight: Array
 
     @classmethod
     def started(cls, imu: Imu, noise: ImuSettings, T_drone_sensor: Array, trajectory: Trajectory) -> "Inertial":
-        """With the velocities of a trajectory at the scans and without biases; ``noise`` is that of the data sheet."""
-        stamp_s, place = trajectory.stamp_s, trajectory.T_world_drone[:, :3, 3]
-        gap_s, motion, known = np.diff(stamp_s), *np.zeros((2, len(stamp_s), 9))
+        """With the velocities of a trajectory at the scans, and zero biases; ``noise`` is that of the data sheet."""
+        stamp_s, gap_s = trajectory.stamp_s, np.diff(trajectory.stamp_s)
+        motion, information = np.zeros((2, len(stamp_s), 9))
         if len(stamp_s) > 1:
-            motion[:, :3] = np.gradient(place, stamp_s, axis=0)
-        known[:, :3] = VELOCITY_SIGMA_M_S**-2.0
-        known[0, 3:] = np.repeat(np.maximum([noise.gyro_bias, noise.accelerometer_bias], SIGMA_MIN) ** -2.0, 3)
+            motion[:, :3] = np.gradient(trajectory.position, stamp_s, axis=0)
+        information[:, :3] = VELOCITY_SIGMA_M_S**-2.0
+        information[0, 3:] = np.repeat(np.maximum([noise.gyro_bias, noise.accelerometer_bias], SIGMA_MIN) ** -2.0, 3)
         walk = np.maximum([noise.gyro_walk, noise.accelerometer_walk], SIGMA_MIN) ** -2.0
-        weight = np.zeros((len(gap_s), STATE, STATE))
+        weight = np.zeros((len(gap_s), STATE_DOF, STATE_DOF))
         has_readings = ~gaps(imu.stamp_s, stamp_s)
         weight[has_readings, :9, :9] = np.linalg.inv(integration_covariances(noise, gap_s[has_readings]))
-        weight[:, range(9, STATE), range(9, STATE)] = np.repeat(walk, 3) / gap_s[:, None]
-        return cls(imu, T_drone_sensor, stamp_s, motion, known, weight)
+        weight[:, range(9, STATE_DOF), range(9, STATE_DOF)] = np.repeat(walk, 3) / gap_s[:, None]
+        return cls(imu, T_drone_sensor, stamp_s, motion, information, weight)
 
     def moved(self, step: Array) -> "Inertial":
         """After steps ``(K, 15)`` of the states."""
-        return replace(self, motion=self.motion + step[:, POSE:])
+        return replace(self, motion=self.motion + step[:, POSE_DOF:])
 
-    def turned(self, rotation: Array) -> "Inertial":
-        """In a world that is turned by a rotation ``(3, 3)``."""
+    def rotated(self, rotation: Array) -> "Inertial":
+        """In a world frame that is rotated by ``(3, 3)``."""
         return replace(self, motion=np.hstack([self.motion[:, :3] @ rotation.T, self.motion[:, 3:]]))
 
-    def errors(self, T_world_sensor: Array) -> Array:
+    def equations(self, T_world_sensor: Array) -> ChainEquations:
+        """The normal equations of the states, D = 15, at poses of the sensor ``(K, 4, 4)``."""
+        before = _jacobian(lambda step: self.errors(T_world_sensor, before=step))
+        after = _jacobian(lambda step: self.errors(T_world_sensor, after=step))
+        state_error, state_weight = (np.pad(each, ((0, 0), (POSE_DOF, 0))) for each in (self.motion, self.information))
+        return chain_equations(state_error, state_weight, self.errors(T_world_sensor), self.weight, before, after)
+
+    def errors(self, T_world_sensor: Array, before: Array = NO_STEP, after: Array = NO_STEP) -> Array:
         """Errors ``(K − 1, 15)`` between poses of the sensor ``(K, 4, 4)``: three each of rotation, rad, velocity, m/s,
-        and place, m, in the axes of the world, and of how far the two biases walked."""
-        return self._errors(T_world_sensor, np.zeros(STATE), np.zeros(STATE))
+        and position, m, in the world frame, and the change of the two biases.
 
-    def equations(self, T_world_sensor: Array) -> InertialEquations:
-        """The normal equations at poses of the sensor ``(K, 4, 4)``."""
-        none, error = np.zeros(STATE), self.errors(T_world_sensor)
-        before = _slopes(lambda step: self._errors(T_world_sensor, step, none), STATE)
-        after = _slopes(lambda step: self._errors(T_world_sensor, none, step), STATE)
-        matrix, vector = np.zeros((len(T_world_sensor), STATE, STATE)), np.zeros((len(T_world_sensor), STATE))
-        matrix[:, range(POSE, STATE), range(POSE, STATE)] = self.known
-        vector[:, POSE:] = -self.known * self.motion
-        earlier, later = before.transpose(0, 2, 1) @ self.weight, after.transpose(0, 2, 1) @ self.weight
-        for at, weighed, by in ((slice(None, -1), earlier, before), (slice(1, None), later, after)):
-            matrix[at] += weighed @ by
-            vector[at] -= (weighed @ error[:, :, None])[:, :, 0]
-        return InertialEquations(matrix, earlier @ after, vector)
-
-    def _errors(self, T_world_sensor: Array, before: Array, after: Array) -> Array:
-        """The errors where the earlier state of each interval has moved by ``before (15,)``, the later by ``after``."""
+        They are those after a step ``before (15,)`` of the earlier state of each interval, and ``after`` of the later.
+        """
         from_sensor, gap_s = np.linalg.inv(self.T_drone_sensor), np.diff(self.stamp_s)[:, None]
         T0, T1 = (
-            moved_poses(T, np.tile(step[:POSE], (len(T), 1))) @ from_sensor
+            moved_poses(T, np.tile(step[:POSE_DOF], (len(T), 1))) @ from_sensor
             for T, step in ((T_world_sensor[:-1], before), (T_world_sensor[1:], after))
         )
-        old, new = self.motion[:-1] + before[POSE:], self.motion[1:] + after[POSE:]
+        old, new = self.motion[:-1] + before[POSE_DOF:], self.motion[1:] + after[POSE_DOF:]
         R, read = T0[:, :3, :3], integrated(self.imu, self.stamp_s, old[:, 3:])
         by_gravity = np.array([0.0, 0.0, -GRAVITY]) * gap_s
-        turned = T1[:, :3, :3] @ (R @ read.turn).transpose(0, 2, 1)
-        by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.place))
+        rotation = T1[:, :3, :3] @ (R @ read.rotation).transpose(0, 2, 1)
+        by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.position))
         return np.hstack(
             [
-                Rotation.from_matrix(turned).as_rotvec(),
+                Rotation.from_matrix(rotation).as_rotvec(),
                 new[:, :3] - old[:, :3] - by_gravity - by_force,
                 T1[:, :3, 3] - T0[:, :3, 3] - gap_s * (old[:, :3] + 0.5 * by_gravity) - shift,
                 new[:, 3:] - old[:, 3:],
@@ -137,14 +122,14 @@ class Inertial:
         )
 
 
-def _slopes(of: Callable[[Array], Array], count: int) -> Array:
-    """Derivatives ``(…, count)`` at zero, by differences."""
-    return np.stack([(of(step) - of(-step)) / (2 * STEP) for step in STEP * np.eye(count)], axis=-1)
+def _jacobian(errors: Callable[[Array], Array]) -> Array:
+    """Numerical Jacobian ``(…, 15)`` of errors by the step of a state, at zero."""
+    return np.stack([(errors(step) - errors(-step)) / (2 * STEP) for step in STEP * np.eye(STATE_DOF)], axis=-1)
 
 
 def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
-    """Covariances ``(K, 9, 9)`` of rotation, velocity and place after times ``gap_s (K,)``, from the densities of white
-    noise; for turns so small that all directions are the same."""
+    """Covariances ``(K, 9, 9)`` of rotation, velocity and position after the times ``gap_s (K,)`` due to white noise,
+    for rotations so small that their direction does not matter."""
     gyro, force = (max(each, SIGMA_MIN) ** 2 for each in (noise.gyro_noise, noise.accelerometer_noise))
     one, gap_s = np.eye(3), gap_s[:, None, None]
     spread, none = force * gap_s**2 / 2 * one, 0 * gap_s * one
@@ -158,7 +143,8 @@ def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
 
 
 def gaps(at_s: Array, stamp_s: Array) -> NDArray[np.bool_]:
-    """Between which of K scans ``(K − 1,)`` readings at ``at_s (N,)`` are missing for more than `GAP_MAX_S`."""
+    """Mask ``(K − 1,)`` of the intervals between K scans in which readings at ``at_s (N,)`` are missing for more than
+    `GAP_MAX_S`."""
     edges = np.concatenate([[-np.inf], at_s, [np.inf]])
     wide = np.concatenate([[0], np.cumsum(np.diff(edges) > GAP_MAX_S)])
     first = np.searchsorted(at_s, stamp_s[:-1], side="right")  # edges[first] is the reading before
@@ -167,24 +153,24 @@ def gaps(at_s: Array, stamp_s: Array) -> NDArray[np.bool_]:
 
 
 def integrated(imu: Imu, stamp_s: Array, bias: Array) -> Integrated:
-    """The readings between stamps ``(K,)`` without the biases ``(K − 1, 6)`` of gyroscope and accelerometer. A reading
-    is the mean since the one before it, in the axes that the drone has at its stamp."""
+    """The readings integrated between the stamps ``(K,)``, without the biases ``(K − 1, 6)`` of gyroscope and
+    accelerometer. A reading is the mean since the previous one, in the drone frame at its stamp."""
     return Integrated(*_integrate(imu.stamp_s, imu.specific_force, imu.angular_rate, stamp_s, bias))
 
 
 @njit(cache=True)
 def _integrate(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def]
     count = len(stamp_s) - 1
-    turn, velocity, place = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    rotation, velocity, position = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((count, 3))
     step, before = np.empty((3, 3)), np.empty((3, 3))
     for k in range(count):
-        R, v, p = turn[k], velocity[k], place[k]
+        R, v, p = rotation[k], velocity[k], position[k]
         R[0, 0] = R[1, 1] = R[2, 2] = 1.0
         i = max(1, np.searchsorted(at_s, stamp_s[k], side="right"))
         while i < len(at_s) and at_s[i - 1] < stamp_s[k + 1]:
             h = min(at_s[i], stamp_s[k + 1]) - max(at_s[i - 1], stamp_s[k])
             x, y, z = h * (rate[i, 0] - bias[k, 0]), h * (rate[i, 1] - bias[k, 1]), h * (rate[i, 2] - bias[k, 2])
-            square = x * x + y * y + z * z  # Rodrigues' formula; its two factors as series
+            square = x * x + y * y + z * z  # Rodrigues' formula, its two factors as series
             a, b = 1 - square / 6 + square * square / 120, 0.5 - square / 24 + square * square / 720
             step[0, 0], step[0, 1], step[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
             step[1, 0], step[1, 1], step[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
@@ -199,12 +185,14 @@ def _integrate(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def
                 p[n] += h * v[n] + 0.5 * h * h * f
                 v[n] += h * f
             i += 1
-    return turn, velocity, place
+    return rotation, velocity, position
 
 
 def check_imu(imu: Imu, prior: Trajectory) -> None:
-    """Raise `InputError` for readings in other units, or whose axes are not the drone's: gravity's size and
-    direction, and the turns of the ``prior``, tell."""
+    """Raise `InputError` if readings are in other units or axes than those of the drone.
+
+    Checked are magnitude and direction of gravity, and the rotation between the poses of the ``prior``.
+    """
     inside = (imu.stamp_s >= prior.stamp_s[0]) & (imu.stamp_s <= prior.stamp_s[-1])
     if inside.sum() < 2 or len(prior) < 2:
         raise InputError(
@@ -224,9 +212,9 @@ def check_imu(imu: Imu, prior: Trajectory) -> None:
     gap_s, R = np.diff(prior.stamp_s), prior.T_world_drone[:, :3, :3]
     prior_rates = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
     steps = imu.angular_rate * np.diff(imu.stamp_s, prepend=imu.stamp_s[0])[:, None]
-    turned = [np.interp(prior.stamp_s, imu.stamp_s, column) for column in np.cumsum(steps, axis=0).T]
+    angles = [np.interp(prior.stamp_s, imu.stamp_s, column) for column in np.cumsum(steps, axis=0).T]
     rate, prior_rate = (
-        float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(turned).T / gap_s[:, None], prior_rates)
+        float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(angles).T / gap_s[:, None], prior_rates)
     )
     if rate > RATE_MIN and rate > UNIT_FACTOR * prior_rate:
         raise InputError(

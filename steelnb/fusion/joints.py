@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -13,40 +14,39 @@ from steelnb.fusion.structure import Structure
 from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
-"""Bars that continue each other at less than 10° meet at a bend; at less than 1.5° one cannot tell where.
-Chosen with `fusion.proposals.TUBE_M`, as the lengths below."""
+"""Cosines of the angles between bars that meet at a bend. Below 1.5° its position is undetermined. These and the
+lengths below were chosen with `fusion.proposals.TUBE_M`."""
 SLACK_M, REACH_M, LEAD_MAX_M, SAME_M = 0.02, 0.2, 0.8, 0.15
 BEND_M, BEND_GAP_M = 1.2, 0.1
-"""Metres; see `find_joints` and `trim_bends`."""
+"""See `find_joints` and `trim_bends`."""
+ANCHOR = 0.01
+"""Weight of an initial position against that of a line: almost parallel lines have no nearest point."""
 
 
-def nearest_point(axes: Array, about: Array, share: float = 0.01) -> Array:
-    """The point ``(3,)`` with the least sum of squared distances to lines ``(K, 2, 3)``.
-
-    Held to ``about (3,)`` with ``share`` of a line's weight, since almost parallel lines have no such point.
-    """
+def nearest_point(axes: Array, initial: Array) -> Array:
+    """The point ``(3,)`` with the least sum of squared distances to lines ``(K, 2, 3)``, held to ``initial (3,)`` with
+    the weight `ANCHOR`."""
     direction = axes[:, 1] - axes[:, 0]
     direction = direction / np.linalg.norm(direction, axis=1)[:, None]
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    matrix = across.sum(axis=0) + share * np.eye(3)
-    return np.asarray(np.linalg.solve(matrix, (across @ axes[:, 0, :, None]).sum(axis=0)[:, 0] + share * about))
+    matrix = across.sum(axis=0) + ANCHOR * np.eye(3)
+    return np.asarray(np.linalg.solve(matrix, (across @ axes[:, 0, :, None]).sum(axis=0)[:, 0] + ANCHOR * initial))
 
 
 def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segments]:
     """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends moved to the joints; metres.
 
-    Two bars meet where their axes come closer than half the sum of their widths ``(B,)`` plus ``SLACK_M``. Points
-    within ``REACH_M`` of another bar are easily taken for that; so either bar may be extended by ``REACH_M`` over
-    the sine of the angle between them, at most by ``LEAD_MAX_M``, but only to the first bar that it meets. Bars
-    that continue each other at a small angle meet at the bend, up to ``BEND_M`` from their ends. Meetings on one
-    bar that are less than ``SAME_M`` apart are one joint: the point nearest to all axes that it ties; bars that do
-    not reach it are not tied. Ends near a bar's first and last joint move there.
+    Two bars meet if their axes come closer than half the sum of their widths ``(B,)`` plus `SLACK_M`. The points within
+    `REACH_M` of another bar are easily assigned to that. So either bar may be extended by `REACH_M` over the sine of
+    the angle between them, at most by `LEAD_MAX_M`, but only to the first bar that it meets. Bars that continue each
+    other at a small angle meet at the bend, up to `BEND_M` from their ends.
+
+    Meetings on one bar that are less than `SAME_M` apart are one joint: the point nearest to all axes that it ties.
+    Bars that do not reach this point are not tied. Ends near the first and last joint of a bar move there.
     """
-    pair, at, point, lead = _meetings(
-        bars.start, bars.direction, bars.length, width_m, SLACK_M, REACH_M, LEAD_MAX_M, BEND_M, BEND_MIN, BEND_MAX
-    )
-    keep = _first_ones(pair, at, bars.length)
-    pair, at, point, lead = pair[keep], at[keep], point[keep], lead[keep]
+    pair, at, point, lead = _meetings(bars.start, bars.direction, bars.length, width_m, SLACK_M, REACH_M)
+    is_first = _is_first(pair, at, bars.length)
+    pair, at, point, lead = pair[is_first], at[is_first], point[is_first], lead[is_first]
     group = _groups(pair, at, point)
     names = np.unique(group)
     joint, ties, leads = np.zeros((len(names), 3)), [], []
@@ -58,22 +58,21 @@ def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segmen
         ties += [(j, int(bar)) for bar in tied]
         leads += [lead[inside][(pair[inside] == bar).any(axis=1)].max() for bar in tied]
     tie, lead = np.array(ties, dtype=np.int64).reshape(-1, 2), np.array(leads)
-    # Where bars that meet at an acute angle are extended far, their nearest point may lie farther still.
+    # The nearest point of bars that meet at an acute angle may lie beyond the reach of their extensions.
     along = ((joint[tie[:, 0]] - bars.start[tie[:, 1]]) * bars.direction[tie[:, 1]]).sum(axis=1)
     reached = (along >= -lead - SAME_M) & (along <= bars.length[tie[:, 1]] + lead + SAME_M)
     reached &= np.bincount(tie[reached, 0], minlength=len(joint))[tie[:, 0]] >= 2
-    left, place = np.unique(tie[reached, 0], return_inverse=True)
-    tie, lead = np.column_stack([place, tie[reached, 1]]), lead[reached]
-    return joint[left], tie, _led(bars, joint[left], tie, lead)
+    remaining, index = np.unique(tie[reached, 0], return_inverse=True)
+    tie, lead = np.column_stack([index, tie[reached, 1]]), lead[reached]
+    return joint[remaining], tie, _extended(bars, joint[remaining], tie, lead)
 
 
 def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
-    """The bars of a structure, the ``weak (B,)`` ones from joint to joint, if they are tied at both ends.
+    """The bars of a structure, with the axes of ``weak (B,)`` ones through the first and last joint that tie them.
 
-    The points of a strut of half a metre, without those near its ends, which may be its neighbours', tell its direction
-    to some degrees. Its joints lie on the axes of longer bars, to some millimetres across these. So where the direction
-    is weakly determined, the axis runs through the first and last joint that tie the bar, if each lies within
-    ``SAME_M`` of an end of it.
+    The points of a short strut, without those near its ends, determine its direction to a few degrees only. Its joints
+    lie on the axes of longer bars, to a few millimetres across these. A bar keeps its axis if its joints do not lie
+    within `SAME_M` of both its ends.
     """
     bars = structure.segments
     start, end = bars.start.copy(), bars.end.copy()
@@ -82,70 +81,67 @@ def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
         along = (joint - bars.start[bar]) @ bars.direction[bar]
         if len(joint) >= 2 and along.min() <= SAME_M and along.max() >= bars.length[bar] - SAME_M:
             start[bar], end[bar] = joint[along.argmin()], joint[along.argmax()]
-    return Segments(start, end, bars.count, bars.radius)
+    return replace(bars, start=start, end=end)
 
 
 def trim_bends(bars: Segments) -> Segments:
-    """Bars cut at bends, where two continue each other at a small angle and each had grown into the other.
+    """The bars, cut at bends. There two bars continue each other at a small angle, and each has grown into the other.
 
-    Their axes come closer than ``BEND_GAP_M``, up to ``BEND_M`` from their ends.
+    Their axes come closer than `BEND_GAP_M`, up to `BEND_M` from their ends.
     """
-    none = np.zeros(len(bars))
-    pair, at, _, lead = _meetings(
-        bars.start, bars.direction, bars.length, none, BEND_GAP_M, 0.0, LEAD_MAX_M, BEND_M, BEND_MIN, BEND_MAX
-    )
+    pair, at, _, lead = _meetings(bars.start, bars.direction, bars.length, np.zeros(len(bars)), BEND_GAP_M, 0.0)
     start, end, length = bars.start.copy(), bars.end.copy(), bars.length
     for k in np.flatnonzero(lead >= BEND_M):
-        for bar, place in zip(pair[k], at[k], strict=True):
-            position = bars.start[bar] + place * bars.direction[bar]
-            (start if place < length[bar] / 2 else end)[bar] = position
-    return Segments(start, end, bars.count, bars.radius)
+        for bar, along in zip(pair[k], at[k], strict=True):
+            (start if along < length[bar] / 2 else end)[bar] = bars.start[bar] + along * bars.direction[bar]
+    return replace(bars, start=start, end=end)
 
 
-def _led(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segments:
+def _extended(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segments:
+    """The bars, extended or cut to their first and last joints if these are near their ends."""
     start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
     for bar in np.unique(tie[:, 1]):
-        own = tie[:, 1] == bar
-        along = (joint[tie[own, 0]] - bars.start[bar]) @ direction[bar]
+        of_bar = tie[:, 1] == bar
+        along = (joint[tie[of_bar, 0]] - bars.start[bar]) @ direction[bar]
         first, last = int(along.argmin()), int(along.argmax())
-        low, high, slack = along[first], along[last], lead[own] + SAME_M
+        low, high, slack = along[first], along[last], lead[of_bar] + SAME_M
         if -slack[first] <= low <= max(SAME_M, slack[first] - SAME_M) and low < length[bar] / 2:
             start[bar] = bars.start[bar] + low * direction[bar]
         if -max(SAME_M, slack[last] - SAME_M) <= high - length[bar] <= slack[last] and high > length[bar] / 2:
             end[bar] = bars.start[bar] + high * direction[bar]
-    return Segments(start, end, bars.count, bars.radius)
+    return replace(bars, start=start, end=end)
 
 
 @njit(cache=True)
-def _meetings(start, direction, length, width, slack, reach, lead_max, bend, bend_min, bend_max):  # type: ignore[no-untyped-def]
-    """Pairs of bars that meet ``(P, 2)``, the places on both in metres from their starts ``(P, 2)``, the points between
-    ``(P, 3)``, and the largest extension or cut of either for it ``(P,)``."""
-    pairs, places, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
+def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no-untyped-def]
+    """Pairs of bars that meet ``(P, 2)``, the positions along both ``(P, 2)``, metres from their starts, the points
+    between ``(P, 3)``, and the largest extension or cut of either ``(P,)``."""
+    pairs, positions, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
     widest = width.max() if len(width) else 0.0
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
             square = 0.0
-            for k in range(3):  # as numbers: all pairs come here, and few pass
+            for k in range(3):  # scalars, since few of all pairs pass
                 middle = start[j, k] + 0.5 * length[j] * direction[j, k]
                 square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(bend, lead_max) + slack + widest:
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(BEND_M, LEAD_MAX_M) + slack + widest:
                 continue
             cosine = (direction[i] * direction[j]).sum()
-            if abs(cosine) > bend_min:
+            if abs(cosine) > BEND_MIN:
                 continue
             r = start[i] - start[j]
             c, f = (direction[i] * r).sum(), (direction[j] * r).sum()
             square = 1.0 - cosine * cosine
             s, t = (cosine * f - c) / square, (f - cosine * c) / square
-            if abs(cosine) > bend_max:
-                lead = bend
+            if abs(cosine) > BEND_MAX:
+                lead = BEND_M
                 # At a bend one bar lies before it and the other behind.
                 side = (1.0 if s > 0.5 * length[i] else -1.0) * (1.0 if t > 0.5 * length[j] else -1.0) * cosine
                 off_i, off_j = min(abs(s), abs(s - length[i])), min(abs(t), abs(t - length[j]))
-                if side > 0.0 or off_i > min(bend, 0.4 * length[i]) or off_j > min(bend, 0.4 * length[j]):
+                if side > 0.0 or off_i > min(BEND_M, 0.4 * length[i]) or off_j > min(BEND_M, 0.4 * length[j]):
                     continue
             else:
-                lead = min(reach / math.sqrt(square), lead_max)
+                lead = min(reach / math.sqrt(square), LEAD_MAX_M)
                 s = min(max(s, -lead), length[i] + lead)
                 t = min(max(f + cosine * s, -lead), length[j] + lead)
                 s = min(max(cosine * t - c, -lead), length[i] + lead)
@@ -154,47 +150,47 @@ def _meetings(start, direction, length, width, slack, reach, lead_max, bend, ben
             if math.sqrt((gap * gap).sum()) > slack + 0.5 * (width[i] + width[j]):
                 continue
             pairs.append((i, j))
-            places.append((s, t))
+            positions.append((s, t))
             points.append((0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])))
             leads.append(lead)
-    return np.array(pairs)[1:], np.array(places)[1:], np.array(points)[1:], np.array(leads)[1:]
+    return np.array(pairs)[1:], np.array(positions)[1:], np.array(points)[1:], np.array(leads)[1:]
 
 
-def _first_ones(pair: IntArray, at: Array, length: Array) -> np.ndarray:
-    """Mask of the meetings ``(P,)`` that stay: not those for which a bar would be extended past another one."""
-    keep = np.ones(len(pair), dtype=bool)
-    for _ in range(2):  # dropping one for the sake of one bar may free another; the second round settles it
-        before = keep.copy()
+def _is_first(pair: IntArray, at: Array, length: Array) -> NDArray[np.bool_]:
+    """Mask of the meetings ``(P,)`` for which no bar is extended past another one."""
+    result = np.ones(len(pair), dtype=bool)
+    for _ in range(2):  # dropping one meeting may free another; the second round settles it
+        before = result.copy()
         for beyond in (-at, at - length[pair]):
             first = np.full(len(length), np.inf)
             for k in range(2):
                 out = before & (beyond[:, k] > -SAME_M)
                 np.minimum.at(first, pair[out, k], np.maximum(beyond[out, k], 0.0))
             for k in range(2):
-                keep &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + SAME_M))
-    return keep
+                result &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + SAME_M))
+    return result
 
 
 def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
-    """The joint of each meeting ``(P,)``: neighbours along a bar that are less than ``SAME_M`` apart are one."""
-    which = np.concatenate([np.arange(len(pair))] * 2)
-    bar, place = pair.T.ravel(), at.T.ravel()
-    order = np.lexsort((place, bar))
+    """The joint of each meeting ``(P,)``: neighbours along a bar that are less than `SAME_M` apart are one."""
+    meeting = np.concatenate([np.arange(len(pair))] * 2)
+    bar, along = pair.T.ravel(), at.T.ravel()
+    order = np.lexsort((along, bar))
     first, second = order[:-1], order[1:]
-    near = (bar[first] == bar[second]) & (place[second] - place[first] < SAME_M)
-    edges = list(zip(which[first[near]].tolist(), which[second[near]].tolist(), strict=True))
-    # Two straight bars meet once: joints that share two bars are one. Bars that meet at an acute angle and do not lie
-    # in one plane come nearest to each other well beside the joint that a third bar makes with either.
+    near = (bar[first] == bar[second]) & (along[second] - along[first] < SAME_M)
+    edges = list(zip(meeting[first[near]].tolist(), meeting[second[near]].tolist(), strict=True))
+    # Two straight bars meet once, so joints that share two bars are one. Two bars at an acute angle that are not in one
+    # plane come nearest to each other well beside the joint that a third bar makes with either.
     while True:
         ends = np.array(edges, dtype=np.int64).reshape(-1, 2)
         group = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=(len(pair), len(pair))))[1]
         middle = {name: point[group == name].mean(axis=0) for name in range(group.max(initial=-1) + 1)}
-        owner: dict[tuple[int, int], int] = {}
-        known = len(edges)
+        joint_of: dict[tuple[int, int], int] = {}
+        count = len(edges)
         for name in middle:
             for two in itertools.combinations(np.unique(pair[group == name]).tolist(), 2):
-                other = owner.setdefault(two, name)
+                other = joint_of.setdefault(two, name)
                 if other != name and np.linalg.norm(middle[other] - middle[name]) < 2 * SAME_M:
                     edges.append((int(np.argmax(group == other)), int(np.argmax(group == name))))
-        if len(edges) == known:
+        if len(edges) == count:
             return group.astype(np.int64)

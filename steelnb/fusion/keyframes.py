@@ -1,25 +1,25 @@
-"""Keyframes of a flight in progress: their poses and the bars they show, adjusted together from time to time."""
+"""Keyframes of a flight in progress: their poses and bars, adjusted together from time to time."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.fusion import problem, solver
-from steelnb.fusion.bar_voxels import Observations, world_points
+from steelnb.fusion import problem
 from steelnb.fusion.inertial import Inertial
-from steelnb.fusion.problem import Bars, Problem
+from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
-from steelnb.fusion.reconstruct import MappedScans
-from steelnb.points import VoxelMap, smooth_ranges
+from steelnb.fusion.reconstruct import ADJUST_STEPS, MappedScans, insert_scan
+from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
 
-STEPS, REFINED = 2, 2
-"""Steps of an adjustment, and how often the bars are fitted before it; chosen on the development seed 11."""
+FITS = 2
+"""Number of fits of the bars before an adjustment. Chosen on the development seed 11."""
 KEYFRAMES_MAX, RECENT = 400, 100
-"""Above this number every second keyframe is dropped, except the first and the most recent ones, which bounds the time
-of an adjustment."""
+"""Above this number every second keyframe is dropped, except the first and the most recent ones. It bounds the time of
+an adjustment."""
 BARS_MIN = 4
+"""Minimum number of bars with a section."""
 
 
 class Readings(NamedTuple):
@@ -31,10 +31,10 @@ class Readings(NamedTuple):
 
 
 class Keyframes:
-    """Scans of a flight, accumulated in voxels at the poses that they had when they were added.
+    """K scans of a flight, accumulated in voxels at the poses that they had when they were added.
 
-    ``T_world_sensor (K, 4, 4)`` are their poses after the last adjustment. ``settings`` say what a bar is,
-    ``tilt_sigma_rad`` how well the prior knows roll and pitch (`problem.Problem`); ``readings`` of an IMU take part.
+    ``T_world_sensor (K, 4, 4)``: their poses after the last adjustment; ``settings``: of the bars; ``tilt_sigma_rad``:
+    standard deviation of the prior's roll and pitch (`Problem`); ``readings``: of an IMU, if any.
     """
 
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
@@ -46,12 +46,9 @@ class Keyframes:
         self._ratio: float | None = None  # range noise as a multiple of that in `points.ranges`
 
     def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
-        """Add a scan, some ``points (N, 3)`` of it in the sensor frame to fit bars to, its pose, and the sensor's pose
-        by the drifting prior, both ``(4, 4)``. The first one is where drift begins."""
-        s = self.settings
-        image = smooth_ranges(scan.points)
-        flat = np.ascontiguousarray(image, dtype=np.float64).reshape(-1, 3)
-        self.voxels.insert(*world_points(flat, T_world_sensor, s.range_max_m, s.floor_m))
+        """Add a scan: its ``points (N, 3)`` in the sensor frame to fit bars to, its pose, and the pose of the sensor by
+        the drifting ``prior``, both ``(4, 4)``. Drift begins at the first one."""
+        insert_scan(self.voxels, scan, T_world_sensor, self.settings)
         self.scans.append(Scan(scan.stamp_s, points))
         self.T_world_sensor = np.concatenate([self.T_world_sensor, T_world_sensor[None]])
         self._prior = np.concatenate([self._prior, prior[None]])
@@ -61,22 +58,21 @@ class Keyframes:
             self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
 
     def adjust(self) -> Problem | None:
-        """Find bars, and adjust bars and poses together (`fusion.solver`); None if there are too few bars."""
+        """Find bars, and adjust bars and poses together (`MappedScans.adjusted`); None if there are too few bars."""
         if not len(self.voxels):
             return None
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
-        fitted, _ = mapped.find_and_fit(REFINED, every=1)
-        if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
+        fitted, _ = mapped.find_and_fit(FITS, every=1)
+        if fitted is None or fitted.bars.has_section.sum() < BARS_MIN:
             return None
-        found = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
         stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
         if self.readings:
             imu, noise, mount = self.readings
             inertial = Inertial.started(
                 imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
             )
-        state = problem.start(self.T_world_sensor, self._prior, found, self.tilt_sigma_rad, inertial=inertial)
-        observations = Observations.gathered(mapped.face_points(mapped.around(fitted.bars), state.bars, self._ratio))
-        state, _ = solver.adjusted(state, observations, self._prior, stamp_s, STEPS)
+        state = problem.start(self.T_world_sensor, self._prior, fitted.bars, self.tilt_sigma_rad, inertial)
+        voxels = mapped.around(fitted.bars.segments)
+        state, _ = mapped.adjusted(state, voxels, self._prior, stamp_s, ADJUST_STEPS, self._ratio)
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

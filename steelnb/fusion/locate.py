@@ -1,7 +1,7 @@
 """Registration of one scan to known bars: the problem of `fusion.problem` with one pose, and bars that hardly move.
 
-Gauss-Newton on position and yaw. The predicted pose enters with its information. Roll and pitch are kept from the
-prediction, or estimated too where the prior's have errors.
+Gauss-Newton on position and yaw, and on roll and pitch if those of the prior have errors. The predicted pose is a
+factor with its information.
 """
 
 from typing import NamedTuple
@@ -9,33 +9,34 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion import sections
+from steelnb.fusion import poses, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
-from steelnb.fusion.factors import equations, noise_ratio
-from steelnb.fusion.poses import DRIFT_PERIOD_S, POSE, drift_variance, moved_poses, pose_size, pose_step, tilt_decay
-from steelnb.fusion.problem import BAR, Bars
+from steelnb.fusion.factors import linearised, noise_ratio
+from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
+from steelnb.fusion.problem import BAR_DOF, Bars, Problem
+from steelnb.fusion.proposals import VOXEL_M
 from steelnb.types import Array, IntArray, Scan
 
-VOXEL_M, REACH_M, MARGIN_M = 0.04, 0.15, 0.03
-"""A point belongs to the bar nearest to its voxel, within reach, unless a second bar is nearly as near."""
+MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
+"""Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
 SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
-"""Standard deviations of a bar: of its position, whose error all scans share, of the turn of its section, radians, and
-of its flange. Chosen on the development seeds 11 and 12."""
+"""Standard deviations of a bar: of its position, an error that all scans share; of the rotation of its section,
+radians; and of its flange. Chosen on the development seeds 11 and 12."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
-"""A step below this, radians and metres, ends the search."""
-SHARE_MIN, BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
-"""Minimum share of the points that lie on front faces, number of bars, points a bar, and points a scan; below them a
-registration is refused. Chosen on the development seeds 11 and 12."""
-RATIO = (1.0, 6.0)
+"""A step below this, radians and metres, ends the iteration."""
+SHARE_MIN, MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
+"""Minimum share of the points on front faces, number of bars, points a bar, and points a scan; below them a
+registration is rejected. Chosen on the development seeds 11 and 12."""
+RATIO_BOUNDS = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 
 
 class Fit(NamedTuple):
-    """The registered pose of the sensor; its information ``(D, D)`` about a step from it (`fusion.poses`), D = 4
-    or 6; the number of bars matched, the share of the points on them, and the range noise as a multiple of that in
-    `points.ranges`. ``reason`` says why it is refused, else it is empty."""
+    """A registration: the pose of the sensor; its information ``(D, D)``, D = 4 or 6, about a step from it
+    (`fusion.poses`); the number of matched bars, the share of the points on them, and the range noise as a multiple of
+    that in `points.ranges`. ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array
     information: Array
@@ -48,32 +49,34 @@ class Fit(NamedTuple):
 class Locator:
     """Registers scan after scan to ``bars`` with sections, in the world frame.
 
-    ``variance (D,)`` is that of the pose predicted for the next scan, ``ratio`` the range noise as a multiple of that
-    in `points.ranges`. D is 4, and 6 with a ``tilt_sigma_rad`` of the prior's roll and pitch.
+    ``variance (D,)``: that of the predicted pose of the next scan, D = 4, or 6 if the prior's roll and pitch have a
+    ``tilt_sigma_rad``; ``ratio``: range noise as a multiple of that in `points.ranges`.
     """
 
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
-        self.variance, self._stamp_s = np.zeros(pose_size(tilt_sigma_rad)), stamp_s
-        self._corner = sections.outlines(bars.turn, bars.flange)
-        self._voxels = BarVoxels.around(bars.segments, REACH_M, MARGIN_M, VOXEL_M)
+        self.variance, self._stamp_s = np.zeros(poses.pose_size(tilt_sigma_rad)), stamp_s
+        self._voxels = BarVoxels.around(bars.segments, MATCH_REACH_M, MATCH_MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
-        """Grow the variance by the drift since the last scan."""
-        passed_s = max(stamp_s - self._stamp_s, 0.0) or DRIFT_PERIOD_S
+        """Add the variance of the drift since the last scan."""
+        passed_s = max(stamp_s - self._stamp_s, 0.0) or poses.DRIFT_PERIOD_S
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
-        self.variance[-POSE:] += drift_variance(passed_s)
-        decay = tilt_decay(2.0 * passed_s)
-        self.variance[:-POSE] = decay * self.variance[:-POSE] + (1.0 - decay) * self.tilt_sigma_rad**2
+        self.variance[-UPRIGHT_DOF:] += poses.drift_variance(passed_s)
+        decay = poses.tilt_decay(2.0 * passed_s)  # of a variance
+        self.variance[:-UPRIGHT_DOF] = decay * self.variance[:-UPRIGHT_DOF] + (1.0 - decay) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:
-        """Register ``points (N, 3)``, sensor frame, from a predicted sensor pose. Each step assigns the points to
-        bars anew. ``known (D, D)`` is the information of the prediction, by default from ``variance``."""
+        """Register ``points (N, 3)``, sensor frame, from the predicted pose ``T_start (4, 4)`` of the sensor.
+
+        ``known (D, D)``: information of the prediction, by default from ``variance``. Each step associates the points
+        with bars anew.
+        """
         prior = np.diag(1 / self.variance) if known is None else known
         T, information, residuals, size = T_start, np.eye(4), np.zeros(0), len(prior)
         for _ in range(STEPS_MAX):
-            matrix, vector, residuals = self._equations(points, T, size)
+            matrix, vector, residuals = self._equations(points, T)
             information, error = matrix + prior, pose_step(T_start, T, size)
             rhs = vector - (error / self.variance if known is None else known @ error)
             step = np.asarray(np.linalg.solve(information, rhs), dtype=np.float64)
@@ -82,64 +85,61 @@ class Locator:
                 break
         near, on = self._matched(points, T)
         bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
-        enough = bars >= BARS_MIN and share >= SHARE_MIN
+        enough = bars >= MATCHED_BARS_MIN and share >= SHARE_MIN
         reason = "" if enough else f"too little of the map in sight: {bars} bars, {100 * share:.0f} % of the points"
         return Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
 
     def accept(self, fit: Fit) -> None:
-        """Take over range noise and variance from an accepted registration."""
-        self.ratio = float(np.clip(fit.ratio, *RATIO))
+        """Adopt range noise and variance of an accepted registration."""
+        self.ratio = float(np.clip(fit.ratio, *RATIO_BOUNDS))
         self.variance = np.diag(np.linalg.inv(fit.information))
 
-    def _equations(self, points: Array, T_world_sensor: Array, size: int) -> tuple[Array, Array, Array]:
-        """Normal equations ``(size, size)``, ``(size,)`` of the step of a scan's pose (`fusion.poses`) from its
-        ``points (N, 3)``, sensor frame, and the histogram of their residuals (`fusion.factors.equations`).
+    def _equations(self, points: Array, T_world_sensor: Array) -> tuple[Array, Array, Array]:
+        """Normal equations ``(D, D)``, ``(D,)`` of the pose by ``points (N, 3)``, sensor frame, and the histogram of
+        their residuals.
 
-        The degrees of freedom of each bar are marginalised with their standard deviations, so the points of one bar
-        tell the pose no better than the bar itself is known.
+        The bars are marginalised with their standard deviations. So many points on a bar determine the pose no better
+        than the bar itself is known.
         """
         bar = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
-        points, bar = points[bar >= 0], bar[bar >= 0]
-        observations = Observations.gathered([(0, points, bar)])
-        observed, b = observations.pair_bar, self.bars
-        n, segments = len(observed), b.segments.take(observed)
-        among = Bars(segments, b.across[observed], b.turn[observed], b.flange[observed])
-        own = observations._replace(pair_bar=np.arange(n))
-        found = equations(own, T_world_sensor[None], among, self._corner[observed], self.ratio, size)
-        sigma = np.empty((n, BAR))
+        observations = Observations.gathered([(0, points[bar >= 0], bar[bar >= 0])])
+        bars, n = self.bars.take(observations.pair_bar), len(observations.pair_bar)
+        observations = observations._replace(pair_bar=np.arange(n))
+        pose = Problem(T_world_sensor[None], bars, self.ratio, np.zeros((n, 2)), self.tilt_sigma_rad)
+        equations, size = linearised(pose, observations), len(self.variance)
+        sigma = np.empty((n, BAR_DOF))
         sigma[:, :2] = SIGMA_M
-        sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * segments.length, 0.1)[:, None]
+        sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * bars.segments.length, 0.1)[:, None]
         sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M
-        found.block[:, np.arange(BAR), np.arange(BAR)] += sigma**-2.0
-        beside = np.concatenate([found.cross.transpose(0, 2, 1), found.right[:, :, None]], axis=2)
-        marginal = (found.cross @ np.linalg.solve(found.block, beside)).sum(axis=0)
-        return found.matrix[0] - marginal[:, :size], found.vector[0] - marginal[:, size], found.residuals
+        equations.block[:, np.arange(BAR_DOF), np.arange(BAR_DOF)] += sigma**-2.0
+        beside = np.concatenate([equations.cross.transpose(0, 2, 1), equations.rhs[:, :, None]], axis=2)
+        marginal = (equations.cross @ np.linalg.solve(equations.block, beside)).sum(axis=0)
+        return (
+            equations.matrix[0] - marginal[:, :size], equations.vector[0] - marginal[:, size], equations.residuals,
+        )  # fmt: skip
 
     def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
-        """For each bar, how many of a scan's ``points (N, 3)``, sensor frame, belong to it, and how many of them lie on
-        its front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
+        """For each bar, how many of the ``points (N, 3)``, sensor frame, belong to it, and how many of these lie on its
+        front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
         world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        bar, b = self._voxels.bar_of(world), self.bars
-        distance = _face_sigmas(
-            world, T_world_sensor[:3, 3], bar, b.segments.start, b.segments.direction, b.segments.length, b.across,
-            self._corner, self.ratio,
-        )  # fmt: skip
+        bar, n = self._voxels.bar_of(world), len(self.bars.turn)
+        distance = _face_sigmas(world, T_world_sensor[:3, 3], bar, *self.bars.faces(), self.ratio)
         on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
-        return np.bincount(bar[bar >= 0], minlength=len(b.turn)), np.bincount(bar[on], minlength=len(b.turn))
+        return np.bincount(bar[bar >= 0], minlength=n), np.bincount(bar[on], minlength=n)
 
 
 def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int = 0) -> Array:
-    """Points ``(N, 3)`` of a scan in the sensor frame, within range and not below the floor; about ``count`` of them,
-    evenly picked, or all for 0."""
+    """Points ``(N, 3)`` of a scan in the sensor frame, within range and not below the floor: about ``count`` of them,
+    picked evenly, or all for 0."""
     flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
-    world, _ = world_points(flat, T_world_sensor, range_max_m, floor_m)
-    some = world[:: max(1, len(world) // count)] if count else world
-    return np.asarray((some - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])
+    world = world_points(flat, T_world_sensor, range_max_m, floor_m)[0]
+    picked = world[:: max(1, len(world) // count)] if count else world
+    return np.asarray((picked - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])
 
 
 @njit(cache=True, error_model="numpy")
 def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, ratio):  # type: ignore[no-untyped-def]
-    """Distance ``(N,)`` of points in the world frame from the front faces of their bars in standard deviations of the
+    """Distances ``(N,)`` of points in the world frame from the front faces of their bars, in standard deviations of the
     range noise; NaN for none."""
     result = np.full(len(points), np.nan)
     for i in range(len(points)):
@@ -148,6 +148,6 @@ def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, 
             x, c = points[i] - start[b], sensor - points[i]
             u, v, t = sections.in_frame(direction[b], across[b], x[0], x[1], x[2])
             p, q, w = sections.in_frame(direction[b], across[b], c[0], c[1], c[2])
-            found = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
-            result[i] = found[0] / (ratio * found[1])
+            residual, sigma, _, _, _, _, _, _ = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
+            result[i] = residual / (ratio * sigma)
     return result

@@ -1,44 +1,53 @@
-"""Poses with four or six degrees of freedom, and the model of a drifting prior.
+"""Poses as variables of an adjustment (`fusion.problem`), and the factors of the drifting prior on them.
 
-The step of a pose is a rotation about the world's x, y and z axes through its own position, radians, and then a shift,
-metres: six numbers in the order of a twist. Four degrees of freedom are the last four of them: yaw, x, y, z.
+The step of a pose is a rotation vector in the world frame, radians, about the pose's own position, then a translation,
+metres: six numbers in the order of a twist. With four degrees of freedom it is the last four: yaw, x, y, z.
 
-The prior drifts in position and yaw as a random walk does. Its roll and pitch are exact; or they have errors, a
-first-order Gauss-Markov process, as those of an attitude filter.
+The prior drifts in position and yaw as a random walk. Its roll and pitch are exact; or, with a standard deviation
+``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, as those of an attitude filter.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.types import Array
 
-POSE = 4
-"""Degrees of freedom of a pose whose roll and pitch are the prior's: yaw, x, y, z."""
+UPRIGHT_DOF, POSE_DOF = 4, 6
+"""Degrees of freedom of a pose with the prior's roll and pitch (yaw, x, y, z), and of a free pose."""
 DRIFT_SIGMA = np.array([0.002, 0.01, 0.01, 0.01])
-"""Standard deviation of an increment of the drift of yaw, x, y and z in `DRIFT_PERIOD_S`, radians and metres."""
+"""Standard deviation of the drift of yaw, x, y and z in `DRIFT_PERIOD_S`, radians and metres."""
 DRIFT_PERIOD_S = 0.2
 TILT_S = 10.0
 """Correlation time of the errors of the prior's roll and pitch: that of attitude filters is seconds to a minute."""
 TILT_SIGMA_RAD = 0.0175
-"""Standard deviation of the prior's roll and pitch beside an IMU, 1°, if none is stated: most priors have theirs from a
-filter on its readings."""
+"""Default standard deviation (1°) of the prior's roll and pitch if there is an IMU."""
 FIXED = 1e12
 """Information that holds a pose where it is."""
 
 
+class ChainEquations(NamedTuple):
+    """Normal equations of a chain of K states with D degrees of freedom: information ``matrix (K, D, D)`` and
+    ``vector (K, D)`` of each state, and the block ``beside (K − 1, D, D)`` between each state and the next."""
+
+    matrix: Array
+    beside: Array
+    vector: Array
+
+
 def pose_size(tilt_sigma_rad: float) -> int:
-    """The degrees of freedom of a pose where the prior's roll and pitch have this standard deviation."""
-    return POSE + 2 * (tilt_sigma_rad > 0)
+    """The degrees of freedom of a pose: six if the prior's roll and pitch have a standard deviation, else four."""
+    return POSE_DOF if tilt_sigma_rad > 0 else UPRIGHT_DOF
 
 
 def drift_variance(passed_s: Array | float) -> Array:
-    """Variance ``(…, 4)`` of the drift of yaw, x, y and z in times ``passed_s (…)``: it grows with the time."""
+    """Variance ``(…, 4)`` of the drift of yaw, x, y and z in the times ``passed_s (…)``, proportional to them."""
     return np.asarray(passed_s)[..., None] / DRIFT_PERIOD_S * DRIFT_SIGMA**2
 
 
 def tilt_decay(passed_s: Array | float) -> Array:
-    """The factor ``(…)`` by which an error of the prior's roll or pitch decays in times ``passed_s (…)``; in twice the
-    time, that of its variance."""
+    """The factor ``(…)`` by which errors of the prior's roll and pitch decay in the times ``passed_s (…)``."""
     return np.exp(-np.asarray(passed_s) / TILT_S)
 
 
@@ -51,19 +60,68 @@ def moved_poses(T: Array, step: Array) -> Array:
     return result
 
 
-def pose_step(T_from: Array, T_to: Array, size: int = POSE) -> Array:
-    """The step ``(size,)`` from one pose to another: the inverse of `moved_poses` up to products of its angles."""
+def pose_step(T_from: Array, T_to: Array, size: int = UPRIGHT_DOF) -> Array:
+    """The step ``(size,)`` between two poses: the inverse of `moved_poses` to first order in its angles."""
     rotation = T_to[:3, :3] @ T_from[:3, :3].T
     return np.concatenate([tilt_of(rotation), yaw_of(rotation)[None], T_to[:3, 3] - T_from[:3, 3]])[-size:]
 
 
 def yaw_of(rotation: Array) -> Array:
-    """The angle about z, radians, that is nearest to each rotation ``(…, 3, 3)``."""
+    """The yaw ``(…)``, radians, of the rotation about z nearest to each rotation ``(…, 3, 3)``."""
     first, second = rotation[..., 0, :], rotation[..., 1, :]
     return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
 
 
 def tilt_of(rotation: Array) -> Array:
-    """The turns about x and y, radians, of rotations ``(…, 3, 3)`` that tilt the vertical by a small angle; ``(…, 2)``,
-    whatever their yaw."""
+    """The rotations about x and y ``(…, 2)``, radians, of rotations ``(…, 3, 3)`` with a small tilt and any yaw."""
     return np.stack([rotation[..., 2, 1], -rotation[..., 2, 0]], axis=-1)
+
+
+def chain_equations(
+    state_error: Array, state_weight: Array, error: Array, weight: Array, before: Array, after: Array
+) -> ChainEquations:
+    """Normal equations of factors on single states and between neighbours.
+
+    Of each state, its errors ``(K, D)`` and their information ``(K, D)``. Between each state and the next, the errors
+    ``(K − 1, D)``, their information ``weight (K − 1, D, D)``, and their Jacobians ``(K − 1, D, D)`` by the state
+    ``before`` and ``after``.
+    """
+    matrix, vector = state_weight[:, :, None] * np.eye(state_error.shape[1]), -state_weight * state_error
+    earlier, later = before.transpose(0, 2, 1) @ weight, after.transpose(0, 2, 1) @ weight
+    for at, weighted, jacobian in ((slice(None, -1), earlier, before), (slice(1, None), later, after)):
+        matrix[at] += weighted @ jacobian
+        vector[at] -= (weighted @ error[:, :, None])[:, :, 0]
+    return ChainEquations(matrix, earlier @ after, vector)
+
+
+def prior_equations(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> ChainEquations:
+    """Normal equations of the prior's factors on the poses ``T (K, 4, 4)`` at ``stamp_s (K,)``.
+
+    The increments of position and yaw are those of the ``prior (K, 4, 4)``, in the frame of the earlier pose. Roll and
+    pitch, if free, follow their Gauss-Markov process. The first pose is held at the prior's, its roll and pitch only
+    if the prior is ``upright`` there; otherwise they have ``tilt_sigma_rad``, as all others.
+    """
+    size = pose_size(tilt_sigma_rad)
+    tilt, yaw, shift = slice(0, size - UPRIGHT_DOF), size - UPRIGHT_DOF, slice(size - 3, size)
+    first_error, first_weight = np.zeros((2, len(T), size))
+    first_error[0], first_weight[0] = pose_step(prior[0], T[0], size), FIXED
+    if not upright:
+        first_weight[0, tilt] = tilt_sigma_rad**-2.0
+    gap_s = np.maximum(np.diff(stamp_s), 1e-6)
+    error, weight = np.zeros((2, len(gap_s), size))
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    rotation = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error[:, yaw], error[:, shift] = yaw_of(rotation), np.diff(T[:, :3, 3], axis=0) - expected
+    weight[:, yaw:] = 1.0 / drift_variance(gap_s)
+    after = np.tile(np.eye(size), (len(gap_s), 1, 1))
+    before = -after
+    before[:, yaw + 1, yaw], before[:, yaw + 2, yaw] = expected[:, 1], -expected[:, 0]
+    if tilt_sigma_rad:
+        off, decay = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_decay(gap_s)[:, None]
+        error[:, tilt] = decay * off[:-1] - off[1:]
+        weight[:, tilt] = tilt_sigma_rad**-2.0 / (1.0 - decay**2)
+        before[:, tilt, tilt] = -decay[:, :, None] * np.eye(2)
+    return chain_equations(first_error, first_weight, error, weight[:, :, None] * np.eye(size), before, after)

@@ -1,18 +1,17 @@
-"""The problem of an adjustment: all poses of a flight and all its bars, sections included, as unknowns of one maximum a
-posteriori estimate.
+"""The least-squares problem of an adjustment: all poses of a flight and all its bars, sections included, as unknowns of
+one maximum a posteriori estimate (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
 
-Odometry places each scan against a map that holds the errors of the scans before it. Here poses and bars move at once
-(Triggs et al., "Bundle adjustment: a modern synthesis", 1999). The factors (`fusion.factors`, `fusion.inertial`):
+The factors (`fusion.factors`, `fusion.poses`, `fusion.inertial`):
 
-- the distance of each point to the front face of its bar (`fusion.sections`) along the line of sight, with the range
-  noise as its standard deviation and robust weights;
+- the distance of each point to the front face of its bar along the line of sight, with the range noise as its standard
+  deviation and robust weights;
 - the increments of the drifting prior from scan to scan, in the frame of the earlier pose;
 - the first pose, which is the prior's: drift begins there;
-- the readings of an IMU from scan to scan, where there are any.
+- the readings of an IMU between scans, if there are any.
 
-Free are position and yaw of each pose, and place, direction, turn and flange of each bar. Roll and pitch are the
-prior's; or free, too, where the prior's have a standard deviation: their error is then a first-order Gauss-Markov
-process. With an IMU velocities and biases are free, too. `fusion.solver` takes the steps.
+The unknowns are position and yaw of each pose, and position, direction, rotation and flange of each bar. Roll and pitch
+are unknowns, too, if those of the prior have a standard deviation; with an IMU, so are velocities and biases.
+`fusion.solver` takes the steps.
 """
 
 from dataclasses import dataclass, replace
@@ -21,24 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.fusion import sections
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.poses import moved_poses, pose_size, yaw_of
 from steelnb.types import Array, Segments
 
-BAR = 6
-"""Degrees of freedom of a bar: two of place, two of direction, turn, flange."""
+BAR_DOF = 6
+"""Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
-"""Standard deviations of a bar: of place and direction for one step, for what its points do not tell, such as the place
-of a face seen from one side alone along that face; of turn and flange about those fitted to the outlines, which take no
-part here. Chosen on the development seed 11."""
+"""Prior standard deviations of a bar. Of position and direction for one step: they hold what no point determines, such
+as the position of a single face along itself. Of rotation and flange about those fitted to the outlines, which are no
+factors here. Chosen on the development seed 11."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 
 
 @dataclass(frozen=True)
 class Bars:
-    """B bars with their sections: ``segments`` along their centroids, frames ``across (B, 2, 3)``, ``turn (B,)`` in
-    radians and ``flange (B,)`` in metres as in `fusion.sections`, round tubes among them; a bar with a flange of NaN
-    takes no part."""
+    """B bars with their sections, angles or round tubes (`fusion.sections`): ``segments`` along their centroids, frames
+    ``across (B, 2, 3)``, ``turn (B,)`` in radians and ``flange (B,)`` in metres. A bar whose flange is NaN has no known
+    section, and no factors."""
 
     segments: Segments
     across: Array
@@ -46,22 +46,31 @@ class Bars:
     flange: Array
 
     @property
-    def known(self) -> NDArray[np.bool_]:
-        """Which of them take part ``(B,)``."""
+    def has_section(self) -> NDArray[np.bool_]:
+        """Which bars have a known section ``(B,)``."""
         return np.isfinite(self.flange)
 
+    def faces(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
+        s = self.segments
+        return s.start, s.direction, s.length, self.across, sections.outlines(self.turn, self.flange)
+
+    def take(self, mask: NDArray[np.bool_] | NDArray[np.int64]) -> "Bars":
+        """The bars selected by a mask or an index."""
+        return Bars(self.segments.take(mask), self.across[mask], self.turn[mask], self.flange[mask])
+
     def sectioned(self) -> "Bars":
-        """Those that take part."""
-        known = self.known
-        return Bars(self.segments.take(known), self.across[known], self.turn[known], self.flange[known])
+        """The bars with a known section."""
+        return self.take(self.has_section)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The state of an adjustment: ``T_world_sensor (K, 4, 4)``, the bars, ``sigma_ratio``, by which the range noise of
-    these scans exceeds that of `points.ranges`, the bars' ``fitted (B, 2)`` turns and flanges, and the standard
-    deviation of the prior's roll and pitch, 0 where they are kept.
-    ``inertial`` is None without an IMU.
+    """The state of an adjustment of K scans and B bars.
+
+    ``T_world_sensor (K, 4, 4)``; ``sigma_ratio``: range noise as a multiple of that in `points.ranges`; ``fitted
+    (B, 2)``: rotations and flanges of the bars as fitted to outlines; ``tilt_sigma_rad``: standard deviation of the
+    prior's roll and pitch, 0 if they are fixed; ``inertial``: None without an IMU.
     """
 
     T_world_sensor: Array
@@ -72,11 +81,11 @@ class Problem:
     inertial: Inertial | None = None
 
     def from_fitted(self) -> Array:
-        """How far turns and flanges ``(B, 2)`` are from those fitted to outlines; 0 for bars that take no part."""
+        """Differences ``(B, 2)`` of rotations and flanges from the fitted ones; 0 for bars without a section."""
         return np.nan_to_num(np.column_stack([self.bars.turn, self.bars.flange]) - self.fitted)
 
     def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float) -> "Problem":
-        """After steps ``(K, D)`` of the states, D as in `solver.StateEquations`, and ``(B, 6)`` of the bars."""
+        """After steps ``(K, D)`` of the states, D as in `solver.state_equations`, and ``(B, 6)`` of the bars."""
         pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]
         return replace(
             self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step), bars=_moved_bars(self.bars, bar_step),
@@ -85,32 +94,29 @@ class Problem:
 
 
 def start(
-    T_world_sensor: Array,
-    prior: Array,
-    bars: Bars,
-    tilt_sigma_rad: float = 0.0,
-    inertial: Inertial | None = None,
+    T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None
 ) -> Problem:
-    """The state before the first step: the poses laid on the first one of the ``prior (K, 4, 4)``, and the bars with
-    them, by a turn about z and a shift."""
-    between = prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T
-    turn = np.eye(4)
-    turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, yaw_of(between)]).as_matrix()
-    turn[:3, 3] = prior[0, :3, 3] - turn[:3, :3] @ T_world_sensor[0, :3, 3]
-    segments = bars.segments.transformed(turn)
-    turned = Bars(segments, bars.across @ turn[:3, :3].T, bars.turn, bars.flange)
+    """The state before the first step: poses ``(K, 4, 4)`` and bars moved together, by a yaw and a translation, such
+    that the first pose is that of the ``prior (K, 4, 4)``."""
+    T_correction = np.eye(4)
+    yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
+    T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+    T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
+    moved = Bars(bars.segments.transformed(T_correction), bars.across @ R.T, bars.turn, bars.flange)
     fitted = np.column_stack([bars.turn, bars.flange])
-    inertial = inertial and inertial.turned(turn[:3, :3])
-    return Problem(turn @ T_world_sensor, turned, 1.0, fitted, tilt_sigma_rad, inertial)
+    inertial = inertial and inertial.rotated(R)
+    return Problem(T_correction @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:
     old, half_length = bars.segments, 0.5 * bars.segments.length[:, None]
-    place, tilt = step[:, :2], step[:, 2:4]
-    ends = [each + np.einsum("bk,bkx->bx", place + s * half_length * tilt, bars.across) for s, each in
-            ((-1, old.start), (1, old.end))]  # fmt: skip
-    new = Segments(ends[0], ends[1], old.count, old.radius)
-    first = bars.across[:, 0] - (bars.across[:, 0] * new.direction).sum(axis=1)[:, None] * new.direction
+    position, direction = step[:, :2], step[:, 2:4]
+    start, end = (
+        at + np.einsum("bk,bkx->bx", position + s * half_length * direction, bars.across)
+        for s, at in ((-1, old.start), (1, old.end))
+    )
+    segments = replace(old, start=start, end=end)
+    first = bars.across[:, 0] - (bars.across[:, 0] * segments.direction).sum(axis=1)[:, None] * segments.direction
     first /= np.linalg.norm(first, axis=1)[:, None]
-    across = np.stack([first, np.cross(new.direction, first)], axis=1)
-    return Bars(new, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))
+    across = np.stack([first, np.cross(segments.direction, first)], axis=1)
+    return Bars(segments, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))

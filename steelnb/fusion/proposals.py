@@ -3,66 +3,155 @@
 import math
 
 import numpy as np
+from numba import njit
 
 from steelnb.fusion.joints import REACH_M
-from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.types import Segments
+from steelnb.types import Array, IntArray, Segments
 
 TUBE_M, VOXEL_M = 0.06, 0.04
 """Radius of the tube about a bar that holds its points, and edge of the voxels that accumulate the scans. These and the
-other lengths and shares of reconstruction were chosen together on simulated flights of the preset ``starling2`` with
-the development seeds 11 and 12, ``zigzag`` and ``loops``, over the tower ``tapered`` and one with wider legs (flanges
-of 160 mm)."""
+other lengths and shares of reconstruction were chosen together on flights of the preset ``starling2`` with the
+development seeds 11 and 12, ``zigzag`` and ``loops``, around the tower ``tapered`` and one with flanges of 160 mm."""
 RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
-"""A voxel stays if its weight is at least this share of the largest within the radius, and contracts to the mean within
-the last."""
+"""See `ridge_points`."""
 LENGTH_MIN_M = 0.3
-"""Shortest bar."""
+"""Minimum length of a bar."""
 STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
-"""Struts, short bars between two others, have a tube, a least length and a contraction of their own, and lie further
-than ``STRUT_HIDE_M`` from all bars."""
+"""The same for struts, short bars between two others, and their minimum distance from all bars."""
 GRIDS = 4
-"""Grids of blocks in which bars are proposed. On flights eight find no more."""
+"""Number of grids of blocks in which bars are proposed. On flights eight find no more."""
+IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
+"""Maximum angle of two pieces of one bar, and maximum gap between them."""
+COPY_RAD, COPY_M, COPY_SHARE = math.radians(15), 0.2, 0.6
+"""Maximum angle and distance of a copy from a stronger bar, and minimum share of its samples within this distance."""
+SAMPLES = 9
+"""Number of samples along a bar."""
 
 
 def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
-    """Bars of a voxel map, their axes in the middle of their points, strongest first; or none, and the reason.
+    """The bars of a voxel map, strongest first, with their axes in the middle of their points; or none, and the reason.
 
-    ``grids``: grids of blocks, 1 to 8 (`segment_structure`). ``rise_m``: bars that rise by more across a stronger one
-    are no copies of it (`fusion.merging`).
+    ``grids``: number of grids of blocks, 1 to 8 (`segment_structure`); ``rise_m``: see `merge_pieces`.
     """
     points = voxel_grid(ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M), TUBE_M / math.sqrt(3))
     if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    lines = segment_structure(points, TUBE_M, MIN_VOTES, LENGTH_MIN_M / TUBE_M, grids)
-    bars = merge_pieces(lines, GAP_MAX_M, COPY_M, TUBE_M, rise_m=rise_m)
+    bars = merge_pieces(segment_structure(points, TUBE_M, MIN_VOTES, LENGTH_MIN_M / TUBE_M, grids), rise_m=rise_m)
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
-    more = find_struts(voxels, bars, STRUT_HIDE_M, grids)
-    return merge_pieces(Segments.joined((bars, more)), GAP_MAX_M, COPY_M, TUBE_M, rise_m=rise_m), ""
+    struts = find_struts(voxels, bars, STRUT_HIDE_M, grids)
+    return merge_pieces(Segments.joined((bars, struts)), rise_m=rise_m), ""
 
 
 def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
-    """Short bars between the ``bars`` of a voxel map.
+    """The short bars between the ``bars`` of a voxel map.
 
-    A short bar between long ones is weak beside them, and its ends lie within their tubes: it is found in what they
-    leave, the voxels further than ``hide_m`` from all of them.
+    They are weak beside long bars, and their ends lie within the tubes of these. So they are searched for in the voxels
+    farther than ``hide_m`` from all bars.
     """
     hidden = within(voxels.means(), bars, hide_m)
-    left = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
-    left = voxel_grid(left, STRUT_TUBE_M / math.sqrt(3))
-    if len(left) < MIN_VOTES:
+    points = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
+    points = voxel_grid(points, STRUT_TUBE_M / math.sqrt(3))
+    if len(points) < MIN_VOTES:
         return Segments.empty()
-    more = segment_structure(left, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    return more.take(_between_bars(more, bars, REACH_M, TUBE_M))
+    struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
+    # Both ends, extended by up to the reach of a joint, come near to a bar.
+    extension = np.arange(0, REACH_M + 1e-9, 0.03)[:, None, None] * struts.direction
+    extended = np.stack([struts.start - extension, struts.end + extension])
+    near = within(extended.reshape(-1, 3), bars, TUBE_M).reshape(extended.shape[:3])
+    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
 
 
-def _between_bars(some: Segments, bars: Segments, lead_m: float, aside_m: float) -> np.ndarray:
-    """Mask of the segments that come within ``aside_m`` of a bar at both ends, extended by up to ``lead_m``."""
-    step = np.arange(0, lead_m + 1e-9, 0.03)[:, None, None]
-    led = np.stack([some.start - step * some.direction, some.end + step * some.direction])
-    near = within(led.reshape(-1, 3), bars, aside_m).reshape(led.shape[:3])
-    return np.asarray(near.any(axis=1).all(axis=0))
+def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = math.inf) -> Segments:
+    """Join the pieces of bars, drop copies of stronger bars, and sort by strength.
+
+    Pieces are in line, at most `PIECE_GAP_MAX_M` apart, and at most `TUBE_M` beside each other. A joined bar has the
+    moments of its pieces, each taken as a uniform bar of its points. They add exactly, in any order.
+
+    A copy is another line through the points of a stronger bar. It lies mostly within `COPY_M` of that, at a small
+    angle, and rises across it by at most ``rise_m`` metres over its length. The rise tells a copy from a brace at an
+    acute angle to its chord: a line through points spread evenly over a tube rises by at most the radius of the tube, a
+    brace of 1 m at 12° by 0.2 m. By default it has no bound, and such braces are copies.
+
+    ``width_m (B,)``: the widths of the bars, NaN if unknown. They widen the bounds, since points of an angle section
+    lie up to 0.8 flanges from its centroid, and the middles of its faces half a flange apart.
+    """
+    width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
+    while len(bars):
+        order = np.argsort(-bars.count, kind="stable")
+        bars, width = bars.take(order), width[order]
+        copy, aside, rise = (np.maximum(m, share * width) for m, share in ((COPY_M, 0.8), (TUBE_M, 0.5), (rise_m, 0.8)))
+        fate = _fates(bars.start, bars.direction, bars.length, copy, aside, rise)
+        remains = fate == np.arange(len(bars))
+        if remains.all():
+            break
+        bars, width = _joined(bars, fate), width[remains]
+    return bars
+
+
+def _joined(bars: Segments, fate: IntArray) -> Segments:
+    """The remaining bars, joined with the pieces whose ``fate`` they are."""
+    remaining = np.flatnonzero(fate == np.arange(len(bars)))
+    joined = bars.take(remaining)
+    for k, bar in enumerate(remaining):
+        pieces = bars.take(np.flatnonzero(fate == bar))
+        if len(pieces) == 1:
+            continue
+        weight = pieces.count / pieces.count.sum()
+        mean = weight @ pieces.middle
+        offset, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
+        covariance = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, offset, offset)
+        value, vector = np.linalg.eigh(covariance)
+        axis = vector[:, 2]
+        along = (np.concatenate([pieces.start, pieces.end]) - mean) @ axis
+        joined.start[k], joined.end[k] = mean + along.min() * axis, mean + along.max() * axis
+        joined.count[k] = pieces.count.sum()
+        joined.radius[k] = math.sqrt(max(value[0] + value[1], 0.0) + float(weight @ pieces.radius**2))
+    return joined
+
+
+@njit(cache=True)
+def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-untyped-def]
+    """The stronger bar that each bar joins, itself for none, or −1 for a copy. At most one join a bar and round."""
+    n = len(length)
+    fate = np.arange(n)
+    taken = np.zeros(n, np.bool_)
+    for j in range(1, n):
+        for i in range(j):
+            if fate[i] != i:
+                continue
+            square = 0.0
+            for k in range(3):  # scalars, since few of all pairs pass
+                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+                square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + PIECE_GAP_MAX_M + copy[i]:
+                continue
+            cosine = abs((direction[i] * direction[j]).sum())
+            if cosine < math.cos(COPY_RAD):
+                continue
+            near, low, high = 0, 1e9, -1e9
+            for k in range(SAMPLES):
+                r = start[j] + (k + 0.5) / SAMPLES * length[j] * direction[j] - start[i]
+                t = (r * direction[i]).sum()
+                low, high = min(low, t), max(high, t)
+                distance = math.sqrt(max((r * r).sum() - t * t, 0.0))
+                if distance <= copy[i] and -copy[i] <= t <= length[i] + copy[i]:
+                    near += 1
+            across = length[j] * math.sqrt(max(1.0 - cosine * cosine, 0.0))
+            if near >= COPY_SHARE * SAMPLES and across <= rise[i]:
+                fate[j] = -1
+                break
+            if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j] or max(low - length[i], -high) > PIECE_GAP_MAX_M:
+                continue
+            # Their distance is that in the middle of the gap or of the overlap.
+            t = 0.5 * (min(max(low, 0.0), length[i]) + min(max(high, 0.0), length[i]))
+            r = start[i] + t * direction[i] - start[j]
+            s = (r * direction[j]).sum()
+            if math.sqrt(max((r * r).sum() - s * s, 0.0)) <= aside[i]:
+                fate[j] = i
+                taken[i] = taken[j] = True
+                break
+    return fate

@@ -8,33 +8,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.errors import InputError
-from steelnb.fusion import problem, sections, solver
+from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
+from steelnb.fusion.factors import PointEquations, linearised
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
-from steelnb.fusion.merging import COPY_M, GAP_MAX_M, merge_pieces
 from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.problem import Bars
-from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts
+from steelnb.fusion.problem import Bars, Problem
+from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
 from steelnb.fusion.round_fit import fit_rounds
 from steelnb.fusion.section_fit import fit_sections
+from steelnb.fusion.solver import improve
 from steelnb.fusion.structure import Structure
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
 from steelnb.types import Array, IntArray, Scan, Segments
 
 END_TUBES = 1.2
-"""Points within this many tubes of the ends of a bar are left out of the fit of its section."""
+"""Points within this many tube radii of the ends of a bar take no part in the fit of its section."""
 TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
-"""A bar whose direction has a standard deviation above the first is not turned by the fit of its section, and runs from
-joint to joint in the end; above the second it is left out. Chosen on the development seed 11."""
+"""A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
+the end runs from joint to joint; above the second it is dropped. Chosen on the development seed 11."""
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
+"""Number of steps of an adjustment, chosen on the development seed 11; and one in so many pixels takes part in that of
+`reconstruct`."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
-"""A point belongs to the bar that its voxel is nearest to, within reach; not where a second one is hardly farther."""
+"""Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
-"""How far from the front face of its bar a point of an adjustment may lie, in standard deviations of the range noise,
-and at most. On the development seeds 11 and 12 errors are alike from 2 to 3 of them with ``starling2``; with the
-report's sensor a larger bound leaves too few points of the first scan, which says where the whole stands. With a range
-noise below `RATIO_MIN` times that of `points.ranges` it is the poses and sections that are off, not the points."""
+"""Maximum distance of a point of an adjustment from the front face of its bar, in standard deviations of the range
+noise and in tube radii; and minimum noise ratio, below which poses and sections are wrong, not points. On the
+development seeds 11 and 12, with ``starling2``, 2 to 3 standard deviations give similar errors. With the report's
+sensor a larger bound leaves too few points of the first scan, which holds the world frame."""
 
 
 def reconstruct(
@@ -45,93 +48,96 @@ def reconstruct(
 ) -> Structure:
     """Bars and joints of a structure from all scans of a flight and their smoothed or corrected poses.
 
-    Two passes: the bars that stand out, and the shorter ones that show between them once their sections are fitted.
+    There are two passes: the bars that stand out, then the shorter ones between them, which show once their sections
+    are fitted. The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or
+    circles (`fusion.round_fit`). A bar with too few points for its section or direction is dropped.
 
     Parameters
     ----------
-    scans: K scans, points in the sensor frame, NaN for no return; read several times, one in memory at a time.
-    T_world_drone: ``(K, 4, 4)``, the corrected poses.
-    T_drone_sensor: ``(4, 4)``, the sensor's mount; by default the drone frame itself.
-    settings: see `StructureSettings`.
+    scans : K scans, points in the sensor frame, NaN for no return; read several times, one in memory at a time.
+    T_world_drone : ``(K, 4, 4)``, the corrected poses.
+    T_drone_sensor : ``(4, 4)``, the mount of the sensor, default identity.
+    settings : see `StructureSettings`. With ``adjust``, poses and bars are adjusted together first (`fusion.problem`).
+        Smoothing does this better.
 
-    The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or circles
-    (`fusion.round_fit`); a bar with too few points to tell its section and its direction is left out. With ``adjust``,
-    poses and bars are adjusted together first (`fusion.problem`), as smoothing does better. Returns a `Structure` in
-    the world frame, metres; an empty one has the reason. Raises `InputError` for poses that do not fit the scans or are
-    not finite, and for scans without any return above the floor.
+    Returns
+    -------
+    `Structure` in the world frame, metres. An empty one has the reason.
+
+    Raises `InputError` if the poses do not fit the scans or are not finite, or if no scan has a return above the floor.
     """
     settings = settings or StructureSettings()
-    T_world_sensor = sensor_poses(T_world_drone, T_drone_sensor, len(scans))
+    T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
+    if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
+        raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
+    T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
     if settings.adjust:
         flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
         if fitted is not None:
-            T_world_sensor = flight.adjusted(fitted)
+            prior, stamp_s = T_world_sensor, DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
+            state, voxels = problem.start(prior, prior, fitted.bars), flight.around(fitted.bars.segments)
+            state, _ = flight.adjusted(state, voxels, prior, stamp_s, ADJUST_STEPS, pixels=ADJUST_PIXELS)
+            T_world_sensor = state.T_world_sensor
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
-    bars, reason = find_bars(flight.voxels, rise_m=TUBE_M)
-    if not len(bars):
+    segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
+    if not len(segments):
         return Structure.empty(reason)
-    bars = flight.refine_closely(bars)
-    # Short bars that the first axes hid, through the middles of their points, show between those of fitted sections.
-    more = find_struts(flight.voxels, bars, TUBE_M)
-    bars = flight.refine_closely(merged(Segments.joined((bars, more))))
-    fitted = flight.fit(trim_bends(bars), every=1)
-    fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # not NaN: too few points to tell a section
-    if not len(fitted.bars):
+    segments = flight.refine_closely(segments)
+    # Axes through the middles of points hide short bars that axes through centroids do not.
+    struts = find_struts(flight.voxels, segments, TUBE_M)
+    segments = flight.refine_closely(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M))
+    fitted = flight.fit(trim_bends(segments), every=1)
+    fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # false for NaN, too few points for a section
+    if not len(fitted.tilt):
         return Structure.empty("no bar was seen well enough to tell its direction")
     structure = _tied(fitted)
     return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_DETERMINED_RAD))
-
-
-def sensor_poses(T_world_drone: Array, T_drone_sensor: Array | None, count: int) -> Array:
-    """Poses of the sensor ``(K, 4, 4)`` from those of the drone and the mount of the sensor, None for the drone frame.
-
-    Raises `InputError` for poses of the drone that are not ``count`` or not finite.
-    """
-    T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
-    if T_world_drone.shape != (count, 4, 4) or not np.isfinite(T_world_drone).all():
-        raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({count}, 4, 4), all finite")
-    return T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
 
 
 def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1) -> VoxelMap:
     """One in ``every`` scans at the poses ``(K, 4, 4)`` of the sensor, accumulated in voxels with weights 1/range².
 
     Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, in half the voxels.
-    Raises `InputError` where no return is left above the floor.
+    Raises `InputError` if there is no return above the floor.
     """
     voxels = VoxelMap(VOXEL_M)
     for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
-        image = scan.points
-        points = _flat(smooth_ranges(image))
-        voxels.insert(*world_points(points, T_world_sensor[k], settings.range_max_m, settings.floor_m))
+        insert_scan(voxels, scan, T_world_sensor[k], settings)
     if not len(voxels):
         raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
     return voxels
 
 
+def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: StructureSettings) -> None:
+    """Add the points of a scan, with smoothed ranges, to the voxels."""
+    points, weight, _ = world_points(
+        _flat(smooth_ranges(scan.points)), T_world_sensor, settings.range_max_m, settings.floor_m
+    )
+    voxels.insert(points, weight)
+
+
 @dataclass(frozen=True)
 class FittedBars:
-    """B bars with their fitted sections: frames ``across (B, 2, 3)``, ``width`` of the flange, ``turn``, standard
-    deviations ``sigma`` of the axis and ``tilt`` of its direction, ``sightings``; width and tilt NaN for too few
-    points. A round tube has its diameter for a width, and a turn of NaN."""
+    """B bars with their fitted sections.
 
-    bars: Segments
-    across: Array
-    width: Array
-    turn: Array
+    Standard deviations ``sigma (B,)`` of the position of the axis across, metres, and ``tilt (B,)`` of its direction,
+    radians; ``sightings (B,)``: number of scans that observed the bar. A bar with too few points has a flange and tilt
+    of NaN.
+    """
+
+    bars: Bars
     sigma: Array
     tilt: Array
     sightings: IntArray
 
     def take(self, mask: NDArray[np.bool_]) -> "FittedBars":
-        return FittedBars(
-            self.bars.take(mask), *(column[mask] for name, column in vars(self).items() if name != "bars")
-        )
+        """The bars selected by a mask."""
+        return FittedBars(self.bars.take(mask), self.sigma[mask], self.tilt[mask], self.sightings[mask])
 
 
 @dataclass(frozen=True)
 class MappedScans:
-    """The scans, and the poses of the sensor at which they were accumulated in the voxels."""
+    """K scans, the poses ``T_world_sensor (K, 4, 4)`` of the sensor, and the voxels in which they were accumulated."""
 
     scans: Sequence[Scan]
     T_world_sensor: Array
@@ -139,7 +145,7 @@ class MappedScans:
     settings: StructureSettings
 
     def around(self, bars: Segments) -> BarVoxels:
-        """The voxels around bars, in which their points are looked up."""
+        """The voxels around bars."""
         return BarVoxels.around(bars, REACH_TUBES * TUBE_M, MARGIN_TUBES * TUBE_M, self.voxels.voxel_m)
 
     def bar_points(self, voxels: BarVoxels, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
@@ -147,39 +153,43 @@ class MappedScans:
         the sensor frame, and their bars."""
         s = self.settings
         for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
-            some = _flat(scan.points)[k % pixels :: pixels]
-            yield k, *voxels.points_on_bars(some, self.T_world_sensor[k], s.range_max_m, s.floor_m)
+            points = _flat(scan.points)[k % pixels :: pixels]
+            yield k, *voxels.points_on_bars(points, self.T_world_sensor[k], s.range_max_m, s.floor_m)
 
     def face_points(
         self, voxels: BarVoxels, bars: Bars, sigma_ratio: float | None, pixels: int = 1
     ) -> Iterator[tuple[int, Array, IntArray]]:
-        """As `bar_points` of all scans, only those within `FACE_SIGMAS` standard deviations of the front faces of bars,
-        whose choice does not depend on their noise (`fusion.bar_voxels`). The range noise is ``sigma_ratio`` times that
-        of `points.ranges`; with None it is unknown, and all points are taken."""
+        """As `bar_points` of all scans, only those within `FACE_SIGMAS` of the front faces (`BarVoxels.on_face`).
+
+        ``sigma_ratio``: range noise as a multiple of that in `points.ranges`; if it is None, all points are taken.
+        """
         if sigma_ratio is None:
             yield from self.bar_points(voxels, 1, pixels)
             return
-        corner, sigmas = sections.outlines(bars.turn, bars.flange), FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
-        most_m = FACE_MAX_TUBES * TUBE_M
+        sigmas, most_m = FACE_SIGMAS * max(sigma_ratio, RATIO_MIN), FACE_MAX_TUBES * TUBE_M
         for k, points, bar in self.bar_points(voxels, 1, pixels):
-            T = self.T_world_sensor[k]
-            on_face = voxels.on_face(points, bar, T, bars.segments, bars.across, corner, sigmas, most_m)
+            on_face = voxels.on_face(points, bar, self.T_world_sensor[k], bars, sigmas, most_m)
             yield k, points[on_face], bar[on_face]
 
-    def adjusted(self, fitted: "FittedBars") -> Array:
-        """The poses after `ADJUST_STEPS` of them and the bars together (`fusion.problem`), by one in `ADJUST_PIXELS` of
-        the points. The poses themselves stand for the prior's increments, and the first one stays."""
-        T, stamp_s = self.T_world_sensor, DRIFT_PERIOD_S * np.arange(len(self.scans), dtype=np.float64)
-        state = problem.start(T, T, Bars(fitted.bars, fitted.across, fitted.turn, fitted.width))
-        observations = Observations.gathered(self.bar_points(self.around(fitted.bars), 1, ADJUST_PIXELS))
-        return solver.adjusted(state, observations, T, stamp_s, ADJUST_STEPS)[0].T_world_sensor
+    def adjusted(
+        self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
+        sigma_ratio: float | None = None, pixels: int = 1,
+    ) -> tuple[Problem, PointEquations]:  # fmt: skip
+        """The state after a number of ``steps`` with the same `face_points`, and the equations of the last one;
+        ``prior`` and ``stamp_s`` as for `solver.improve`."""
+        observations = Observations.gathered(self.face_points(voxels, state.bars, sigma_ratio, pixels))
+        for _ in range(steps):
+            equations = linearised(state, observations)
+            state = improve(state, equations, prior, stamp_s)
+        return state, equations
 
-    def fit(self, bars: Segments, every: int, pixels: int = 1) -> FittedBars:
-        """Fit sections, angles or circles, to the points of each bar; the axes of the bars move to their centroids."""
+    def fit(self, bars: Segments, every: int) -> FittedBars:
+        """Fit sections, angles or circles, to the points on each bar in one in ``every`` scans. The axes move to the
+        centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
-        for k, points, bar in self.bar_points(self.around(bars), every, pixels):
-            sightings += np.bincount(bar, minlength=n) >= 10 // pixels
+        for k, points, bar in self.bar_points(self.around(bars), every, 1):
+            sightings += np.bincount(bar, minlength=n) >= 10
             sections.accumulate(
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
@@ -191,61 +201,51 @@ class MappedScans:
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        return FittedBars(Segments(start, end, bars.count, bars.radius), across, flange, turn, sigma, tilt, sightings)
-
-    def refine(self, bars: Segments, every: int = 5) -> tuple[FittedBars, Segments]:
-        """Fit bars cut at bends to one in ``every`` scans; and those bars tied at joints, their pieces and copies
-        merged."""
-        fitted = self.fit(trim_bends(bars), every)
-        return fitted, merge_pieces(_tied(fitted).segments, GAP_MAX_M, COPY_M, TUBE_M, fitted.width)
-
-    def refine_closely(self, bars: Segments) -> Segments:
-        """As `refine` for the last passes: a fit that does not tell the direction of a bar does not turn it, and braces
-        at an acute angle to their chord are no copies of it (`merged`)."""
-        bars = trim_bends(bars)
-        fitted = self.fit(bars, every=5)
-        is_determined = (fitted.tilt <= TILT_DETERMINED_RAD)[:, None]
-        start = np.where(is_determined, fitted.bars.start, bars.start)
-        end = np.where(is_determined, fitted.bars.end, bars.end)
-        fitted = replace(fitted, bars=Segments(start, end, bars.count, bars.radius))
-        return merged(_tied(fitted).segments, fitted.width)
+        return FittedBars(Bars(replace(bars, start=start, end=end), across, turn, flange), sigma, tilt, sightings)
 
     def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
-        """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason."""
-        bars, reason = find_bars(self.voxels, grids=1)
+        """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason.
+
+        Bars extended to their joints have more points, so a second fit is more exact.
+        """
+        segments, reason = find_bars(self.voxels, grids=1)
         fitted = None
-        for _ in range(fits if len(bars) else 0):
-            # Bars extended to their joints have more points, so a second fit is more exact.
-            fitted, bars = self.refine(bars, every)
-        return fitted if len(bars) else None, reason
+        for _ in range(fits if len(segments) else 0):
+            fitted = self.fit(trim_bends(segments), every)
+            segments = merge_pieces(_tied(fitted).segments, fitted.bars.flange)
+        return fitted if len(segments) else None, reason
+
+    def refine_closely(self, segments: Segments) -> Segments:
+        """The bars after a fit as in `find_and_fit`, except that weakly determined bars keep their direction, and that
+        braces at an acute angle to their chord are no copies of it (`merge_pieces`)."""
+        segments = trim_bends(segments)
+        fitted = self.fit(segments, every=5)
+        is_determined, found = (fitted.tilt <= TILT_DETERMINED_RAD)[:, None], fitted.bars.segments
+        start = np.where(is_determined, found.start, segments.start)
+        end = np.where(is_determined, found.end, segments.end)
+        fitted = replace(fitted, bars=replace(fitted.bars, segments=replace(segments, start=start, end=end)))
+        return merge_pieces(_tied(fitted).segments, fitted.bars.flange, TUBE_M)
 
 
 def map_and_fit(
-    scans: Sequence[Scan],
-    T_world_sensor: Array,
-    settings: StructureSettings,
-    fits: int = 2,
+    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, fits: int = 2
 ) -> tuple[MappedScans, FittedBars | None, str]:
-    """A quick reconstruction, enough to know the sections of most bars: one in three scans at the poses ``(K, 4, 4)``
-    of the sensor mapped, and the bars fitted, ``fits`` times; or None, and the reason. Raises `InputError` as
-    `map_scans`."""
+    """A quick reconstruction that determines the sections of most bars: one in three scans mapped at the poses ``(K, 4,
+    4)`` of the sensor, and the bars of `MappedScans.find_and_fit`. Raises `InputError` as `map_scans`."""
     flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
     return flight, *flight.find_and_fit(fits)
 
 
-def merged(bars: Segments, width_m: Array | None = None) -> Segments:
-    """Pieces and copies merged; a bar that rises by more than a tube across a stronger one is no copy of it."""
-    return merge_pieces(bars, GAP_MAX_M, COPY_M, TUBE_M, width_m, TUBE_M)
-
-
 def _tied(fitted: FittedBars) -> Structure:
-    width = np.where(np.isfinite(fitted.width), fitted.width, 2 * fitted.bars.radius)
-    joint, tie, bars = find_joints(fitted.bars, width)
-    angle = fitted.turn + math.pi / 4  # the flanges are alike, so their bisector tells the turn of a section
-    opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], fitted.across)
-    tube = np.isfinite(fitted.width) & np.isnan(fitted.turn)
+    """The structure of fitted bars, extended to their joints."""
+    bars = fitted.bars
+    width = np.where(bars.has_section, bars.flange, 2 * bars.segments.radius)
+    joint, tie, segments = find_joints(bars.segments, width)
+    angle = bars.turn + math.pi / 4  # of the bisector of the flanges
+    opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], bars.across)
+    tube = bars.has_section & np.isnan(bars.turn)
     return Structure(
-        bars, fitted.width, fitted.sightings, fitted.sigma, joint, tie, opening=opening,
+        segments, bars.flange, fitted.sightings, fitted.sigma, joint, tie, opening=opening,
         tube=tube if tube.any() else None,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Ridges of the weight of a voxel map: voxels along bars, without the range noise around them."""
+"""Ridges of the weight of a voxel map: the voxels along bars, without the range noise around them."""
 
 import math
 
@@ -12,38 +12,38 @@ from steelnb.types import Array, IntArray
 
 
 def ridge_points(
-    voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float, leave: NDArray[np.bool_] | None = None
+    voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float, hidden: NDArray[np.bool_] | None = None
 ) -> Array:
     """Points on ridges ``(R, 3)``, metres, in the frame of the map.
 
-    A voxel stays if it has at least ``share_min`` of the largest weight within ``radius_m``: range noise spreads the
-    points of a bar along the rays, into voxels of little weight. Those that stay move once to the weighted mean of all
-    that stay within ``contract_m``. Voxels to ``leave`` out ``(V,)`` have no weight.
+    Range noise spreads the points of a bar along the rays, into voxels of little weight. So a voxel stays if it has at
+    least ``share_min`` of the largest weight within ``radius_m``. The means of these voxels move once to the weighted
+    mean of those within ``contract_m``. The voxels in ``hidden (V,)`` have no weight.
     """
     grid = voxels.grid()
     mean, weight = voxels.means(), voxels.weights()
-    if leave is not None:
-        weight[leave] = 0.0
+    if hidden is not None:
+        weight[hidden] = 0.0
     index = np.floor(mean / grid.voxel_m).astype(np.int64)
     centre = pack(index[:, 0], index[:, 1], index[:, 2])
     order = np.argsort(centre, kind="stable")
     used = np.flatnonzero(grid.key != EMPTY)
     used = used[np.argsort(grid.key[used], kind="stable")]
-    name, slot = grid.key[used], grid.slot[used]
+    key, slot = grid.key[used], grid.slot[used]
     stay = np.zeros(len(weight), dtype=bool)
     columns = _columns(_offsets(radius_m, grid.voxel_m))
-    stay[order] = _ridge(centre[order], weight[order], name, weight[slot], *columns[:2], share_min)
-    kept = np.where(stay, weight, 0.0)
+    stay[order] = _ridge(centre[order], weight[order], key, weight[slot], *columns[:2], share_min)
+    remaining = np.where(stay, weight, 0.0)
     columns = _columns(_offsets(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m))
     contracted = mean.copy()
     contracted[order] = _contract(
-        centre[order], mean[order], kept[order], name, mean[slot], kept[slot], *columns, contract_m
+        centre[order], mean[order], remaining[order], key, mean[slot], remaining[slot], *columns, contract_m
     )  # fmt: skip
     return np.asarray(contracted[stay])
 
 
 def _offsets(radius_m: float, voxel_m: float) -> IntArray:
-    """Steps ``(K, 3)`` to the voxels whose middles lie within a radius, nearest first."""
+    """Offsets ``(K, 3)`` of the voxels whose centres lie within a radius, in voxels, nearest first."""
     reach = int(radius_m / voxel_m)
     steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = np.linalg.norm(steps, axis=1)
@@ -52,33 +52,33 @@ def _offsets(radius_m: float, voxel_m: float) -> IntArray:
 
 
 def _columns(steps: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Steps sorted by column along z, in which the names (`pack`) of voxels follow each other.
+    """Offsets ``(K, 3)`` grouped by columns along z, in which the keys (`pack`) of voxels are consecutive.
 
-    Of each of C columns, nearest first: the name of its middle less that of the centre ``(C,)``, its half-height in
-    voxels ``(C,)``, and the place of each of its voxels in ``steps`` ``(C, 2 · height + 1)``.
+    For each of C columns, nearest first: key of its middle relative to the centre ``(C,)``, its half-height in voxels
+    ``(C,)``, and the indices of its voxels in ``steps`` ``(C, 2 · height + 1)``.
     """
     level = steps[steps[:, 2] == 0]
     height = np.array([steps[(steps[:, :2] == at[:2]).all(axis=1), 2].max() for at in level])
-    place = {tuple(step): k for k, step in enumerate(steps.tolist())}
+    index_of = {tuple(step): k for k, step in enumerate(steps.tolist())}
     rank = np.zeros((len(level), 2 * int(height.max()) + 1), dtype=np.int64)
     for c, (i, j, _) in enumerate(level.tolist()):
         for k in range(-int(height[c]), int(height[c]) + 1):
-            rank[c, k + height[c]] = place[i, j, k]
+            rank[c, k + height[c]] = index_of[i, j, k]
     return pack(level[:, 0], level[:, 1], level[:, 2]) - pack(0, 0, 0), height, rank
 
 
 @njit(cache=True)
-def _onward(name, p, low):  # type: ignore[no-untyped-def]
-    """The first place from ``p`` on with a name not below ``low``."""
-    while p < len(name) and name[p] < low:
+def _onward(key, p, low):  # type: ignore[no-untyped-def]
+    """The first index from ``p`` on whose key is not below ``low``."""
+    while p < len(key) and key[p] < low:
         p += 1
     return p
 
 
 @njit(cache=True, nogil=True)
-def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
-    """Mask of the centres that stay. Centres and voxels are both sorted by name, so the columns move on with the
-    centres: no voxel is searched for, and memory is read in order."""
+def _ridge(centre, weight, key, heavy, column, height, share_min):  # type: ignore[no-untyped-def]
+    """Mask of the centres that stay. Centres and voxels are both sorted by key, so the columns advance with the
+    centres, and memory is read in order."""
     stay = weight > 0.0
     at = np.zeros(len(column), np.int64)
     for n in range(len(centre)):
@@ -87,8 +87,8 @@ def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ign
         bound = weight[n] / share_min
         for c in range(len(column)):
             low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
-            p = at[c] = _onward(name, at[c], low)
-            while p < len(name) and name[p] <= high:
+            p = at[c] = _onward(key, at[c], low)
+            while p < len(key) and key[p] <= high:
                 if heavy[p] > bound:
                     stay[n] = False
                     break
@@ -99,22 +99,22 @@ def _ridge(centre, weight, name, heavy, column, height, share_min):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def _contract(centre, mean, kept, name, others, weight, column, height, rank, radius):  # type: ignore[no-untyped-def]
+def _contract(centre, mean, remaining, key, others, weight, column, height, rank, radius):  # type: ignore[no-untyped-def]
     contracted = mean.copy()
     at = np.zeros(len(column), np.int64)
     found = np.empty(rank.max() + 1, np.int64)
     for n in range(len(centre)):
-        if kept[n] == 0.0:
+        if remaining[n] == 0.0:
             continue
         found[:] = -1
         for c in range(len(column)):
             low, high = centre[n] + column[c] - height[c], centre[n] + column[c] + height[c]
-            p = at[c] = _onward(name, at[c], low)
-            while p < len(name) and name[p] <= high:
-                found[rank[c, name[p] - low]] = p
+            p = at[c] = _onward(key, at[c], low)
+            while p < len(key) and key[p] <= high:
+                found[rank[c, key[p] - low]] = p
                 p += 1
         total = x = y = z = 0.0
-        for k in range(len(found)):  # nearest first, so that the sum does not depend on the voxels' names
+        for k in range(len(found)):  # nearest first, so that the sum does not depend on the keys
             p = found[k]
             if p < 0 or weight[p] == 0.0:
                 continue

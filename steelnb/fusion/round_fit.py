@@ -1,10 +1,9 @@
 """Round tubes: least-squares fit of a circle to the points of a bar, and the choice between it and an angle section.
 
-The near face of a circle of radius r lies at the depth √(r² − y²) at a place y beside its axis. So depths alone tell
-its radius and its axis, from one side as well as from all. The two flanges of an angle section, which needs the edges
-of its outline, too (`fusion.section_fit`), may follow an arc. So the two are compared by depths alone, to which the
-angle section is fitted anew, free of the edges; and where both explain them about as well, the bar is taken for an
-angle section.
+The near face of a circle of radius r lies at the depth √(r² − y²) at the position y beside its axis. So depths alone
+determine radius and axis, from one side as well as from all. An angle section is fitted to depths and to the edges of
+its outline (`fusion.section_fit`). Its two flanges may follow an arc, too. So the two are compared by depths alone, to
+which the angle section is fitted anew. If both explain them about as well, the bar is an angle section.
 """
 
 import math
@@ -12,53 +11,51 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.section_fit import fit_section, profiles, robust, section_step
+from steelnb.fusion.section_fit import add_residual, damped_step, fit_section, profiles, robust, section_step
 from steelnb.fusion.sections import cells_of, merged_cells, outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
-"""Where the search starts."""
-RADIUS_MIN_M, RADIUS_MAX_M, WIDEST_M = 0.005, 0.15, 0.12
-"""Bounds of the search, and the largest radius of a tube: nearly flat faces are arcs of 14 cm and more, and one of them
-was taken for a tube on the development seed 13."""
+"""Initial radii of the search."""
+RADIUS_MIN_M, RADIUS_MAX_M, TUBE_MAX_M = 0.005, 0.15, 0.12
+"""Bounds of the search, and maximum radius of a tube: nearly flat faces are arcs of 14 cm and more."""
 COST_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
-"""A bar is round if a circle leaves at most this share of the squared depths that the best angle section leaves, and is
-likelier by so much: half the number of cells times the logarithm of that share, as normal residuals of unknown variance
-have it. In 7000 fits to angle sections with the development seeds 11 and 12, both sensors and flights, with true and
-with corrected poses, the least share beyond 100 cells was 0.86, and the largest likelihood 15."""
-SEARCH_STEPS, STEPS = 10, 6
-PLACE = 5
-"""Unknowns: two of place, two of slope, and the radius."""
+"""A bar is round if a circle leaves at most this share of the squared depths that the best angle section leaves, and if
+its log-likelihood is larger by this much: half the number of cells times the logarithm of the share, as for normal
+residuals of unknown variance. In 7000 fits to angle sections (development seeds 11 and 12, both sensors and flights,
+true and corrected poses) the least share beyond 100 cells was 0.86, and the largest log-likelihood 15."""
+SEARCH_STEPS, CIRCLE_STEPS = 10, 6
+CIRCLE_DOF = 5
+"""Degrees of freedom: position (2), slope (2), radius."""
 
 
 @njit(cache=True, nogil=True)
 def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
-    """Put the circle in place of the `Sections` that were ``fitted`` to the bars of a histogram ``(B, PARTS, VIEWS,
-    CELLS, 4)`` where their points are those of a round tube; ``length (B,)`` metres. Its diameter stands for the
-    flange, and its turn is NaN.
+    """Replace the `Sections` that were ``fitted`` to the bars of a histogram ``(B, PARTS, VIEWS, CELLS, 4)`` by circles
+    if their points are those of round tubes; ``length (B,)`` metres. The flange is then the diameter, the turn NaN.
 
-    The bars of one structure resemble each other, and a thin bar seen from one side tells little. So where some bar is
-    clearly round, the likelihoods of all bars together say what the others are, unless one of them clearly differs.
+    The bars of one structure resemble each other, and a thin bar seen from one side has little information. So if some
+    bar is clearly round, the likelihoods of all bars together decide on the others, unless one of them clearly differs.
     """
     face, side = profiles()
     n = len(length)
-    place, normal, cost = np.empty((n, PLACE)), np.empty((n, PLACE, PLACE + 1)), np.empty(n)  # of the circles
+    state, normal, cost = np.empty((n, CIRCLE_DOF)), np.empty((n, CIRCLE_DOF, CIRCLE_DOF + 1)), np.empty(n)
     unclear, pooled = np.zeros(n, np.bool_), 0.0
     for b in range(n):
         if np.isnan(fitted.flange[b]):
             continue
         cells = cells_of(histogram[b], length[b])
-        cost[b] = fit_circle(cells, merged_cells(histogram[b]), place[b], normal[b])
-        if place[b, 4] > WIDEST_M:
+        cost[b] = fit_circle(cells, merged_cells(histogram[b]), state[b], normal[b])
+        if state[b, 4] > TUBE_MAX_M:
             continue
         unclear[b] = True
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
         if not cost[b] <= bound * _angle_cost(cells, fitted, b):
-            continue  # most bars, whose sections need not be fitted again
+            continue  # true of most bars, and saves a fit
         least = _least_angle_cost(histogram[b], cells, face, side)
         if cost[b] <= bound * least:
             unclear[b] = False
             pooled += 0.5 * len(cells) * math.log(least / cost[b])
-            _make_round(fitted, b, cells, cost[b], place[b], normal[b])
+            _make_round(fitted, b, cells, cost[b], state[b], normal[b])
     if pooled == 0.0:
         return
     likelihood = np.zeros(n)
@@ -68,20 +65,18 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
             least = _least_angle_cost(histogram[b], cells, face, side)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
             pooled += likelihood[b]
-    if pooled <= 0.0:
-        return
     for b in range(n):
-        if unclear[b] and likelihood[b] > -LIKELIHOOD_MIN:
-            _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], place[b], normal[b])
+        if pooled > 0.0 and unclear[b] and likelihood[b] > -LIKELIHOOD_MIN:
+            _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], state[b], normal[b])
 
 
 @njit(cache=True)
 def _angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
-    """Cost of the depths alone at the section that was fitted to depths and edges."""
-    corner, place = np.empty((6, 2)), np.empty(4)
+    """Cost of the depths at the section of bar b, which was fitted to depths and edges."""
+    corner, state = np.empty((6, 2)), np.empty(4)
     outline(fitted.turn[b], fitted.flange[b], corner)
-    place[:2], place[2:] = fitted.centre[b], fitted.slope[b]
-    return section_step(cells, np.empty((0, 6)), corner, place, np.empty((4, 5)))
+    state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
+    return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
 
 
 @njit(cache=True)
@@ -91,54 +86,53 @@ def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
-def _make_round(fitted, b, cells, cost, place, normal):  # type: ignore[no-untyped-def]
-    """Put a circle at ``place (5,)`` in place of the section of bar b."""
+def _make_round(fitted, b, cells, cost, state, normal):  # type: ignore[no-untyped-def]
+    """Replace the section of bar b by a circle at ``state (5,)``."""
     total = cells[:, 2].sum()
-    inverse = np.linalg.inv(normal[:, :PLACE] + 1e-6 * total * np.eye(PLACE)) * cost / len(cells)
-    fitted.centre[b], fitted.slope[b] = place[:2], place[2:4]
-    fitted.flange[b], fitted.turn[b] = 2.0 * place[4], np.nan
+    inverse = np.linalg.inv(normal[:, :CIRCLE_DOF] + 1e-6 * total * np.eye(CIRCLE_DOF)) * cost / len(cells)
+    fitted.centre[b], fitted.slope[b] = state[:2], state[2:4]
+    fitted.flange[b], fitted.turn[b] = 2.0 * state[4], np.nan
     fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
     fitted.tilt[b] = math.sqrt(inverse[2, 2] + inverse[3, 3])
 
 
 @njit(cache=True)
-def fit_circle(cells, merged, place, normal):  # type: ignore[no-untyped-def]
-    """Fit a circle to the `cells_of` a bar from those of its whole length at once; fills ``place (5,)`` (u, v, their
-    slopes, radius) and the normal equations ``(5, 6)`` there. The cost."""
-    total, low, start = cells[:, 2].sum(), np.inf, np.zeros(PLACE)
+def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
+    """Fit a circle to the `cells_of` a bar, after a search with its `merged_cells`; returns the cost.
+
+    Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` there.
+    """
+    total, low, start = cells[:, 2].sum(), np.inf, np.zeros(CIRCLE_DOF)
     u = (merged[:, 0] * merged[:, 2]).sum() / merged[:, 2].sum()
     v = (merged[:, 1] * merged[:, 2]).sum() / merged[:, 2].sum()
     for k in range(len(RADII_M)):
-        place[0], place[1], place[2], place[3], place[4] = u, v, 0.0, 0.0, RADII_M[k]
-        for _ in range(SEARCH_STEPS):
-            circle_step(merged, place, normal)
-            _move(place, normal, total)
-        cost = circle_step(merged, place, normal)
+        state[0], state[1], state[2], state[3], state[4] = u, v, 0.0, 0.0, RADII_M[k]
+        cost = _settle_circle(merged, state, normal, total, SEARCH_STEPS)
         if cost < low:
             low = cost
-            start[:] = place
-    place[:] = start
-    for _ in range(STEPS):
-        circle_step(cells, place, normal)
-        _move(place, normal, total)
-    return circle_step(cells, place, normal)
+            start[:] = state
+    state[:] = start
+    return _settle_circle(cells, state, normal, total, CIRCLE_STEPS)
 
 
 @njit(cache=True)
-def _move(place, normal, total):  # type: ignore[no-untyped-def]
-    step = np.linalg.solve(normal[:, :PLACE] + 1e-3 * total * np.eye(PLACE), normal[:, PLACE].copy())
-    place += np.minimum(np.maximum(step, -0.03), 0.03)
-    place[4] = min(max(place[4], RADIUS_MIN_M), RADIUS_MAX_M)
+def _settle_circle(cells, state, normal, total, steps):  # type: ignore[no-untyped-def]
+    """Gauss-Newton from ``state``, changed in place; the cost there."""
+    for _ in range(steps):
+        circle_step(cells, state, normal)
+        damped_step(state, normal, total)
+        state[4] = min(max(state[4], RADIUS_MIN_M), RADIUS_MAX_M)
+    return circle_step(cells, state, normal)
 
 
 @njit(cache=True)
-def circle_step(cells, place, normal):  # type: ignore[no-untyped-def]
-    """Cost of a circle at ``place``; fills the normal equations ``(5, 6)``."""
+def circle_step(cells, state, normal):  # type: ignore[no-untyped-def]
+    """Cost of a circle at ``state (5,)``; fills the normal equations ``(5, 6)``."""
     normal[:, :] = 0.0
-    cost, radius, jacobian = 0.0, place[4], np.empty(PLACE)
+    cost, radius, jacobian = 0.0, state[4], np.empty(CIRCLE_DOF)
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
-        u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
+        u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, weight = -sine * u + cosine * v, cells[k, 2]
         if abs(beside) < 0.999 * radius:
             front = math.sqrt(radius * radius - beside * beside)
@@ -152,8 +146,5 @@ def circle_step(cells, place, normal):  # type: ignore[no-untyped-def]
         loss, weight = robust(residual, weight)
         cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3], jacobian[4] = ju, jv, ju * along, jv * along, jr
-        for i in range(PLACE):
-            for j in range(PLACE):
-                normal[i, j] += weight * jacobian[i] * jacobian[j]
-            normal[i, PLACE] -= weight * jacobian[i] * residual
+        add_residual(normal, jacobian, residual, weight)
     return cost

@@ -1,8 +1,8 @@
-"""Least-squares fit of an equal-leg angle section to the points of a bar: flange, turn, place and tilt of its axis.
+"""Least-squares fit of an equal-leg angle section to the points of a bar: flange, rotation, position and slope of its
+axis, the line through the centroids of its sections.
 
-The width of the outline and the depth of the near faces are fitted at once, to the histograms of `fusion.sections`; the
-thickness is 1/12 of the flange, about that of rolled angles. The axis of a bar is the line through the centroids of its
-sections. A grid search over flanges and turns first, with the faces from a table; then Gauss-Newton.
+The width of the outline and the depth of the near faces are fitted together, to the histograms of `fusion.sections`. A
+grid search over flanges and rotations, with the faces from a table, is followed by Gauss-Newton.
 """
 
 import math
@@ -11,27 +11,29 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.sections import VIEWS, cells_of, edges_of, front_face, merged_cells, nearest_edge, outline
+from steelnb.fusion import sections
+from steelnb.fusion.sections import VIEWS, cells_of, front_face, merged_cells, outline
 from steelnb.types import Array
 
-TURNS = VIEWS  # so that a turned section looks like another one from the next direction
+TURNS = VIEWS
+"""Number of rotations in the search. A section rotated by one of them looks the same from the next direction."""
 PROFILE = 128
-"""Cells of a section's face, as the search sees it: half a millimetre and less."""
+"""Number of cells of a face in the table of the search: half a millimetre and less."""
 FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2])
-ROBUST_M = 0.03
+DEPTH_SCALE_M = 0.03
 OUTLINE_WEIGHT = 0.5
-"""Weight of an edge of the outline against all depths from its direction. As `ROBUST_M` and `TELL_APART_M` chosen on
-simulated ``starling2`` flights with the development seeds 11 and 12 (`fusion.proposals.TUBE_M`)."""
+"""Weight of an edge of the outline against all depths from its direction. `DEPTH_SCALE_M`, this and `TELL_APART_M` were
+chosen with `fusion.proposals.TUBE_M`."""
 TELL_APART_M = 0.003
-"""Fits whose root mean square residuals differ by much less than this are equally likely and are averaged."""
+"""Fits whose root mean square residuals differ by much less are equally likely, and averaged."""
 
 
 class Sections(NamedTuple):
     """Angle sections fitted to B bars, NaN for a bar with too few points.
 
-    ``centre (B, 2)`` of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)`` metres per
-    metre; ``flange (B,)`` metres; ``turn (B,)`` radians; ``spread (B,)`` and ``tilt (B,)``: standard deviations of the
-    place of the axis, metres, and of its direction, radians.
+    ``centre (B, 2)``: position of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)``,
+    metres per metre; ``flange (B,)``, metres; ``turn (B,)``, radians; ``spread (B,)`` and ``tilt (B,)``: standard
+    deviations of the position of the axis, metres, and of its direction, radians.
     """
 
     centre: Array
@@ -50,7 +52,7 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     flange, spread, tilt = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
     face, side = profiles()
     for b in range(n):
-        cells, rows = cells_of(histogram[b], length[b]), edges_of(histogram[b])
+        cells, rows = cells_of(histogram[b], length[b]), sections.edges_of(histogram[b])
         if len(cells) >= 8 and len(rows) >= 1:
             flange[b], turn[b], spread[b], tilt[b], _ = fit_section(
                 cells, merged_cells(histogram[b]), rows, face, side, centre[b], slope[b]
@@ -60,15 +62,14 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def profiles():  # type: ignore[no-untyped-def]
-    """Near face of a section of flange 1 from each direction ``(VIEWS, PROFILE, 2)``: `front_face` beside its centroid,
-    depth and slope; and how far it reaches to either side ``(VIEWS, 2)``. Other flanges and turns are the same in
-    another scale and from another direction, as turns and directions are both whole steps."""
+    """Table of the near face of a section with flange 1 from each direction: depth and slope of `front_face` across its
+    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. Other flanges are the same in another scale, and
+    other rotations from another direction."""
     corner = np.empty((6, 2))
     outline(0.0, 1.0, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
     for view in range(VIEWS):
-        angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
-        cosine, sine = math.cos(angle), math.sin(angle)
+        cosine, sine = sections.direction_of(view)
         beside = -sine * corner[:, 0] + cosine * corner[:, 1]
         side[view, 0], side[view, 1] = beside.min(), beside.max()
         for k in range(PROFILE):
@@ -79,15 +80,15 @@ def profiles():  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def robust(residual, weight):  # type: ignore[no-untyped-def]
-    """Cost and weight of a residual under Geman-McClure with the scale `ROBUST_M`."""
-    square, bound = residual * residual, ROBUST_M * ROBUST_M
+    """Cost and weight of a residual under Geman-McClure with the scale `DEPTH_SCALE_M`."""
+    square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
     return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
 
 
 @njit(cache=True)
-def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton for the place ``(2,)`` of a section with one of `FLANGES_M` and a whole number of turns, changed in
-    place; the cost before the last step. The step of `_settle`, with faces from a table and no slope."""
+def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # type: ignore[no-untyped-def]
+    """`_settle` without slopes, for a flange of `FLANGES_M` and a whole number of rotations: with faces from the table
+    `profiles`, and scalars."""
     cost = 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
@@ -95,7 +96,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         for k in range(len(cells)):
             cosine, sine = cells[k, 3], cells[k, 4]
             view = (int(cells[k, 6]) - turn) % VIEWS
-            u, v = cells[k, 0] - place[0], cells[k, 1] - place[1]
+            u, v = cells[k, 0] - state[0], cells[k, 1] - state[1]
             beside, depth = -sine * u + cosine * v, cosine * u + sine * v
             low, high = flange * side[view, 0], flange * side[view, 1]
             weight = cells[k, 2]
@@ -117,7 +118,7 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         for k in range(len(rows)):
             cosine, sine = rows[k, 2], rows[k, 3]
             view = (int(rows[k, 5]) - turn) % VIEWS
-            middle = -sine * place[0] + cosine * place[1]
+            middle = -sine * state[0] + cosine * state[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
                 loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
@@ -130,20 +131,20 @@ def _place(cells, rows, face, side, flange, turn, place, steps):  # type: ignore
         uu += 1e-3 * total
         vv += 1e-3 * total
         determinant = uu * vv - uv * uv
-        place[0] += min(max((vv * ru - uv * rv) / determinant, -0.03), 0.03)
-        place[1] += min(max((uu * rv - uv * ru) / determinant, -0.03), 0.03)
+        state[0] += min(max((vv * ru - uv * rv) / determinant, -0.03), 0.03)
+        state[1] += min(max((uu * rv - uv * ru) / determinant, -0.03), 0.03)
     return cost
 
 
 @njit(cache=True)
-def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped-def]
-    """Cost of a section at ``place`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
+def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped-def]
+    """Cost of a section at ``state (4,)`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
     normal[:, :] = 0.0
     cost = 0.0
     jacobian = np.zeros(4)
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
-        u, v = cells[k, 0] - place[0] - along * place[2], cells[k, 1] - place[1] - along * place[3]
+        u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, depth = -sine * u + cosine * v, cosine * u + sine * v
         front, rise = front_face(corner, cosine, sine, beside)
         weight = cells[k, 2]
@@ -152,81 +153,92 @@ def section_step(cells, rows, corner, place, normal):  # type: ignore[no-untyped
             ju, jv = -cosine - rise * sine, -sine + rise * cosine
             weight /= 1.0 + rise * rise
         else:  # beside the section
-            residual = beside - nearest_edge(corner, cosine, sine, beside)
+            residual = beside - sections.nearest_edge(corner, cosine, sine, beside)
             ju, jv = sine, -cosine
         loss, weight = robust(residual, weight)
         cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
-        _add(normal, jacobian, residual, weight)
+        add_residual(normal, jacobian, residual, weight)
     for k in range(len(rows)):
         cosine, sine = rows[k, 2], rows[k, 3]
         low, high = 1e9, -1e9
         for i in range(6):
-            beside = -sine * (corner[i, 0] + place[0]) + cosine * (corner[i, 1] + place[1])
+            beside = -sine * (corner[i, 0] + state[0]) + cosine * (corner[i, 1] + state[1])
             low, high = min(low, beside), max(high, beside)
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = sine, -cosine, 0.0, 0.0
         for side in range(2):
             residual = rows[k, side] - (low if side == 0 else high)
             loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
             cost += loss
-            _add(normal, jacobian, residual, weight)
+            add_residual(normal, jacobian, residual, weight)
     return cost
 
 
 @njit(cache=True)
-def _add(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
-    for i in range(4):
-        for j in range(4):
+def add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
+    """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``."""
+    size = len(jacobian)
+    for i in range(size):
+        for j in range(size):
             normal[i, j] += weight * jacobian[i] * jacobian[j]
-        normal[i, 4] -= weight * jacobian[i] * residual
+        normal[i, size] -= weight * jacobian[i] * residual
 
 
 @njit(cache=True)
-def _settle(cells, rows, corner, place, normal, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton from ``place``, changed in place; the cost before the last step."""
-    cost = 0.0
-    total = cells[:, 2].sum()
+def damped_step(state, normal, total):  # type: ignore[no-untyped-def]
+    """Levenberg-Marquardt step of ``state (D,)``, in place, by normal equations ``(D, D + 1)``, at most 3 cm or 0.03
+    each; ``total``: weight of all points."""
+    size = len(state)
+    step = np.linalg.solve(normal[:, :size] + 1e-3 * total * np.eye(size), normal[:, size].copy())
+    state += np.minimum(np.maximum(step, -0.03), 0.03)
+
+
+@njit(cache=True)
+def _settle(cells, rows, corner, state, normal, steps):  # type: ignore[no-untyped-def]
+    """Gauss-Newton from ``state (4,)``, changed in place; the cost before the last step."""
+    cost, total = 0.0, cells[:, 2].sum()
     for _ in range(steps):
-        cost = section_step(cells, rows, corner, place, normal)
-        move = np.linalg.solve(normal[:, :4] + 1e-3 * total * np.eye(4), normal[:, 4].copy())
-        place += np.minimum(np.maximum(move, -0.03), 0.03)
+        cost = section_step(cells, rows, corner, state, normal)
+        damped_step(state, normal, total)
     return cost
 
 
 @njit(cache=True)
 def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
-    """Fit a section to the `cells_of` a bar, to those of its whole length at once, and to its `edges_of` the outline,
-    with the tables `profiles`; fills ``centre (2,)`` and ``slope (2,)``. Flange, turn, spread, tilt (`Sections`), and
-    the least cost."""
+    """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search with its `merged_cells` and the
+    tables `profiles`.
+
+    Returns flange, turn, spread and tilt (`Sections`), and the least cost; fills ``centre (2,)`` and ``slope (2,)``.
+    """
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
     mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
     mean_v = (cells[:, 1] * cells[:, 2]).sum() / cells[:, 2].sum()
     tried = np.empty((TURNS * len(FLANGES_M), 5))
-    place = np.zeros(4)
+    state = np.zeros(4)
     for n in range(len(tried)):
         f, k = n // TURNS, n % TURNS
-        place[0], place[1] = mean_u, mean_v
-        cost = _place(merged, rows, face, side, FLANGES_M[f], k, place, 4)
+        state[0], state[1] = mean_u, mean_v
+        cost = _settle_by_table(merged, rows, face, side, FLANGES_M[f], k, state, 4)
         tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
-        tried[n, 3:] = place[:2]
+        tried[n, 3:] = state[:2]
     best = np.argmin(tried[:, 0])
-    low, b, turn = np.inf, tried[best, 1], tried[best, 2]
-    place[:2] = tried[best, 3:]
-    kept = place.copy()
-    for size in (0.12, 0.06, 0.03):  # share of the flange, and of a turn by 60°
-        b0, turn0 = b, turn
+    low, flange, turn = np.inf, tried[best, 1], tried[best, 2]
+    state[:2] = tried[best, 3:]
+    settled = state.copy()
+    for size in (0.12, 0.06, 0.03):  # relative to the flange, and radians
+        flange0, turn0 = flange, turn
         for i in range(-1, 2):
             for j in range(-1, 2):
-                if i == j == 0 and low < np.inf:  # was the best of the round before
+                if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
-                outline(turn0 + j * size, b0 * (1.0 + i * size), corner)
-                place[:] = kept
-                cost = _settle(cells, rows, corner, place, normal, 2 if low < np.inf else 4)
+                outline(turn0 + j * size, flange0 * (1.0 + i * size), corner)
+                state[:] = settled
+                cost = _settle(cells, rows, corner, state, normal, 2 if low < np.inf else 4)
                 if cost < low:
-                    low, b, turn = cost, b0 * (1.0 + i * size), turn0 + j * size
-                    kept[:] = place
-    # Fits that explain the points as well say the same, or not: their mean and spread.
+                    low, flange, turn = cost, flange0 * (1.0 + i * size), turn0 + j * size
+                    settled[:] = state
+    # Mean and spread of all fits of the search, weighted by likelihood.
     weight = u = v = uu = 0.0
     lowest = tried[:, 0].min()
     for k in range(len(tried)):
@@ -237,11 +249,11 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
         uu += w * (tried[k, 3] ** 2 + tried[k, 4] ** 2)
     u, v = u / weight, v / weight
     variance = max(uu / weight - u * u - v * v, 0.0)
-    centre[0], centre[1] = kept[0] + u - tried[best, 3], kept[1] + v - tried[best, 4]
-    slope[0], slope[1] = kept[2], kept[3]
-    # The covariance of the tilt, from the residuals as they are.
-    outline(turn, b, corner)
-    cost = section_step(cells, rows, corner, kept, normal)
+    centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
+    slope[0], slope[1] = settled[2], settled[3]
+    # Standard deviation of the direction, from the actual residuals.
+    outline(turn, flange, corner)
+    cost = section_step(cells, rows, corner, settled, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
-    return b, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low
+    return flange, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low

@@ -1,12 +1,12 @@
 """Angle sections and round tubes: their outlines, and histograms of the points of a bar by viewing direction.
 
 A Time-of-Flight sensor measures the near face of a bar. The offset from there to the axis depends on the section and
-its turn about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction the points spread as
-wide as the outline of the section, and their mean depth follows its near faces. Range noise acts along the line of
-sight only, so it blurs the depth, which is averaged, and not the outline.
+its rotation about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction, the points
+spread as wide as the outline, and their mean depth follows the near faces. Range noise acts along the line of sight
+only, so it blurs the depth, which is averaged, but not the width.
 
-A round tube is a section whose turn is NaN, and whose diameter stands for the flange. Its outline is its radius in
-place of the first corner, and NaN for the others.
+The frame of a bar has two axes u and v across it and one along it (`frames`). A round tube is a section whose turn is
+NaN and whose flange is its diameter. Its outline has its radius in place of the first corner, and NaN for the others.
 """
 
 import math
@@ -18,18 +18,19 @@ from steelnb.points.ranges import range_sigma_m
 from steelnb.types import Array
 
 VIEWS, CELLS, PARTS = 24, 32, 6
-"""Bins: directions of 15°, 1 cm beside the line of sight, and pieces along a bar."""
+"""Number of bins: directions of 15°, cells of 1 cm beside the line of sight, and parts along a bar."""
 CELL_M = 0.01
 THICKNESS = 1 / 12
+"""Thickness of an angle section as a share of its flange, about that of rolled angles."""
 
 
 def empty_histogram(bars: int) -> Array:
-    """For each bar, piece, direction and cell: number, weight, and weighted sums of the two coordinates across."""
+    """For each bar, part, direction and cell: number of points, weight, and weighted sums of u and v."""
     return np.zeros((bars, PARTS, VIEWS, CELLS, 4))
 
 
 def frames(direction: Array) -> Array:
-    """Two unit vectors ``(B, 2, 3)`` across each direction ``(B, 3)``, right-handed with it."""
+    """Two unit vectors ``(B, 2, 3)`` across each direction ``(B, 3)``, which form a right-handed frame with it."""
     helper = np.where(np.abs(direction[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, direction)
     first /= np.linalg.norm(first, axis=1)[:, None]
@@ -38,7 +39,8 @@ def frames(direction: Array) -> Array:
 
 @njit(cache=True)
 def in_frame(direction, across, x, y, z):  # type: ignore[no-untyped-def]
-    """Components of a vector in the world frame across a bar (two) and along it."""
+    """Components of a vector in the world frame across a bar (two) and along it, by the unit vectors ``across (2, 3)``
+    and ``direction (3,)``."""
     e1, e2 = across[0], across[1]
     return (
         x * e1[0] + y * e1[1] + z * e1[2],
@@ -49,8 +51,8 @@ def in_frame(direction, across, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def sighting(T, point, start):  # type: ignore[no-untyped-def]
-    """Of a ``point (3,)`` in the frame of a sensor at ``T (4, 4)``: the vector to it from the ``start (3,)`` of a bar,
-    and the vector from it to the sensor, both in the world frame."""
+    """The vector from the ``start (3,)`` of a bar to a ``point (3,)`` in the frame of a sensor at ``T (4, 4)``, and the
+    vector from the point to the sensor, both in the world frame."""
     cx = -(T[0, 0] * point[0] + T[0, 1] * point[1] + T[0, 2] * point[2])
     cy = -(T[1, 0] * point[0] + T[1, 1] * point[1] + T[1, 2] * point[2])
     cz = -(T[2, 0] * point[0] + T[2, 1] * point[1] + T[2, 2] * point[2])
@@ -59,9 +61,8 @@ def sighting(T, point, start):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def accumulate(points, T, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
-    """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``. Points
-    within ``margin`` metres of the ends of a bar, where others join it, are left out, but at most a third of the bar at
-    either end."""
+    """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``, without
+    those within ``margin`` metres of the ends of a bar, where others join it, but at most a third at either end."""
     for i in range(len(points)):
         b = bar[i]
         x, y, z, cx, cy, cz = sighting(T, points[i], start[b])
@@ -80,9 +81,8 @@ def accumulate(points, T, bar, start, direction, length, across, margin, histogr
             continue
         view = int((math.atan2(q, p) + math.pi) * VIEWS / (2.0 * math.pi)) % VIEWS
         part = min(PARTS - 1, int(PARTS * t / length[b]))
-        # Range noise grows with the distance, and acts on the depth by its share across the bar.
         h = histogram[b, part, view, cell]
-        w = 1.0 / square
+        w = 1.0 / square  # range noise grows with the distance
         h[0] += 1.0
         h[1] += w
         h[2] += w * u
@@ -90,19 +90,27 @@ def accumulate(points, T, bar, start, direction, length, across, margin, histogr
 
 
 @njit(cache=True)
+def direction_of(view):  # type: ignore[no-untyped-def]
+    """Cosine and sine of the middle of a viewing direction."""
+    angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
+    return math.cos(angle), math.sin(angle)
+
+
+@njit(cache=True)
 def cells_of(histogram, length):  # type: ignore[no-untyped-def]
-    """Non-empty cells of a bar: u, v, weight, cosine and sine of the view, position along from the middle, view."""
+    """Non-empty cells of a bar ``(C, 7)``: u, v, weight, cosine and sine of the direction, position along from the
+    middle, number of the direction."""
     parts = len(histogram)
     found = np.empty((parts * VIEWS * CELLS, 7))
     n = 0
     for part in range(parts):
         for view in range(VIEWS):
-            angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
+            cosine, sine = direction_of(view)
             for cell in range(CELLS):
                 h = histogram[part, view, cell]
                 if h[0] >= 3.0:
                     found[n, 0], found[n, 1], found[n, 2] = h[2] / h[1], h[3] / h[1], h[1]
-                    found[n, 3], found[n, 4] = math.cos(angle), math.sin(angle)
+                    found[n, 3], found[n, 4] = cosine, sine
                     found[n, 5] = ((part + 0.5) / parts - 0.5) * length
                     found[n, 6] = view
                     n += 1
@@ -111,15 +119,16 @@ def cells_of(histogram, length):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def merged_cells(histogram):  # type: ignore[no-untyped-def]
-    """The `cells_of` a bar with its pieces merged: fewer, and enough to search with."""
+    """The `cells_of` a bar with its parts merged: fewer, and enough to search with."""
     return cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0)
 
 
 @njit(cache=True)
 def edges_of(histogram):  # type: ignore[no-untyped-def]
-    """For each view with enough points: low and high edge of the outline, cosine, sine, weight, view.
+    """Edges of the outline ``(R, 6)`` from each direction with enough points: low and high edge, cosine and sine of the
+    direction, weight, number of the direction.
 
-    An edge is where the points fall to half of what they are inside: there, blur moves as many out as in.
+    An edge is where the number of points falls to half of that inside: there, blur moves as many out as in.
     """
     found = np.empty((VIEWS, 6))
     n = 0
@@ -128,7 +137,7 @@ def edges_of(histogram):  # type: ignore[no-untyped-def]
         total = count.sum()
         if total < 60.0:
             continue
-        # The level inside: the mean over points, which weighs full cells most; over a uniform strip it is its level.
+        # Half the mean over points, which weighs full cells most; for a uniform strip it is half of its level.
         half = 0.5 * (count * count).sum() / total
         middle = int((count * np.arange(CELLS)).sum() / total + 0.5)
         if count[middle] < half:
@@ -145,15 +154,15 @@ def edges_of(histogram):  # type: ignore[no-untyped-def]
                 found[n, side] = edge * CELL_M - CELLS * CELL_M / 2
         if not inside:
             continue
-        angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
-        found[n, 2], found[n, 3], found[n, 4], found[n, 5] = math.cos(angle), math.sin(angle), weight, view
+        found[n, 2], found[n, 3] = direction_of(view)
+        found[n, 4], found[n, 5] = weight, view
         n += 1
     return found[:n]
 
 
 @njit(cache=True)
 def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
-    """Corners ``(6, 2)`` of an angle section about its centroid, or the outline of a round tube."""
+    """Write the outline of a section about its centroid to ``corner (6, 2)``, metres."""
     if turn != turn:
         corner[:] = np.nan
         corner[0, 0] = 0.5 * flange
@@ -170,8 +179,8 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """Height of the outline towards the viewer, metres from its centroid, at a place ``beside`` it, and its slope;
-    −1e9 outside of the outline. Corners go round counterclockwise, so an edge that faces the viewer runs upwards."""
+    """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it, and its slope;
+    −1e9 outside of the outline. The corners are counterclockwise, so an edge that faces the viewer runs upwards."""
     if corner[5, 0] != corner[5, 0]:
         square = corner[0, 0] ** 2 - beside * beside
         if square <= 0.0:
@@ -191,12 +200,12 @@ def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-def]
-    """Depth of a point behind the front face of a bar along the line of sight across the bar, metres; NaN where the
-    point lies beyond an end or beside the outline, or where the bar or its face is seen at a grazing angle.
+    """Residual of a point: its distance from the front face of a bar along the line of sight across the bar, metres;
+    NaN if it lies beyond an end or beside the outline, or if the bar or its face is seen at a grazing angle.
 
-    In the frame of the bar (`in_frame`): ``u, v, t`` from its start to the point; ``p, q, w`` from the point to the
-    sensor. Beside the depth: its standard deviation by the range noise; the distance to the sensor across the bar;
-    cosine and sine of the view; the place beside the axis; height and slope of the face there.
+    In the frame of the bar (`in_frame`), ``u, v, t`` is the vector from its start to the point, ``p, q, w`` that from
+    the point to the sensor. Returns also the standard deviation by the range noise, the distance to the sensor across
+    the bar, cosine and sine of the direction, the position beside the axis, and height and slope of the face there.
     """
     square, square_3d = p * p + q * q, p * p + q * q + w * w
     if t < 0.0 or t > length or square < 0.1 * square_3d:
@@ -206,14 +215,14 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
     beside = -sine * u + cosine * v
     front, rise = front_face(corner, cosine, sine, beside)
     residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
-    # The noise is that at the range of the face: at the measured one, points that noise brings nearer would count more.
+    # The noise at the range of the face: at the measured range, points brought nearer by noise would count more.
     sigma = range_sigma_m(range_ * (1.0 + residual / distance)) * distance / range_
     return residual, sigma, distance, cosine, sine, beside, front, rise
 
 
 @njit(cache=True)
 def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """The place of the corner of the outline that appears nearest to ``beside``."""
+    """The position beside the axis of the corner of the outline that appears nearest to ``beside``."""
     nearest, edge = 1e9, 0.0
     for i in range(6):
         b = -sine * corner[i, 0] + cosine * corner[i, 1]
@@ -224,7 +233,7 @@ def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def outlines(turn, flange):  # type: ignore[no-untyped-def]
-    """Corners ``(B, 6, 2)`` of angle sections about their centroids, and outlines of round tubes."""
+    """The outlines ``(B, 6, 2)`` of B sections about their centroids, metres."""
     corner = np.empty((len(turn), 6, 2))
     for b in range(len(turn)):
         outline(turn[b], flange[b], corner[b])

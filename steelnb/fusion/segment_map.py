@@ -11,18 +11,18 @@ from steelnb.types import Array, IntArray, Segments
 
 
 class SegmentMap:
-    """Bars in the world frame, each the merger of the segments of many scans.
+    """Bars in the world frame, each merged from the segments of many scans.
 
-    A bar is kept as the moments of its points: their number, sum and sum of outer products, each new segment counting
-    as a uniform bar of its points. Moments add exactly, so the axis of a merged bar does not depend on the order of its
-    pieces. ``settings`` are the gates of `associate`; ``sightings (B,)``: number of segments merged into each bar.
+    A bar is stored as the moments of its points: their number, sum and sum of outer products. A segment counts as a
+    uniform bar of its points. Moments add exactly, so the axis of a merged bar does not depend on the order.
+    ``settings`` are the gates of `associate`; ``sightings (B,)``: number of segments merged into each bar.
     """
 
     def __init__(self, settings: FusionSettings | None = None) -> None:
         self.settings = settings or FusionSettings()
         self.sightings = np.zeros(0, dtype=np.int64)
         self.inserts = 0
-        self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last seen
+        self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last observed
         self._moments = np.zeros((0, 14))
         self._segments = Segments.empty()
 
@@ -35,10 +35,10 @@ class SegmentMap:
         return self._segments
 
     def insert(self, new: Segments) -> IntArray:
-        """Add segments ``(M,)`` in the world frame; returns the bar of the map that each was merged into ``(M,)``.
+        """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
-        A segment without a match starts a bar. Bars that match each other after they grew are merged too, the later
-        into the earlier. Segments handed out by `segments` before do not change.
+        A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
+        into the earlier. Segments returned by `segments` before do not change.
         """
         target = associate(new, self._segments, self.settings)
         fresh = np.flatnonzero(target < 0)
@@ -52,10 +52,8 @@ class SegmentMap:
         return self._merge(target)
 
     def prune(self, sightings_min: int, inserts: int) -> int:
-        """Drop the bars seen fewer than ``sightings_min`` times and not in the last ``inserts``; returns their number.
-
-        Called now and then, it bounds the memory by the bars that are there. The indices of later bars change.
-        """
+        """Drop the bars observed fewer than ``sightings_min`` times, and not in the last ``inserts``; returns their
+        number. The indices of later bars change."""
         keep = (self.sightings >= sightings_min) | (self._last > self.inserts - inserts)
         self._keep(keep)
         return int(np.count_nonzero(~keep))
@@ -68,7 +66,7 @@ class SegmentMap:
         self._segments = Segments.joined((self._segments, Segments(blank, blank, np.zeros(by, np.int64), np.zeros(by))))
 
     def _refit(self, touched: IntArray, new: Segments, target: IntArray) -> None:
-        """Axis from the moments, ends from the extremes of the old ends and the new ones along it."""
+        """Fit axes to the moments, and ends to the extremes of the old and new ends along them."""
         moments = self._moments[touched]
         count, mean = moments[:, 0], moments[:, 1:4] / moments[:, :1]
         covariance = moments[:, 4:13].reshape(-1, 3, 3) / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
@@ -80,16 +78,16 @@ class SegmentMap:
         owner = np.concatenate([np.arange(len(touched))] * 2 + [position[target]] * 2)
         ends = np.concatenate([old.start, old.end, new.start, new.end])
         along = ((ends - mean[owner]) * axis[owner]).sum(axis=1)
-        known = np.isfinite(along)
-        np.minimum.at(low, owner[known], along[known])
-        np.maximum.at(high, owner[known], along[known])
+        is_known = np.isfinite(along)  # NaN ends of new bars
+        np.minimum.at(low, owner[is_known], along[is_known])
+        np.maximum.at(high, owner[is_known], along[is_known])
         s = self._segments
         s.start[touched], s.end[touched] = mean + low[:, None] * axis, mean + high[:, None] * axis
         s.count[touched] = np.round(count).astype(np.int64)
         s.radius[touched] = np.sqrt(moments[:, 13] / count)
 
     def _merge(self, touched: IntArray) -> IntArray:
-        """Merge bars that have grown into one another; returns ``touched`` renumbered."""
+        """Merge bars that have grown into each other; returns ``touched`` renumbered."""
         while True:
             some = np.unique(touched)
             distance = pair_distance(self._segments.take(some), self._segments, self.settings)
@@ -116,7 +114,8 @@ class SegmentMap:
 
 
 def _moments(segments: Segments) -> Array:
-    """Number, sum (3), sum of outer products (9) and of squared distances to the axis ``(M, 14)`` of uniform bars."""
+    """Moments ``(M, 14)`` of uniform bars: number, sum (3), sum of outer products (9), sum of squared distances to the
+    axis."""
     count = segments.count.astype(np.float64)
     middle, half = segments.middle, 0.5 * (segments.end - segments.start)
     spread = half[:, :, None] * half[:, None, :] / 3.0

@@ -1,27 +1,27 @@
 """Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
 
-At the better poses of the second round more bars are found, with more exact sections."""
+At the better poses of the second round more bars are found, with more exact sections.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.fusion import problem, solver, uncertainty
-from steelnb.fusion.bar_voxels import Observations
+from steelnb.fusion import problem, uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
-from steelnb.fusion.problem import Bars
 from steelnb.fusion.reconstruct import map_and_fit
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
 Stages = tuple[tuple[int, int], ...]
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
-"""For each round: how often sections are fitted, and its stages as (one in so many pixels, steps). Chosen
-on the zigzag of the development seed 11: half of the pixels in the last steps makes aligned errors larger by a fifth,
-sections fitted once in both rounds by half."""
+"""Of each round, the number of fits of sections, and its stages: one in so many pixels, and the number of steps. Chosen
+on the zigzag of the development seed 11. There, half of the pixels in the last stage makes aligned errors larger by a
+fifth, and one fit of sections in both rounds by half."""
 BARS_MIN = 3
+"""Minimum number of bars with a section."""
 
 
 def smooth(
@@ -33,12 +33,21 @@ def smooth(
 ) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`fusion.solver`).
 
-    ``settings`` say what a bar is, as for `reconstruct`; ``tilt_sigma_rad`` is the standard deviation of the prior's
-    roll and pitch, which are kept where it is 0; with ``imu``, the errors of its data sheet, the readings of the
-    flight's IMU take part (`fusion.inertial`), where it has one. The corrected poses become smooth, the first one the
-    prior's, where drift begins; the map's points are those of one in three scans at the poses before the last steps,
-    its segments the bars, with their axes through the centroids of their sections. A flight without bars comes back as
-    it was, with the reason in ``unsmoothed``. Raises `InputError` for readings in other units or axes.
+    Parameters
+    ----------
+    flight : K scans, the drifting poses, and the readings of an IMU if it has one.
+    estimate : the corrected poses.
+    settings : of the bars, as for `reconstruct`.
+    tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
+    imu : errors of the IMU's data sheet; with them, its readings are factors (`fusion.inertial`).
+
+    Returns
+    -------
+    The estimate with new poses, of which the first is the prior's, since drift begins there. The points of the map are
+    those of one in three scans at the poses before the last steps. Its segments are the bars, with their axes through
+    the centroids of their sections. A flight without bars returns its estimate, with the reason in ``unsmoothed``.
+
+    Raises `InputError` if the readings are in other units or axes.
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
@@ -53,15 +62,13 @@ def smooth(
             scans, fitted, reason = map_and_fit(flight.scans, T, settings, fits)
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
-        if fitted is None or np.isfinite(fitted.width).sum() < BARS_MIN:
+        if fitted is None or fitted.bars.has_section.sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
-        bars = Bars(fitted.bars, fitted.across, fitted.turn, fitted.width)
-        state = problem.start(T, prior, bars, tilt_sigma_rad, inertial)
-        voxels = scans.around(fitted.bars)
+        state = problem.start(T, prior, fitted.bars, tilt_sigma_rad, inertial)
+        voxels = scans.around(fitted.bars.segments)
         for pixels, steps in stages:
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
-            observations = Observations.gathered(scans.face_points(voxels, state.bars, ratio, pixels))
-            state, equations = solver.adjusted(state, observations, prior, stamp_s, steps)
+            state, equations = scans.adjusted(state, voxels, prior, stamp_s, steps, ratio, pixels)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.sectioned()
     pose_covariance, axis_covariance, unsure = None, None, ""
@@ -69,12 +76,12 @@ def smooth(
         pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)
         pose_covariance = uncertainty.pose_covariances(pose, T, mount)
         axis_covariance = uncertainty.axis_covariances(
-            bar[state.bars.known], bars.segments, bars.across, state.sigma_ratio
+            bar[state.bars.has_section], bars.segments, bars.across, state.sigma_ratio
         )
     except InputError as fault:
         unsure = str(fault)
-    corrected = Trajectory(stamp_s, T @ np.linalg.inv(mount))
     return replace(
-        estimate, corrected=corrected, points=scans.voxels.means(), segments=bars.segments, unsmoothed="",
-        pose_covariance=pose_covariance, axis_covariance=axis_covariance, unsure=unsure,
+        estimate, corrected=Trajectory(stamp_s, T @ np.linalg.inv(mount)), points=scans.voxels.means(),
+        segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
+        unsure=unsure,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Gauss-Newton on the problem of an adjustment (`fusion.problem`): normal equations and steps.
 
-Poses form a chain and see few bars each, so their block tridiagonal matrix is eliminated first (Schur complement).
+The poses form a chain, and each observes few bars. So their block tridiagonal matrix is eliminated first, and the bars
+are solved for by its Schur complement.
 """
 
 from typing import NamedTuple
@@ -9,36 +10,26 @@ import numpy as np
 from numba import njit
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.factors import PointEquations, increments, linearised, noise_ratio
-from steelnb.fusion.inertial import STATE
+from steelnb.fusion.factors import PointEquations, noise_ratio
+from steelnb.fusion.inertial import STATE_DOF
+from steelnb.fusion.poses import ChainEquations, prior_equations
 from steelnb.fusion.problem import BAR_SIGMA, Problem
 from steelnb.types import Array
 
 TINY = 1e-12
-"""What is smaller counts as zero: what a bar tells fades from pose to pose once it is out of view, and numbers that
-fade on until they are denormal take long."""
-
-
-def adjusted(
-    problem: Problem, observations: Observations, prior: Array, stamp_s: Array, steps: int
-) -> tuple[Problem, PointEquations]:
-    """The problem after some steps of `improve` with the same points, and the equations of the last one."""
-    for _ in range(steps):
-        equations = linearised(problem, observations)
-        problem = improve(problem, equations, prior, stamp_s)
-    return problem, equations
+"""Smaller numbers count as zero. Contributions of a bar fade from pose to pose once it is out of view, and arithmetic
+with denormal numbers is slow."""
 
 
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
-    """One Gauss-Newton step of all poses and bars; ``prior (K, 4, 4)`` are the sensor's drifting poses at ``stamp_s``,
-    the equations those of this state (`factors.linearised`).
+    """One Gauss-Newton step of all poses and bars.
 
-    The range noise is taken from the residuals before the step (their median).
+    ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
+    ``stamp_s (K,)``. The range noise is updated from the median of the residuals before the step.
     """
-    rhs = equations.right.copy()
+    rhs = equations.rhs.copy()
     rhs[:, 4:] -= problem.from_fitted() * BAR_SIGMA[4:] ** -2.0
-    matrix, beside, vector, between = state_equations(problem, equations, prior, stamp_s)
+    (matrix, beside, vector), between = state_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
     forward = chain.forward(np.concatenate([between, vector[:, :, None]], axis=2))
     flat = forward.reshape(-1, forward.shape[2])
@@ -49,45 +40,39 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     return problem.moved(state_step, bar_step.reshape(rhs.shape), ratio)
 
 
-class StateEquations(NamedTuple):
-    """Normal equations of the states of K scans, by points, prior and IMU: ``matrix (K, D, D)``, between each and the
-    next ``beside (K − 1, D, D)``, ``vector (K, D)``, and between states and bars ``between (K, D, 6 B)``. A state is a
-    pose, D = 4 or 6; with an IMU it has velocity and biases, too, D = 15."""
+def state_equations(
+    problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
+) -> tuple[ChainEquations, Array]:
+    """The normal equations of the states of K scans by points, prior and IMU, and the block ``(K, D, 6 B)`` between
+    states and bars; the arguments are those of `improve`.
 
-    matrix: Array
-    beside: Array
-    vector: Array
-    between: Array
-
-
-def state_equations(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> StateEquations:
-    """The normal equations of all states; the arguments are those of `improve`."""
+    A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
+    """
     T, inertial = problem.T_world_sensor, problem.inertial
-    matrix, beside, vector = increments(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
+    matrix, beside, vector = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
     matrix, vector, between = matrix + equations.matrix, vector + equations.vector, equations.between()
     if inertial is None:
-        return StateEquations(matrix, beside, vector, between)
-    by_imu, more = inertial.equations(T), (0, STATE - matrix.shape[1])
-    return StateEquations(
-        by_imu.matrix + np.pad(matrix, ((0, 0), more, more)),
-        by_imu.beside + np.pad(beside, ((0, 0), more, more)),
-        by_imu.vector + np.pad(vector, ((0, 0), more)),
-        np.pad(between, ((0, 0), more, (0, 0))),
-    )  # fmt: skip
+        return ChainEquations(matrix, beside, vector), between
+    by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
+    matrix, beside = (np.pad(each, ((0, 0), padding, padding)) for each in (matrix, beside))
+    vector, between = np.pad(vector, ((0, 0), padding)), np.pad(between, ((0, 0), padding, (0, 0)))
+    return ChainEquations(by_imu.matrix + matrix, by_imu.beside + beside, by_imu.vector + vector), between
 
 
 def schur(block: Array, eliminated: Array) -> Array:
-    """The normal equations of the bars ``(6 B, 6 B)`` once the poses are ``eliminated (6 B, 6 B)``: their Schur
-    complement."""
+    """The Schur complement ``(6 B, 6 B)`` of the poses: the normal equations of the bars, with their blocks ``(B, 6,
+    6)``, after the elimination of the poses has subtracted ``eliminated (6 B, 6 B)``."""
     return np.asarray(block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - eliminated)
 
 
 class Chain(NamedTuple):
-    """The factor L of a matrix A = L Lᵀ of K poses: inverses of its diagonal blocks ``own (K, D, D)``; and the share of
-    the neighbour's solution in that of each pose, of the one before in L⁻¹, ``onward (K, D, D)``, and of the one behind
-    in L⁻ᵀ, ``back (K, D, D)``."""
+    """Block Cholesky factor L of a block tridiagonal matrix A = L Lᵀ of K poses.
 
-    own: Array
+    ``inverse (K, D, D)``: inverses of the diagonal blocks of L. ``onward`` and ``back (K, D, D)``: the coefficients by
+    which the solution of the previous pose enters that of each pose in L⁻¹, and that of the next pose in L⁻ᵀ.
+    """
+
+    inverse: Array
     onward: Array
     back: Array
 
@@ -95,48 +80,48 @@ class Chain(NamedTuple):
     def factored(cls, matrix: Array, beside: Array) -> "Chain":
         """From the blocks of A on its diagonal ``(K, D, D)`` and above it ``(K − 1, D, D)``.
 
-        Raises `numpy.linalg.LinAlgError` where A is not positive definite.
+        Raises `numpy.linalg.LinAlgError` if A is not positive definite.
         """
         chain = cls(*np.zeros((3, *matrix.shape)))
         _factor(np.ascontiguousarray(matrix), np.ascontiguousarray(beside), *chain)
         return chain
 
-    def forward(self, right: Array) -> Array:
-        """L⁻¹ times the columns ``right (K, D, M)``."""
-        result = self.own @ right
+    def forward(self, columns: Array) -> Array:
+        """L⁻¹ times the ``columns (K, D, M)``."""
+        result = self.inverse @ columns
         _sweep(self.onward, result, False)
         return result
 
     def backward(self, forward: Array) -> Array:
-        """L⁻ᵀ times the columns ``forward (K, D, M)``: A⁻¹ times columns, where ``forward`` is L⁻¹ times them."""
-        result = self.own.transpose(0, 2, 1) @ forward
+        """L⁻ᵀ times the columns ``forward (K, D, M)``. If these are L⁻¹ times other columns, it is A⁻¹ times those."""
+        result = self.inverse.transpose(0, 2, 1) @ forward
         _sweep(self.back, result, True)
         return result
 
     def inverse_blocks(self) -> Array:
         """The blocks on the diagonal of A⁻¹ ``(K, D, D)``, from the last to the first (Takahashi, Fagan, Chen 1973)."""
-        result = self.own.transpose(0, 2, 1) @ self.own
+        result = self.inverse.transpose(0, 2, 1) @ self.inverse
         for k in range(len(result) - 2, -1, -1):
             result[k] += self.back[k] @ result[k + 1] @ self.back[k].T
         return result
 
 
 @njit(cache=True)
-def _factor(matrix, beside, own, onward, back):  # type: ignore[no-untyped-def]
+def _factor(matrix, beside, inverse, onward, back):  # type: ignore[no-untyped-def]
     for k in range(len(matrix)):
         block = matrix[k].copy()
         if k:
-            above = own[k - 1] @ beside[k - 1]  # the block of Lᵀ
+            above = inverse[k - 1] @ beside[k - 1]  # the block of Lᵀ
             block -= above.T @ above
-        own[k] = np.linalg.inv(np.linalg.cholesky(block))
+        inverse[k] = np.linalg.inv(np.linalg.cholesky(block))
         if k:
-            onward[k] = -own[k] @ above.T
-            back[k - 1] = -own[k - 1].T @ above
+            onward[k] = -inverse[k] @ above.T
+            back[k - 1] = -inverse[k - 1].T @ above
 
 
 @njit(cache=True)
-def _sweep(share, columns, backwards):  # type: ignore[no-untyped-def]
-    """Add to the columns of each pose their share of those of its neighbour, from neighbour to neighbour."""
+def _sweep(coefficient, columns, backwards):  # type: ignore[no-untyped-def]
+    """Substitution from neighbour to neighbour: add the neighbour's columns times the coefficients of each pose."""
     poses, size, count = columns.shape
     for i in range(1, poses):
         k, other = (poses - 1 - i, poses - i) if backwards else (i, i - 1)
@@ -147,4 +132,4 @@ def _sweep(share, columns, backwards):  # type: ignore[no-untyped-def]
             if largest > TINY:
                 for n in range(size):
                     for d in range(size):
-                        columns[k, n, m] += share[k, n, d] * columns[other, d, m]
+                        columns[k, n, m] += coefficient[k, n, d] * columns[other, d, m]

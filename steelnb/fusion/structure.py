@@ -1,4 +1,4 @@
-"""The result of a reconstruction: bars, and the joints that tie them."""
+"""The result of a reconstruction: bars and joints."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -13,14 +13,12 @@ from steelnb.types import Array, IntArray, Segments
 class Structure:
     """Bars and joints in the world frame, metres, z up.
 
-    ``segments``: axes of the B bars from end to end, with their point counts and radii; ``width_m (B,)``: width of the
-    flange of a bar, of a round tube its diameter, NaN where it is not known; ``sightings (B,)``: number of scans that
-    saw it; ``sigma_m (B,)``: standard deviation of the position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``:
-    (joint, bar), a row for each bar that a joint ties. ``reason`` says why a structure is empty, and is itself empty if
-    it is not.
-    ``opening (B, 3)``: unit vectors across the bars, from the corner of each angle section to between its flanges, NaN
-    where that is not known; None where it is known of no bar.
-    ``tube (B,)``: which bars are round tubes; None if no bar is known to be one.
+    ``segments``: axes of the B bars; ``width_m (B,)``: width of the flange, or diameter of a round tube, NaN if
+    unknown; ``sightings (B,)``: number of scans that observed a bar; ``sigma_m (B,)``: standard deviation of the
+    position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for each bar that a joint ties.
+    ``reason``: why the structure is empty, else empty. ``opening (B, 3)``: unit vectors across the bars from the corner
+    of the angle section to between its flanges, NaN if unknown; None if all are unknown. ``tube (B,)``: which bars are
+    round tubes; None if none is known to be one.
     """
 
     segments: Segments
@@ -44,12 +42,11 @@ class Structure:
         )
 
     def moved(self, by: Array) -> "Structure":
-        """The same structure with ``by (3,)``, metres, added to its coordinates."""
+        """The structure translated by ``by (3,)``, metres."""
         return replace(self, segments=self.segments.moved(by), joint=self.joint + by)
 
     def pieces(self) -> IntArray:
-        """Pieces of bars between neighbouring joints ``(P, 3)``: (joint, joint, bar). A bar with fewer than two joints
-        has none."""
+        """Pieces of bars between neighbouring joints ``(P, 3)``: (joint, joint, bar)."""
         found: list[tuple[int, int, int]] = []
         for bar in range(len(self)):
             tied = self.tie[self.tie[:, 1] == bar, 0]

@@ -1,10 +1,11 @@
-"""Deformation of a cloud built at estimated poses, and the basin of convergence of a registration."""
+"""Bend of a cloud built at estimated poses, basin of convergence of a registration, and slips of an odometry."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.fusion.poses import yaw_of
 from steelnb.types import Array, IntArray
 
 
@@ -12,7 +13,7 @@ from steelnb.types import Array, IntArray
 class Bend:
     """Rigid motion from the true to the built cloud in each of S horizontal slices.
 
-    ``height_m (S,)`` of the middles of the slices; ``T_built_true (S, 4, 4)``; ``blur_m (S,)``, the root mean square
+    ``height_m (S,)`` of the middles of the slices; ``T_built_true (S, 4, 4)``; ``blur_m (S,)``: root mean square
     residual of that motion, which doubled surfaces raise; ``count (S,)`` points.
     """
 
@@ -30,8 +31,7 @@ class Bend:
     @property
     def yaw_deg(self) -> Array:
         """Rotation ``(S,)`` about the vertical, anticlockwise from above."""
-        R = self.T_built_true[:, :3, :3]
-        return np.asarray(np.degrees(np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])))
+        return np.degrees(yaw_of(self.T_built_true[:, :3, :3]))
 
     @property
     def bend_deg(self) -> float:
@@ -70,7 +70,7 @@ def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200)
     """Fit a rigid motion (Kabsch 1976) to each horizontal slice of two clouds ``(N, 3)``, metres, world frame.
 
     Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m``
-    start at true height zero; those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
+    start at true height zero. Those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
     remains, or if the shapes differ.
     """
     if built.shape != true.shape:
@@ -97,8 +97,8 @@ def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
 def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
     """Radius of the basin of convergence, metres: every start within it converges to the true pose.
 
-    ``offset_m (N, k)`` are the starts relative to the true position; ``converged (N,)`` tells which of them converged
-    to it. The radius is the distance of the farthest start that is nearer than all failures, or zero.
+    ``offset_m (N, k)``: starts relative to the true position; ``converged (N,)``: whether each converged to it. The
+    radius is the distance of the farthest start that is nearer than all failures, or zero.
     """
     distance = np.linalg.norm(offset_m, axis=1)
     nearest_failure = distance[~converged].min(initial=np.inf)

@@ -1,4 +1,4 @@
-"""All numbers of an estimate: its trajectory and, where its map has bars, its segments."""
+"""All metrics of an estimate: of its trajectory, and of the segments of its map if it has any."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from steelnb.types import Estimate
 
 
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
-    """The numbers of a run; lengths in metres, angles in degrees. ``blind_s``: begin and end of each gap in sight."""
+    """The metrics of a run, with units in their names. ``blind_s``: begin and end of each gap without scans."""
     corrected, segments = estimate.corrected, estimate.segments
     raw = score_trajectory(estimate.prior, truth.trajectory)
     numbers = {

@@ -1,4 +1,4 @@
-"""Association of estimated segments with true members, shared by the scores of maps and reconstructions."""
+"""Association of estimated segments with true members."""
 
 import math
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ SAMPLES = 41
 class Match:
     """Member of each of S segments, −1 for none, and the errors of the segment, NaN for none.
 
-    ``angle_rad (S,)`` to the axis of the member; ``offset_m (S,)``, mean distance to the axis of the samples on the
-    member. Intervals along the axis: ``matched_m (S, 2)`` of those samples, ``extent_m (S, 2)`` of the whole segment.
+    ``angle_rad (S,)``: to the axis of the member; ``offset_m (S,)``: mean distance to the axis of the samples on the
+    member. Intervals along the axis: ``matched_m (S, 2)`` of these samples, ``extent_m (S, 2)`` of all samples.
     """
 
     member: IntArray
@@ -35,16 +35,13 @@ class Match:
 
 
 def match_members(
-    segments: Segments,
-    axes: Array,
-    angle_max_rad: float = ANGLE_MAX_RAD,
-    distance_max_m: float = DISTANCE_MAX_M,
+    segments: Segments, axes: Array, angle_max_rad: float = ANGLE_MAX_RAD, distance_max_m: float = DISTANCE_MAX_M
 ) -> Match:
     """Associate each segment with the member on whose axis ``(M, 2, 3)`` most of it lies; both in the world frame.
 
-    A sample of a segment lies on a member if their angle is within ``angle_max_rad``, its distance to the axis within
-    ``distance_max_m``, and its projection at most ``distance_max_m`` beyond the ends. The member with the most samples
-    is chosen if at least half of them lie on it. Ties go to the nearest member.
+    A sample of a segment lies on a member if the angle between them is within ``angle_max_rad``, its distance to the
+    axis within ``distance_max_m``, and its projection at most ``distance_max_m`` beyond the ends. The segment belongs
+    to the member with most of its samples, if these are at least half of them; among equals, to the nearest.
     """
     start = axes[:, 0]
     length = np.linalg.norm(axes[:, 1] - start, axis=1)
@@ -63,7 +60,6 @@ def match_members(
         distance = np.linalg.norm(offset_from_start - along[..., None] * axis[candidates], axis=2)
         beyond = np.maximum(-along, along - length[candidates])
         on_member = (distance <= distance_max_m) & (beyond <= distance_max_m)
-        # Parallel members have equal shares.
         k = int(np.lexsort((distance.mean(axis=0), -on_member.mean(axis=0)))[0])
         if on_member[:, k].mean() < SHARE_MIN:
             continue

@@ -1,4 +1,4 @@
-"""Recall, precision and errors of segments, compared with the members of a tower."""
+"""Recall, precision and errors of segments by the members of a tower."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from steelnb.types import Array, IntArray, Segments
 PARTS = 200
 """Number of equal parts of a member in which its coverage is counted."""
 GAP_MAX_M = 0.1
-"""Gaps between points along a member up to this length count as seen."""
+"""Maximum gap between points along an observed part of a member."""
 
 
 @dataclass(frozen=True)
 class SegmentScore:
-    """Recall over the observed members, precision over the segments, and errors of the correct segments.
+    """Recall over the observed members, precision over the segments, and errors of the right segments.
 
-    ``recall`` and ``precision``, 0–1; ``found (M,)``, which members are found; ``right (S,)``, which segments lie on a
-    member; ``duplicates``, how many of these lie beside a longer one on the same member; ``angle_rad`` and
-    ``offset_m``, angle and mean distance to the axis of each right segment, with their medians: NaN without a match.
+    ``recall`` and ``precision``: 0–1; ``found (M,)``: which members are found; ``right (S,)``: which segments lie on a
+    member; ``duplicates``: number of these beside a longer one on the same member; ``angle_rad`` and ``offset_m``:
+    angle and mean distance to the axis of each right segment, with their medians, NaN if there is none.
     """
 
     recall: float
@@ -43,14 +43,13 @@ def score_segments(
     angle_max_rad: float = ANGLE_MAX_RAD,
     seen: NDArray[np.bool_] | None = None,
 ) -> SegmentScore:
-    """Compare segments with the true member axes ``(M, 2, 3)``, both in the world frame, metres.
+    """Compare segments with the true axes of members ``(M, 2, 3)``, both in the world frame, metres.
 
     A segment is right if at least half of it lies on one member (`match_members`). A member is found if right segments
-    cover at least half of it. A right segment is a duplicate if longer right segments cover at least half of its
-    interval on the member.
+    cover at least half of it. A right segment is a duplicate if longer ones cover at least half of its interval.
 
-    ``observed (M,)`` selects the members that count for recall (`Visibility.observed`), by default all. ``seen (M,
-    200)`` selects the parts of each member, from its first end to its second, that must be covered, by default all.
+    ``observed (M,)``: members that count for recall (`Visibility.observed`), default all. ``seen (M, 200)``: observed
+    parts of each member, from its first end to its second, which must be covered, default all.
     """
     match = match_members(segments, axes, angle_max_rad)
     right, length = match.right, np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
@@ -79,10 +78,10 @@ def _median(values: Array) -> float:
 
 @dataclass(frozen=True)
 class SeenMembers:
-    """The visible parts of the members of a tower in a cloud.
+    """The observed parts of the members of a tower in a cloud.
 
-    ``axes (M, 2, 3)``: parallel to the true axis through the middle of the surface seen, from the first to the last
-    point; the true axis where nothing is seen. ``seen (M, 200)``: the parts of it near a point.
+    ``axes (M, 2, 3)``: parallel to the true axis, through the middle of the observed surface, from the first to the
+    last point; the true axis if nothing is observed. ``seen (M, 200)``: the parts of it near a point.
     """
 
     axes: Array
@@ -95,16 +94,16 @@ class SeenMembers:
 
 
 def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
-    """The visible parts of members with ``axes (M, 2, 3)`` from noise-free ``points (N, 3)`` on their surfaces.
+    """The observed parts of members with ``axes (M, 2, 3)``, from noise-free ``points (N, 3)`` on their surfaces.
 
-    ``member (N,)`` is the member of each point, negative for a plate. The axis of an angle section is its heel, which
-    is not visible from outside: a correct method finds a line in the middle of the visible surface, up to half a flange
-    from it. A part is seen if it is within half of `GAP_MAX_M` of a point, along the axis.
+    ``member (N,)``: the member of each point, negative for a plate. The axis of an angle section is its heel, which is
+    not visible from outside. A correct method finds a line in the middle of the visible surface, up to half a flange
+    from it. A part is observed if it is within half of `GAP_MAX_M` of a point, along the axis.
     """
     counter = SliceCounter(axes)
     points, member = points[member >= 0], member[member >= 0]
     counter.add(points, member)
-    visible, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)
+    observed_axes, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)
     for m in np.unique(member):
         points_on_member = points[member == m]
         axis = (axes[m, 1] - axes[m, 0]) / np.linalg.norm(axes[m, 1] - axes[m, 0])
@@ -113,8 +112,8 @@ def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
         length = along[-1] - along[0]
         if length <= 0:
             continue
-        visible[m] = middle + along[[0, -1], None] * axis
+        observed_axes[m] = middle + along[[0, -1], None] * axis
         parts = along[0] + (np.arange(PARTS) + 0.5) / PARTS * length
         after = np.clip(np.searchsorted(along, parts), 1, len(along) - 1)
         seen[m] = np.minimum(parts - along[after - 1], along[after] - parts) <= GAP_MAX_M / 2
-    return SeenMembers(visible, seen, counter.visibility())
+    return SeenMembers(observed_axes, seen, counter.visibility())

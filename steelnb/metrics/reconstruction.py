@@ -1,8 +1,8 @@
-"""Recall, precision and errors of a reconstructed structure, compared with a tower: bars, joints and their graph.
+"""Recall, precision and errors of a reconstructed structure by a tower: bars, joints and their graph.
 
-The axis of a member is the line through the centroids of its sections, as in the bar models of structural engineering.
-The simulated joints are on the heels, the outer corners of the angles. The true position of a joint is therefore the
-point nearest to the axes of its members.
+The axis of a member is the line through the centroids of its sections, as in structural engineering. The simulated
+joints are on the heels, the outer corners of the angles. So the true position of a joint is the point nearest to the
+axes of its members.
 """
 
 import itertools
@@ -25,8 +25,8 @@ from steelnb.types import Array, IntArray
 class Reference:
     """True bars and joints, and which of them were observed.
 
-    ``axes (M, 2, 3)`` and ``joints (J, 3)``, metres; ``along``, the joints of each member in order; ``slices``, which
-    slices of 5 cm from the start of each member were seen; ``observed (M,)``; ``joint_observed (J,)``.
+    ``axes (M, 2, 3)`` and ``joints (J, 3)``, metres; ``along``: the joints of each member in order; ``slices``: which
+    slices of 5 cm from the start of each member were observed; ``observed (M,)``; ``joint_observed (J,)``.
     """
 
     axes: Array
@@ -39,8 +39,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class StructureScore:
-    """``metrics``, numbers with units in their names, NaN without a match; ``member (B,)`` of each bar, or −1;
-    ``found (M,)``; ``offset_m (B,)`` of each bar from its member, or NaN."""
+    """``metrics``: numbers with units in their names, NaN without a match; ``member (B,)`` of each bar, or −1;
+    ``found (M,)``: which members are found; ``offset_m (B,)`` of each bar from its member, or NaN."""
 
     metrics: dict[str, float]
     member: IntArray
@@ -51,7 +51,7 @@ class StructureScore:
 def reference(tower: Tower, visibility: Visibility) -> Reference:
     """Members and joints of a tower, and which of them a flight has observed.
 
-    A joint is observed if two observed members (`Visibility.observed`) were seen within 10 cm of it.
+    A joint is observed if two observed members (`Visibility.observed`) have returns within 10 cm of it.
     """
     shift = np.zeros((len(tower.members), 3))
     for m, member in enumerate(tower.members):
@@ -72,7 +72,8 @@ def reference(tower: Tower, visibility: Visibility) -> Reference:
         for j in of_member:
             members_of[j].append(m)
             t = float(np.linalg.norm(tower.joints[j] - tower.axes[m, 0]))
-            observed_members[j] += observed[m] and _seen_between(slices[m], t - DISTANCE_MAX_M, t + DISTANCE_MAX_M) > 0
+            near = _observed_between(slices[m], t - DISTANCE_MAX_M, t + DISTANCE_MAX_M)
+            observed_members[j] += observed[m] and near > 0
     for j, members in enumerate(members_of):
         joints[j] = nearest_point(axes[members], tower.joints[j] + shift[members].mean(axis=0))
     return Reference(axes, joints, along, slices, observed, observed_members >= 2)
@@ -81,29 +82,29 @@ def reference(tower: Tower, visibility: Visibility) -> Reference:
 def score_structure(structure: Structure, truth: Reference) -> StructureScore:
     """Compare a structure with the truth, both in the world frame, metres.
 
-    Bars: a bar is right if at least half of it lies on one member (`match_members`). Precision is the share of right
-    bars. A member is found if right bars cover at least half of what was seen of it. Recall is the share of found
-    members among the observed. Additional bars on a member are duplicates. Offset is the mean distance of a bar to the
-    axis. The end error is measured along the axis, for the longest bar of each found member, at ends whose last 10 cm
-    were seen.
+    A bar is right if at least half of it lies on one member (`match_members`); precision is the share of right bars. A
+    member is found if right bars cover at least half of its observed slices; recall is the share of found members among
+    the observed ones. Additional bars on a member are duplicates. The offset is the mean distance of a bar to the axis.
+    The end error is that of the longest bar of each found member along the axis, at ends whose last 10 cm were
+    observed.
 
     Joints are paired one to one within 10 cm, nearest first. An edge is right if it connects consecutive joints of a
-    member, skipping joints that were not observed.
+    member, not counting joints that were not observed.
     """
     match = match_members(structure.segments, truth.axes)
     member, extent, right = match.member, match.extent_m, match.right
     found = np.zeros(len(truth.axes), dtype=bool)
     ends: list[float] = []
     for m in np.unique(member[right]):
-        bars, seen = np.flatnonzero(member == m), truth.slices[m]
-        covered = np.any([_slices_between(len(seen), *extent[b]) for b in bars], axis=0)
-        found[m] = seen.any() and covered[seen].mean() >= SHARE_MIN
+        bars, observed = np.flatnonzero(member == m), truth.slices[m]
+        covered = np.any([_slices_between(len(observed), *extent[b]) for b in bars], axis=0)
+        found[m] = observed.any() and covered[observed].mean() >= SHARE_MIN
         if found[m]:
             longest = bars[np.argmax(extent[bars, 1] - extent[bars, 0])]
             length = float(np.linalg.norm(truth.axes[m, 1] - truth.axes[m, 0]))
-            if _seen_between(seen, 0.0, DISTANCE_MAX_M):
+            if _observed_between(observed, 0.0, DISTANCE_MAX_M):
                 ends.append(abs(extent[longest, 0]))
-            if _seen_between(seen, length - DISTANCE_MAX_M, length):
+            if _observed_between(observed, length - DISTANCE_MAX_M, length):
                 ends.append(abs(extent[longest, 1] - length))
     numbers = {
         "bars": float(len(structure)),
@@ -123,14 +124,12 @@ def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:
     pair, error = _pair_points(structure.joint, truth.joints)
     matched = np.zeros(len(truth.joints), dtype=bool)
     matched[pair[pair >= 0]] = True
-    expected: set[tuple[int, int]] = set()
-    allowed: set[tuple[int, int]] = set()
+    expected, allowed = set(), set()
     for m, joints in enumerate(truth.along):
-        seen = [j for j in joints if truth.joint_observed[j]]
-        slice_count = len(truth.slices[m])
-        for a, b in itertools.pairwise(seen) if truth.observed[m] else ():
+        observed = [j for j in joints if truth.joint_observed[j]]
+        for a, b in itertools.pairwise(observed) if truth.observed[m] else ():
             low, high = sorted(float(np.linalg.norm(truth.joints[j] - truth.axes[m, 0])) for j in (a, b))
-            inside = truth.slices[m][_slices_between(slice_count, low, high)]
+            inside = truth.slices[m][_slices_between(len(truth.slices[m]), low, high)]
             if inside.any() and inside.mean() >= 0.5:
                 expected.add((min(a, b), max(a, b)))
         for i, j in itertools.combinations(range(len(joints)), 2):
@@ -152,7 +151,7 @@ def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:
 
 
 def _pair_points(points: Array, others: Array) -> tuple[IntArray, Array]:
-    """Pair points one to one, nearest first: index of the other point or −1 ``(N,)``, and distances of the pairs."""
+    """Pair points one to one within 10 cm, nearest first: the partner ``(N,)`` of each, or −1, and their distances."""
     partner = np.full(len(points), -1, dtype=np.int64)
     if not len(points) or not len(others):
         return partner, np.zeros(0)
@@ -166,13 +165,13 @@ def _pair_points(points: Array, others: Array) -> tuple[IntArray, Array]:
 
 
 def _slices_between(slice_count: int, low: float, high: float) -> NDArray[np.bool_]:
-    """Which slices have their middle between two positions along a member."""
+    """Mask of the slices whose middle is between two positions along a member."""
     middle = (np.arange(slice_count) + 0.5) * SLICE_M
     return (middle >= low) & (middle <= high)
 
 
-def _seen_between(slices: NDArray[np.bool_], low: float, high: float) -> int:
-    """Number of seen slices that overlap the interval from ``low`` to ``high``."""
+def _observed_between(slices: NDArray[np.bool_], low: float, high: float) -> int:
+    """Number of observed slices that overlap the interval from ``low`` to ``high``."""
     edge = np.arange(len(slices)) * SLICE_M
     return int(np.count_nonzero(slices & (edge + SLICE_M > low) & (edge < high)))
 

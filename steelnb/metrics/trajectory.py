@@ -1,4 +1,4 @@
-"""Trajectory errors without alignment: estimate and truth share a frame, since they start at the same pose."""
+"""Errors of a trajectory without alignment: estimate and truth start at the same pose, so they share a frame."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import numpy as np
 from steelnb.types import Array, Trajectory
 
 GRACE_S = 2.0
-"""Time to recover after the sensor was blind."""
+"""Time to recover after a gap in the scans."""
 
 
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
@@ -47,10 +47,10 @@ def inverse(T: Array) -> Array:
 
 
 def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """Position errors, metres, of a flight whose sensor was blind in the intervals ``blind_s``.
+    """Position errors, metres, of a flight without scans in the intervals ``blind_s``.
 
-    ``ate_outside_gaps_rmse_m`` leaves out the intervals and `GRACE_S` after each; ``error_after_gaps_max_m`` is the
-    maximum error in the second after that, NaN without an interval.
+    ``ate_outside_gaps_rmse_m`` excludes the intervals and `GRACE_S` after each; ``error_after_gaps_max_m``: maximum
+    error in the second after that, NaN without an interval.
     """
     error = position_error_m(estimate, truth)
     stamp = estimate.stamp_s

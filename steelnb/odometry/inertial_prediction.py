@@ -157,10 +157,10 @@ class InertialPrediction:
         the covariance of the noise."""
         passed_s, R = stamp_s - old.stamp_s, old.T_world_drone[:3, :3]
         read = integrated(self.imu, np.array([old.stamp_s, stamp_s]), old.bias[None])
-        by_force, shift = R @ read.velocity[0], R @ read.place[0]
+        by_force, shift = R @ read.velocity[0], R @ read.position[0]
         by_gravity = np.array([0.0, 0.0, -GRAVITY]) * passed_s
         T = np.eye(4)
-        T[:3, :3] = R @ read.turn[0]
+        T[:3, :3] = R @ read.rotation[0]
         T[:3, 3] = old.T_world_drone[:3, 3] + passed_s * (old.velocity + 0.5 * by_gravity) + shift
         F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R

@@ -95,7 +95,7 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40):
     T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, scans), 0.2 * np.sin(np.arange(scans) / 6)
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(scans) / 9), [0, 0, 1])).as_matrix()
 
-    def seen():
+    def scans_on_bars():
         for k, pose in enumerate(T):
             found, of = [], []
             for b in rng.integers(0, 6, 400).tolist():
@@ -119,4 +119,4 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40):
                 of.append(b)
             yield k, np.array(found), np.array(of)
 
-    return T, bars, Observations.gathered(seen())
+    return T, bars, Observations.gathered(scans_on_bars())

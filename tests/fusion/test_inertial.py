@@ -50,8 +50,8 @@ def test_readings_integrate_to_the_motion_that_they_are_of_whatever_the_biases(b
     biased = Imu(
         factors.imu.stamp_s, factors.imu.specific_force + bias[3:], factors.imu.angular_rate + bias[:3]
     )  # fmt: skip
-    known = factors.motion + np.array([0.0, 0.0, 0.0, *bias])
-    error = replace(factors, imu=biased, motion=known).errors(T)
+    motion = factors.motion + np.array([0.0, 0.0, 0.0, *bias])
+    error = replace(factors, imu=biased, motion=motion).errors(T)
     np.testing.assert_allclose(error[:, :3], 0.0, atol=1e-9)
     np.testing.assert_allclose(error[:, 3:6], 0.0, atol=1e-9)
     np.testing.assert_allclose(error[:, 6:9], 0.0, atol=2e-5)  # the path is no parabola within a step
@@ -77,7 +77,8 @@ def test_the_equations_are_those_of_derivatives_by_differences():
     def cost(states):
         moved = factors.moved(states)
         error = moved.errors(moved_poses(T, states[:, :6]))
-        return 0.5 * np.einsum("kd,kde,ke", error, factors.weight, error) + 0.5 * (moved.known * moved.motion**2).sum()
+        between = 0.5 * np.einsum("kd,kde,ke", error, factors.weight, error)
+        return between + 0.5 * (moved.information * moved.motion**2).sum()
 
     found = factors.equations(T)
     for _ in range(20):
@@ -88,9 +89,9 @@ def test_the_equations_are_those_of_derivatives_by_differences():
     # Curvature by Gauss and Newton: that of the linearised errors.
     before, after = (factors.errors(moved_poses(T, sign * 1e-6 * states[:, :6])) for sign in (-1, 1))
     slope, flat = (after - before) / 2e-6, np.where(np.arange(15) < 6, states, 0.0)
-    whole = np.einsum("kd,kde,ke", flat, found.matrix, flat)
-    whole += 2 * np.einsum("kd,kde,ke", flat[:-1], found.beside, flat[1:])
-    assert whole == pytest.approx(np.einsum("kd,kde,ke", slope, factors.weight, slope), rel=1e-3)
+    curvature = np.einsum("kd,kde,ke", flat, found.matrix, flat)
+    curvature += 2 * np.einsum("kd,kde,ke", flat[:-1], found.beside, flat[1:])
+    assert curvature == pytest.approx(np.einsum("kd,kde,ke", slope, factors.weight, slope), rel=1e-3)
 
 
 def test_noise_spreads_as_its_covariance_says():
@@ -165,11 +166,11 @@ def ate_m(estimate, truth):
 def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown):
     flight, _, truth, estimate, _ = flown
     without, found = smooth(flight, estimate), smooth(flight, estimate, imu=SHEET)
-    up, told = (
+    up, prior = (
         each.T_world_drone[:, 2, :3] for each in (truth.trajectory.at(flight.prior.stamp_s), flight.prior)
     )  # fmt: skip
     lean, before = (
-        np.linalg.norm(each - up, axis=1).mean() for each in (found.corrected.T_world_drone[:, 2, :3], told)
+        np.linalg.norm(each - up, axis=1).mean() for each in (found.corrected.T_world_drone[:, 2, :3], prior)
     )
     assert lean < 0.4 * before
     assert ate_m(found, truth) < ate_m(without, truth)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from steelnb.fusion import section_fit, sections
 from steelnb.fusion.bar_voxels import BarVoxels, world_points
+from steelnb.fusion.problem import Bars
 from steelnb.points import VoxelMap
 from tests.fusion.made import bars_of, random_bars, rigid
 
@@ -29,7 +30,7 @@ def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flan
     total = cells[:, 2].sum()
     move = np.linalg.solve(normal[:2, :2] + 1e-3 * total * np.eye(2), normal[:2, 4]).clip(-0.03, 0.03)
     found = np.zeros(2)
-    cost = section_fit._place(cells, rows, *section_fit.profiles(), flange, turn, found, 1)
+    cost = section_fit._settle_by_table(cells, rows, *section_fit.profiles(), flange, turn, found, 1)
     assert cost == pytest.approx(exact, rel=0.02)
     assert np.linalg.norm(move) > 0.02 * flange
     assert found == pytest.approx(move, abs=0.005 * flange)
@@ -58,7 +59,8 @@ def test_points_are_placed_in_the_world_and_take_the_bar_of_their_voxel():
     placed = points @ T[:3, :3].T + T[:3, 3]
     kept = (np.linalg.norm(points, axis=1) <= 4) & (placed[:, 2] >= T[2, 3]) & (np.abs(points).max(axis=1) > 0)
     assert 100 < kept.sum() < 300
-    found, weight = world_points(points, T, 4.0, T[2, 3])
+    found, weight, index = world_points(points, T, 4.0, T[2, 3])
+    np.testing.assert_array_equal(index, np.flatnonzero(kept))
     np.testing.assert_allclose(found, placed[kept])
     np.testing.assert_allclose(weight, 1 / (points[kept] ** 2).sum(axis=1))
     voxels = VoxelMap(0.5)
@@ -114,6 +116,7 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     rng, sigma_m, n = np.random.default_rng(0), 0.03, 16_000
     bars, turn, flange = bars_of([[0, 0, 0], [0, 0, 2]], [[0.13, 0, 0], [0.13, 0, 2]]), np.full(2, 0.3), np.full(2, 0.1)
     across, corner = sections.frames(bars.direction), sections.outlines(turn, flange)
+    sectioned = Bars(bars, across, turn, flange)
     T = np.eye(4)
     T[:3, 3] = sensor = np.array([3.0, 0.5, 1.0])
     towards = across[0] @ (sensor * [1, 1, 0])
@@ -124,10 +127,10 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     voxels = BarVoxels.around(bars, 0.144, 0.03, 0.04)
     first = voxels.bar_of(points + sensor) == 0
     none = np.zeros(first.sum(), dtype=np.int64)
-    on_face = voxels.on_face(points[first], none, T, bars, across, corner, 2.0, 0.06)
+    on_face = voxels.on_face(points[first], none, T, sectioned, 2.0, 0.06)
     chosen = noise[first][on_face]
     assert len(chosen) > 1000
     assert np.abs(chosen).max() <= 2.0 * 1.05  # the noise of a range grows with it
     assert abs(chosen.mean()) < 3 / np.sqrt(len(chosen))
     assert noise[first].mean() > 0.1
-    assert not voxels.on_face(points[first], none, T, bars, across, corner, 0.0, 0.06).any()
+    assert not voxels.on_face(points[first], none, T, sectioned, 0.0, 0.06).any()

@@ -56,7 +56,7 @@ def test_it_has_a_covariance_for_each_pose_and_axis(smoothed):
     assert smoothed.axis_covariance.shape == (len(smoothed.segments), 4, 4)
 
 
-def test_without_covariances_the_reason_is_told_and_the_poses_stay(flown, smoothed, monkeypatch):
+def test_without_covariances_the_reason_is_given_and_the_poses_stay(flown, smoothed, monkeypatch):
     def fail(*_):
         raise InputError("covariance of pose 3 is singular: nothing holds it along 1.00 z")
 
@@ -103,7 +103,7 @@ def test_a_flight_without_bars_comes_back_as_it_was(flown, height_m, says):
 
 def test_a_made_up_flight_comes_back_to_the_truth():
     """Poses and bars off by millimetres, sections by a degree; the prior's increments are noisy, its start exact."""
-    T, bars, seen = made_up(1, 0.002)
+    T, bars, observed = made_up(1, 0.002)
     rng = np.random.default_rng(2)
     stamp_s = 0.2 * np.arange(len(T))
     prior = T.copy()
@@ -113,7 +113,7 @@ def test_a_made_up_flight_comes_back_to_the_truth():
                         bars.flange + 0.002)  # fmt: skip
     state = problem.start(prior, prior, wrong)
     for _ in range(8):
-        state = solver.improve(state, factors.linearised(state, seen), prior, stamp_s)
+        state = solver.improve(state, factors.linearised(state, observed), prior, stamp_s)
     before, after = (np.linalg.norm((each - T)[:, :3, 3], axis=1).mean() for each in (prior, state.T_world_sensor))
     assert after < 0.15 * before
     assert np.abs(state.bars.flange - bars.flange).max() < 0.004
@@ -122,9 +122,9 @@ def test_a_made_up_flight_comes_back_to_the_truth():
 
 @pytest.mark.parametrize("noise_m", [0.005, 0.03])
 def test_the_range_noise_is_taken_from_the_residuals(noise_m):
-    T, bars, seen = made_up(3, noise_m)
+    T, bars, observed = made_up(3, noise_m)
     state = problem.start(T, T, bars)
     for _ in range(3):
-        state = solver.improve(state, factors.linearised(state, seen), T, 0.2 * np.arange(len(T)))
-    sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(seen.point, axis=1))
+        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+    sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(observed.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

@@ -8,8 +8,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import factors, poses, problem, sections
-from steelnb.fusion.poses import POSE
-from steelnb.fusion.problem import BAR, Bars
+from steelnb.fusion.poses import UPRIGHT_DOF
+from steelnb.fusion.problem import BAR_DOF, Bars
 from steelnb.fusion.solver import Chain
 from steelnb.types import Segments
 from tests.fusion.made import made_up
@@ -18,16 +18,19 @@ from tests.fusion.made import made_up
 def chain_of(poses: int, seed: int):
     """A block tridiagonal matrix as blocks and dense, and columns that few poses have."""
     rng = np.random.default_rng(seed)
-    lower = rng.normal(size=(poses, POSE, POSE)) + 3 * np.eye(POSE)
-    below = rng.normal(size=(poses - 1, POSE, POSE))
+    lower = rng.normal(size=(poses, UPRIGHT_DOF, UPRIGHT_DOF)) + 3 * np.eye(UPRIGHT_DOF)
+    below = rng.normal(size=(poses - 1, UPRIGHT_DOF, UPRIGHT_DOF))
     matrix = lower @ lower.transpose(0, 2, 1)
     matrix[1:] += below @ below.transpose(0, 2, 1)
     beside = lower[:-1] @ below.transpose(0, 2, 1)
     dense = block_diag(*matrix)
     for k in range(poses - 1):
-        here, behind = slice(POSE * k, POSE * k + POSE), slice(POSE * k + POSE, POSE * k + 2 * POSE)
+        here, behind = (
+            slice(UPRIGHT_DOF * k, UPRIGHT_DOF * k + UPRIGHT_DOF),
+            slice(UPRIGHT_DOF * k + UPRIGHT_DOF, UPRIGHT_DOF * k + 2 * UPRIGHT_DOF),
+        )
         dense[here, behind], dense[behind, here] = beside[k], beside[k].T
-    columns = rng.normal(size=(poses, POSE, 30))
+    columns = rng.normal(size=(poses, UPRIGHT_DOF, 30))
     for m, first in enumerate(rng.integers(0, poses - 3, 30)):
         columns[:first, :, m], columns[first + 3 :, :, m] = 0.0, 0.0
     return matrix, beside, dense, columns
@@ -35,28 +38,28 @@ def chain_of(poses: int, seed: int):
 
 def test_a_chain_is_solved_as_its_dense_matrix():
     matrix, beside, dense, columns = chain_of(50, 1)
-    chain, flat = Chain.factored(matrix, beside), columns.reshape(50 * POSE, 30)
+    chain, flat = Chain.factored(matrix, beside), columns.reshape(50 * UPRIGHT_DOF, 30)
     forward = chain.forward(columns)
     squared = forward.reshape(flat.shape).T @ forward.reshape(flat.shape)
     np.testing.assert_allclose(squared, flat.T @ np.linalg.solve(dense, flat), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(chain.backward(forward).reshape(flat.shape), np.linalg.solve(dense, flat), atol=1e-9)
-    inverse = np.linalg.inv(dense).reshape(50, POSE, 50, POSE)[np.arange(50), :, np.arange(50)]
+    inverse = np.linalg.inv(dense).reshape(50, UPRIGHT_DOF, 50, UPRIGHT_DOF)[np.arange(50), :, np.arange(50)]
     np.testing.assert_allclose(chain.inverse_blocks(), inverse, atol=1e-9)
 
 
 def test_a_matrix_that_is_not_positive_definite_is_refused():
     matrix, beside, _, _ = chain_of(5, 3)
-    matrix[3] -= 100 * np.eye(POSE)
+    matrix[3] -= 100 * np.eye(UPRIGHT_DOF)
     with pytest.raises(np.linalg.LinAlgError):
         Chain.factored(matrix, beside)
 
 
-def residuals_of(T, bars, seen, p):
+def residuals_of(T, bars, observed, p):
     """Residuals of the points of pair p, and their standard deviations, straight from the definition."""
-    k, b = seen.pair_scan[p], seen.pair_bar[p]
+    k, b = observed.pair_scan[p], observed.pair_bar[p]
     corner, direction = sections.outlines(bars.turn, bars.flange)[b], bars.segments.direction[b]
     found = []
-    for s in seen.point[seen.first[p] : seen.first[p + 1]].astype(np.float64):
+    for s in observed.point[observed.first[p] : observed.first[p + 1]].astype(np.float64):
         point = T[k, :3, :3] @ s + T[k, :3, 3]
         frame = np.vstack([bars.across[b], direction])
         at, towards = frame @ (point - bars.segments.start[b]), frame @ (T[k, :3, 3] - point)
@@ -89,29 +92,30 @@ def moved(T, bars, k, b, n, step, size):
 
 @pytest.mark.parametrize(("tilt_sigma_rad", "tubes"), [(0.0, ()), (0.02, (1, 4))])
 def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes):
-    T, bars, seen = made_up(4, 0.0, tubes, scans=8)
+    T, bars, observed = made_up(4, 0.0, tubes, scans=8)
     bars = replace(bars, segments=bars.segments.transformed(np.eye(4)))
     T = T.copy()
     tilted = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix()  # roll and pitch, and a face seen aslant
-    whole = np.eye(4)
-    whole[:3, :3], whole[:3, 3] = tilted, [0.3, -0.2, 0.5]
-    T, segments = whole @ T, bars.segments.transformed(whole)
+    T_world = np.eye(4)
+    T_world[:3, :3], T_world[:3, 3] = tilted, [0.3, -0.2, 0.5]
+    T, segments = T_world @ T, bars.segments.transformed(T_world)
     bars = Bars(segments, bars.across @ tilted.T, bars.turn, bars.flange)
     state = problem.start(T, T, bars, tilt_sigma_rad)
-    eq = factors.linearised(state, seen)
-    step, size = 1e-6, 6 if tilt_sigma_rad else POSE
-    matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR, BAR))
-    for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
+    eq = factors.linearised(state, observed)
+    step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
+    matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR_DOF, BAR_DOF))
+    for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
         columns = [
-            (residuals_of(*moved(T, bars, k, b, n, step, size), seen, p)[0]
-             - residuals_of(*moved(T, bars, k, b, n, -step, size), seen, p)[0]) / (2 * step) for n in range(size + BAR)
+            (residuals_of(*moved(T, bars, k, b, n, step, size), observed, p)[0]
+             - residuals_of(*moved(T, bars, k, b, n, -step, size), observed, p)[0]) / (2 * step)
+            for n in range(size + BAR_DOF)
         ]  # fmt: skip
-        sigma = residuals_of(T, bars, seen, p)[1]
+        sigma = residuals_of(T, bars, observed, p)[1]
         g = np.column_stack(columns) / sigma[:, None]
         g = g[np.isfinite(g).all(axis=1)]
         matrix[k] += g[:, :size].T @ g[:, :size]
         block[b] += g[:, size:].T @ g[:, size:]
-        if len(g) == seen.first[p + 1] - seen.first[p]:
+        if len(g) == observed.first[p + 1] - observed.first[p]:
             scale = np.abs(g.T @ g).max()
             np.testing.assert_allclose(eq.cross[p], g[:, :size].T @ g[:, size:], atol=0.01 * scale)
             np.testing.assert_allclose(eq.shares[p], g[:, size:].T @ g[:, size:], atol=0.01 * scale)
@@ -131,9 +135,9 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
     stamp_s = 0.2 * np.arange(n)
 
     def vector(step):
-        return factors.increments(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
+        return poses.prior_equations(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
 
-    matrix, beside, _ = factors.increments(T, prior, stamp_s, sigma)
+    matrix, beside, _ = poses.prior_equations(T, prior, stamp_s, sigma)
     dense = block_diag(*matrix)
     for k in range(n - 1):
         dense[6 * k : 6 * k + 6, 6 * k + 6 : 6 * k + 12] = beside[k]

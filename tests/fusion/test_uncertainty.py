@@ -7,52 +7,56 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
 from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
-from steelnb.fusion.problem import BAR, Bars
+from steelnb.fusion.problem import BAR_DOF, Bars
 from tests.fusion.made import bars_of, made_up
 
 STAMP_S = 0.2 * np.arange(40)
+NONE = 1e-9
+"""A displacement that points of one scan do not share, metres."""
 
 
 def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
     return problem.start(T, T, bars, tilt_sigma_rad)
 
 
-def marginals(state, seen, prior, shared_sigma_m=None):
-    return uncertainty.marginals(state, factors.linearised(state, seen), prior, STAMP_S, shared_sigma_m)
+def marginals(state, observed, prior, shared_sigma_m=uncertainty.SHARED_SIGMA_M):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(uncertainty, "SHARED_SIGMA_M", shared_sigma_m / state.sigma_ratio**2)
+        return uncertainty.marginals(state, factors.linearised(state, observed), prior, STAMP_S)
 
 
-def dense(state, seen, prior, stamp_s, shared_sigma_m):
-    """The whole inverse, with the shared displacement of each pair of a scan and a bar as one more unknown."""
-    eq = factors.linearised(state, seen)
-    K, n, P = len(eq.matrix), len(eq.block), len(seen.pair_bar)
-    chained, beside, _ = factors.increments(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+def dense(state, observed, prior, stamp_s, shared_sigma_m):
+    """The inverse of all equations, with the displacement of each pair of a scan and a bar as an unknown."""
+    eq = factors.linearised(state, observed)
+    K, n, P = len(eq.matrix), len(eq.block), len(observed.pair_bar)
+    chained, beside, _ = poses.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
     D = poses.pose_size(state.tilt_sigma_rad)
-    size = D * K + BAR * n
-    whole = np.zeros((size + 2 * P, size + 2 * P))
-    whole[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
+    size = D * K + BAR_DOF * n
+    matrix = np.zeros((size + 2 * P, size + 2 * P))
+    matrix[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
     for k in range(K - 1):
         pose, behind = slice(D * k, D * k + D), slice(D * k + D, D * k + 2 * D)
-        whole[pose, behind], whole[behind, pose] = beside[k], beside[k].T
-    whole[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(problem.BAR_SIGMA**-2.0)))
-    for p, (k, b) in enumerate(zip(seen.pair_scan, seen.pair_bar, strict=True)):
-        pose, bar = slice(D * k, D * k + D), slice(D * K + BAR * b, D * K + BAR * b + BAR)
-        own = slice(size + 2 * p, size + 2 * p + 2)
-        whole[pose, bar], whole[bar, pose] = eq.cross[p], eq.cross[p].T
-        whole[pose, own], whole[own, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
-        whole[bar, own], whole[own, bar] = eq.shares[p][:, :2], eq.shares[p][:, :2].T
-        whole[own, own] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
-    inverse = np.linalg.inv(whole[D:, D:])  # without the first pose, which is held
+        matrix[pose, behind], matrix[behind, pose] = beside[k], beside[k].T
+    matrix[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(problem.BAR_SIGMA**-2.0)))
+    for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
+        pose, bar = slice(D * k, D * k + D), slice(D * K + BAR_DOF * b, D * K + BAR_DOF * b + BAR_DOF)
+        displacement = slice(size + 2 * p, size + 2 * p + 2)
+        matrix[pose, bar], matrix[bar, pose] = eq.cross[p], eq.cross[p].T
+        matrix[pose, displacement], matrix[displacement, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
+        matrix[bar, displacement], matrix[displacement, bar] = eq.shares[p][:, :2], eq.shares[p][:, :2].T
+        matrix[displacement, displacement] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
+    inverse = np.linalg.inv(matrix[D:, D:])  # without the first pose, which is held
     pose = [inverse[at : at + D, at : at + D] for at in range(0, D * (K - 1), D)]
-    bar = [inverse[at : at + BAR, at : at + BAR] for at in range(D * (K - 1), size - D, BAR)]
+    bar = [inverse[at : at + BAR_DOF, at : at + BAR_DOF] for at in range(D * (K - 1), size - D, BAR_DOF)]
     return np.array(pose), np.array(bar)
 
 
 @pytest.mark.parametrize("tilt_sigma_rad", [0.0, 0.02])
 def test_they_are_the_blocks_of_the_dense_inverse(tilt_sigma_rad):
-    T, bars, seen = made_up(1, 0.004)
+    T, bars, observed = made_up(1, 0.004)
     state = state_of(T, bars, tilt_sigma_rad)
-    pose, bar = dense(state, seen, T, STAMP_S, 0.003)
-    found = marginals(state, seen, T, 0.003)
+    pose, bar = dense(state, observed, T, STAMP_S, 0.003)
+    found = marginals(state, observed, T, 0.003)
     np.testing.assert_allclose(found.pose[1:], pose, rtol=1e-4, atol=1e-12)
     np.testing.assert_allclose(found.bar, bar, rtol=1e-4, atol=1e-12)
     assert not found.pose[0].any()
@@ -60,16 +64,16 @@ def test_they_are_the_blocks_of_the_dense_inverse(tilt_sigma_rad):
 
 def test_the_information_of_a_bar_in_a_scan_saturates():
     """A hundred times the points say ten times as much of a bar; with a shared error hardly more."""
-    T, bars, seen = made_up(1, 0.004)
+    T, bars, observed = made_up(1, 0.004)
     state = state_of(T, bars)
     sharp = problem.Problem(T, bars, 0.1 * state.sigma_ratio, state.fitted)
     sigma = {
-        (name, shared): np.sqrt(np.median(marginals(each, seen, T, shared).pose[1:, 1, 1]))
-        for name, each in (("few", state), ("many", sharp)) for shared in (0.0, 0.01)
+        (name, shared): np.sqrt(np.median(marginals(each, observed, T, shared).pose[1:, 1, 1]))
+        for name, each in (("few", state), ("many", sharp)) for shared in (NONE, 0.01)
     }  # fmt: skip
-    assert sigma["many", 0.0] < 0.25 * sigma["few", 0.0]
+    assert sigma["many", NONE] < 0.25 * sigma["few", NONE]
     assert sigma["many", 0.01] > 0.5 * sigma["few", 0.01]
-    assert sigma["many", 0.01] > 5 * sigma["many", 0.0]
+    assert sigma["many", 0.01] > 5 * sigma["many", NONE]
 
 
 def test_many_runs_scatter_as_they_say():
@@ -79,7 +83,7 @@ def test_many_runs_scatter_as_they_say():
     range_m = np.linalg.norm(exact.point, axis=1)[:, None]
     for _ in range(30):
         noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
-        seen = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
+        observed = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
         drift = rng.normal(size=(39, 4)) * poses.DRIFT_SIGMA
         prior = T.copy()
         prior[1:, :3, 3] += np.cumsum(drift[:, 1:], axis=0)
@@ -87,8 +91,8 @@ def test_many_runs_scatter_as_they_say():
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
         state = problem.start(T, prior, bars)
         for _ in range(4):
-            state = solver.improve(state, factors.linearised(state, seen), prior, STAMP_S)
-        pose = marginals(state, seen, prior, 0.0).pose
+            state = solver.improve(state, factors.linearised(state, observed), prior, STAMP_S)
+        pose = marginals(state, observed, prior, NONE).pose
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
         error[:, 0] = poses.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
@@ -100,50 +104,50 @@ def test_many_runs_scatter_as_they_say():
 
 def wall_of_posts():
     """Four posts alone, all seen at one height: nothing but the prior holds z."""
-    T, bars, seen = made_up(1, 0.004)
+    T, bars, observed = made_up(1, 0.004)
     posts = np.arange(len(bars.flange)) < 4
-    return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), seen
+    return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), observed
 
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
-    T, bars, seen = wall_of_posts()
-    pose = marginals(state_of(T, bars), seen, T).pose
+    T, bars, observed = wall_of_posts()
+    pose = marginals(state_of(T, bars), observed, T).pose
     np.testing.assert_allclose(np.sqrt(pose[:, 3, 3]), 0.01 * np.sqrt(np.arange(40)), rtol=0.01)
     assert np.sqrt(pose[-1, 2, 2]) < 0.01
 
 
 def test_a_free_direction_is_named(monkeypatch):
     monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
-    T, bars, seen = wall_of_posts()
+    T, bars, observed = wall_of_posts()
     with pytest.raises(InputError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
-        marginals(state_of(T, bars), seen, T)
+        marginals(state_of(T, bars), observed, T)
 
 
 def test_what_no_point_tells_of_a_bar_is_half_a_metre():
-    T, bars, seen = wall_of_posts()
-    bar = marginals(state_of(T, bars), seen, T).bar
+    T, bars, observed = wall_of_posts()
+    bar = marginals(state_of(T, bars), observed, T).bar
     np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), problem.BAR_SIGMA, rtol=1e-6)
 
 
 def test_equations_that_are_not_finite_are_refused():
-    T, bars, seen = made_up(1, 0.004)
+    T, bars, observed = made_up(1, 0.004)
     prior = T.copy()
     prior[7, 0, 3] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        marginals(state_of(T, bars), seen, prior)
+        marginals(state_of(T, bars), observed, prior)
 
 
 @pytest.mark.parametrize(
     ("covariance", "says"),
     [
-        (np.diag([1.0, 0.0, 1.0]), r"pose 5 is not positive definite along 1\.00 y"),
-        (np.diag([1.0, np.inf, 1.0]), "pose 5 is not finite"),
-        (np.diag([1.0, 1.0, 400.0]), r"pose 5 is singular: nothing holds it along 1\.00 z"),
+        (np.diag([1.0, 0.0, 1.0]), r"pose 2 is not positive definite along 1\.00 y"),
+        (np.diag([1.0, np.inf, 1.0]), "pose 2 is not finite"),
+        (np.diag([1.0, 1.0, 400.0]), r"pose 2 is singular: nothing holds it along 1\.00 z"),
     ],
 )
 def test_covariances_that_are_none_are_named(covariance, says):
     with pytest.raises(InputError, match=says):
-        uncertainty.check_covariances(np.stack([np.eye(3), covariance]), "pose", ("x", "y", "z"), first=4)
+        uncertainty.check_poses(np.stack([np.zeros((3, 3)), np.eye(3), covariance]))
 
 
 def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
@@ -165,20 +169,20 @@ def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
 def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
     monkeypatch.setattr(uncertainty, "END_SIGMA_M", 0.0)
     segments = bars_of([[0, 0, 0], [1, 2, 2]])
-    own = sections.frames(segments.direction)
+    frame = sections.frames(segments.direction)
     cosine, sine = np.cos(0.7), np.sin(0.7)
-    across = np.array([[cosine, sine], [-sine, cosine]]) @ own
+    across = np.array([[cosine, sine], [-sine, cosine]]) @ frame
     bar = np.zeros((1, 6, 6))
     bar[0, :4, :4] = np.diag([4e-6, 1e-6, 9e-6, 1e-6])
-    found = uncertainty.axis_covariances(bar, segments, across)
+    found = uncertainty.axis_covariances(bar, segments, across, 1.0)
     in_world = across[0].T @ bar[0, :2, :2] @ across[0]
-    np.testing.assert_allclose(own[0].T @ found[0, :2, :2] @ own[0], in_world, atol=1e-15)
+    np.testing.assert_allclose(frame[0].T @ found[0, :2, :2] @ frame[0], in_world, atol=1e-15)
     assert uncertainty.axis_sigma_m(found, np.zeros(1))[0] == pytest.approx(2e-3)
 
 
 def test_ends_of_an_axis_have_their_own_error():
     segments = bars_of([[0, 0, 0], [0, 0, 2.0]])
-    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction))
+    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction), 1.0)
     for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
         sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
         assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)
