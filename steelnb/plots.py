@@ -1,7 +1,7 @@
 """The style of all figures, with one table of colours and one of names, and drawing helpers shared by them."""
 
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,6 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from steelnb.types import Array, Segments
 
@@ -169,28 +170,6 @@ def draw_grid(
     return image
 
 
-def draw_sample(
-    panel: Axes,
-    place: float,
-    values: Array,
-    colour: str,
-    marker: str = "o",
-    middle: Callable[[Array], Any] = np.mean,
-    limits: tuple[float, float] = (-np.inf, np.inf),
-    width: float = 0.3,
-    across: bool = False,
-    **look: Any,
-) -> float:
-    """Draw values ``(N,)`` as dots side by side around ``place`` on the other axis, and their middle, which is given
-    back, as a black bar of a ``width``; upright columns, or with ``across`` rows. Dots stay within ``limits``."""
-    spread = place + 0.45 * width * np.sin(2.4 * np.arange(len(values)))  # the golden angle: no two dots coincide
-    centre, side = float(middle(values)), [place - 0.55 * width, place + 0.55 * width]
-    turn = -1 if across else 1
-    panel.plot(*(spread, np.clip(values, *limits))[::turn], marker, color=colour, **look)
-    panel.plot(*(side, [centre, centre])[::turn], color=BLACK, linewidth=2.0)
-    return centre
-
-
 def end_points(segments: Segments) -> Array:
     """Both ends of each segment ``(M, 2, 3)``."""
     return np.stack([segments.start, segments.end], axis=1)
@@ -219,6 +198,21 @@ def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0
 def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
     draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
+
+
+def draw_judged_bars(
+    panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
+) -> None:
+    """Draw the bars found ``(B, 2, 3)``, the right ones ``(B,)`` and the wrong ones, over the true members ``(M, 2,
+    3)`` into a panel as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
+    cloud = members.reshape(-1, 3)
+    draw_bars(panel, members, cloud, color=COLOURS["member"], lw=0.8, label="true member")
+    draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on none")
+    draw_bars(panel, bars[right], cloud, color=COLOURS["right"], lw=1.5, label="bar on a member")
+    if joints is not None:
+        x, y = project_perspective(joints, cloud).T
+        panel.plot(x, y, "o", color=BLACK, ms=2.4, label="joint")
+    frame_perspective(panel, cloud)
 
 
 def draw_paths(

@@ -20,7 +20,7 @@ from steelnb.claims import (
     verdict_table,
 )
 from steelnb.errors import InputError
-from steelnb.report.segmentation import frame_runs
+from steelnb.frames import frame_runs
 from steelnb.row import case_of
 from steelnb.runs import read_grids
 
