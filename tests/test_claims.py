@@ -24,7 +24,7 @@ from steelnb.frames import frame_runs
 from steelnb.row import case_of
 from steelnb.runs import read_grids
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 NOISES = ("random-walk", "constant-drift")
 
 
