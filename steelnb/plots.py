@@ -2,7 +2,7 @@
 
 import io
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -169,28 +169,6 @@ def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower ce
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
-
-
-def draw_sample(
-    panel: Axes,
-    place: float,
-    values: Array,
-    colour: str,
-    marker: str = "o",
-    middle: Callable[[Array], Any] = np.mean,
-    limits: tuple[float, float] = (-np.inf, np.inf),
-    width: float = 0.3,
-    across: bool = False,
-    **look: Any,
-) -> float:
-    """Draw values ``(N,)`` as dots side by side around ``place`` on the other axis, and their middle, which is given
-    back, as a black bar of a ``width``; upright columns, or with ``across`` rows. Dots stay within ``limits``."""
-    spread = place + 0.45 * width * np.sin(2.4 * np.arange(len(values)))  # the golden angle: no two dots coincide
-    centre, side = float(middle(values)), [place - 0.55 * width, place + 0.55 * width]
-    turn = -1 if across else 1
-    panel.plot(*(spread, np.clip(values, *limits))[::turn], marker, color=colour, **look)
-    panel.plot(*(side, [centre, centre])[::turn], color=BLACK, linewidth=2.0)
-    return centre
 
 
 def end_points(segments: Segments) -> Array:

@@ -127,14 +127,18 @@ def pairs(points, target, limit):
     return np.array(result)
 
 
-def voxel_moments(points, voxel_m):
-    """{cube: (number of points, mean, covariance of the points in the 27 cubes about it)}."""
+def voxel_moments(points, weights, voxel_m):
+    """{cube: (weight, mean, covariance of the points in the 27 cubes about it)}."""
     cube = np.floor(points / voxel_m).astype(int)
     result = {}
     for key in {tuple(c) for c in cube}:
         own = (cube == key).all(axis=1)
         about = (np.abs(cube - key) <= 1).all(axis=1)
-        result[key] = own.sum(), points[own].mean(axis=0), np.cov(points[about].T, bias=True)
+        result[key] = (
+            weights[own].sum(),
+            np.average(points[own], axis=0, weights=weights[own]),
+            np.cov(points[about].T, aweights=weights[about], bias=True),
+        )
     return result
 
 

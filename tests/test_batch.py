@@ -6,7 +6,7 @@ import pytest
 
 from steelnb import batch, experiment
 from steelnb.errors import InputError
-from steelnb.report.basin import find_basin
+from steelnb.metrics.basin import find_basin
 from steelnb.row import paired_clouds
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import read_report_plots

@@ -9,7 +9,7 @@ import pytest
 
 from steelnb.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, cells_of, judge, read_claims, verdict_table
 from steelnb.errors import InputError
-from steelnb.report.segmentation import frame_runs
+from steelnb.frames import frame_runs
 from steelnb.row import case_of
 from steelnb.runs import read_grids
 

@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 from steelnb.fusion.joints import nearest_point
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.matching import DISTANCE_MAX_M, SHARE_MIN, match_members, share
+from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility
-from steelnb.types import Array, IntArray
+from steelnb.types import Array, IntArray, Segments
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,30 @@ def score_structure(structure: Structure, truth: Reference) -> StructureScore:
         **_score_graph(structure, truth),
     }
     return StructureScore(numbers, member, found, match.offset_m)
+
+
+def toward_sensor_m(bars: Segments, member: IntArray, axes: Array, T_world_sensor: Array, tof: TofSettings) -> Array:
+    """Distance ``(B,)`` by which the middle of each bar lies nearer to the sensor than its member's axis, NaN for none.
+
+    ``member (B,)`` is the member of each bar, or −1, ``axes (M, 2, 3)`` are the true axes, and ``T_world_sensor (K, 4,
+    4)`` the true poses. Measured across the axis, along the mean direction in which the bar was looked at from these
+    poses, near looks weighing more (1/distance²), as their points do.
+    """
+    inside = math.cos(0.5 * max(tof.fov_horizontal_rad, tof.fov_vertical_rad))
+    toward = np.full(len(bars), np.nan)
+    for b in np.flatnonzero(member >= 0):
+        begin, end = axes[member[b]]
+        axis = (end - begin) / np.linalg.norm(end - begin)
+        sight = bars.middle[b] - T_world_sensor[:, :3, 3]
+        distance = np.linalg.norm(sight, axis=1)
+        ahead = (sight * T_world_sensor[:, :3, 0]).sum(axis=1) > inside * distance
+        seen = ahead & (distance < tof.range_max_m)
+        view = (sight[seen] / distance[seen, None] ** 3).sum(axis=0)
+        view -= (view @ axis) * axis
+        size = np.linalg.norm(view)
+        if size > 0:
+            toward[b] = -(bars.middle[b] - begin) @ view / size
+    return toward
 
 
 def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:

@@ -158,7 +158,7 @@ def _covariances_of_leaf(tree, node, k_most, result, scratch):
         m = NO_MOMENTS
         for k in range(k_most):
             c = chosen[k]
-            m = add_point(m, xs[c] - x, ys[c] - y, zs[c] - z)
+            m = add_point(m, 1.0, xs[c] - x, ys[c] - y, zs[c] - z)
         result[i, :] = covariance(m)
 
 

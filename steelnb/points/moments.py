@@ -1,8 +1,8 @@
-"""Compiled moments of points, and eigenvectors of symmetric 3×3 matrices.
+"""Compiled moments of weighted points, and eigenvectors of symmetric 3×3 matrices.
 
-Moments are a tuple of ten numbers (n, x, y, z, xx, xy, xz, yy, yz, zz): the number of points, and the sums of their
-coordinates and of the products of these. Their origin is near the points, since sums about a distant origin lose
-digits. Symmetric matrices are upper triangles in the order xx xy xz yy yz zz.
+Moments are a tuple of ten numbers (w, x, y, z, xx, xy, xz, yy, yz, zz): the total weight and the weighted sums of the
+coordinates and of their products. Their origin is near the points, since sums about a distant origin lose digits.
+Symmetric matrices are upper triangles in the order xx xy xz yy yz zz.
 """
 
 import math
@@ -13,23 +13,23 @@ NO_MOMENTS = (0.0,) * 10
 
 
 @njit(cache=True, error_model="numpy")
-def add_point(m, x, y, z):
-    """Moments ``m`` plus one point."""
+def add_point(m, w, x, y, z):
+    """Moments ``m`` plus one point of weight ``w``."""
     return (
-        m[0] + 1.0, m[1] + x, m[2] + y, m[3] + z, m[4] + x * x, m[5] + x * y, m[6] + x * z, m[7] + y * y,
-        m[8] + y * z, m[9] + z * z,
+        m[0] + w, m[1] + w * x, m[2] + w * y, m[3] + w * z, m[4] + w * x * x, m[5] + w * x * y, m[6] + w * x * z,
+        m[7] + w * y * y, m[8] + w * y * z, m[9] + w * z * z,
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def add_moments(m, other, x, y, z):
     """Moments ``m`` plus ``other`` moments about the origin (x, y, z), by the parallel-axis theorem."""
-    n, sx, sy, sz = other[0], other[1], other[2], other[3]
+    w, sx, sy, sz = other[0], other[1], other[2], other[3]
     return (
-        m[0] + n, m[1] + (sx + n * x), m[2] + (sy + n * y), m[3] + (sz + n * z),
-        m[4] + (other[4] + x * (2.0 * sx + n * x)), m[5] + (other[5] + x * sy + y * (sx + n * x)),
-        m[6] + (other[6] + x * sz + z * (sx + n * x)), m[7] + (other[7] + y * (2.0 * sy + n * y)),
-        m[8] + (other[8] + y * sz + z * (sy + n * y)), m[9] + (other[9] + z * (2.0 * sz + n * z)),
+        m[0] + w, m[1] + (sx + w * x), m[2] + (sy + w * y), m[3] + (sz + w * z),
+        m[4] + (other[4] + x * (2.0 * sx + w * x)), m[5] + (other[5] + x * sy + y * (sx + w * x)),
+        m[6] + (other[6] + x * sz + z * (sx + w * x)), m[7] + (other[7] + y * (2.0 * sy + w * y)),
+        m[8] + (other[8] + y * sz + z * (sy + w * y)), m[9] + (other[9] + z * (2.0 * sz + w * z)),
     )  # fmt: skip
 
 
@@ -41,17 +41,17 @@ def store(m, row):
 
 @njit(cache=True, error_model="numpy")
 def covariance(m):
-    """Covariance about the mean, normalised by the number of points: (xx, xy, xz, yy, yz, zz)."""
-    n = m[0]
-    x, y, z = m[1] / n, m[2] / n, m[3] / n
+    """Covariance about the mean, normalised by the total weight: (xx, xy, xz, yy, yz, zz)."""
+    w = m[0]
+    x, y, z = m[1] / w, m[2] / w, m[3] / w
     return (
-        m[4] / n - x * x, m[5] / n - x * y, m[6] / n - x * z, m[7] / n - y * y, m[8] / n - y * z, m[9] / n - z * z
+        m[4] / w - x * x, m[5] / w - x * y, m[6] / w - x * z, m[7] / w - y * y, m[8] / w - y * z, m[9] / w - z * z
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def moments_about_mean(px, py, pz, chosen, count):
-    """Mean of the points ``chosen[:count]``, and their moments about it: (x, y, z, moments)."""
+    """Mean of the points ``chosen[:count]``, weight 1 each, and their moments about it: (x, y, z, moments)."""
     x = y = z = 0.0
     for k in range(count):
         x += px[chosen[k]]
@@ -61,7 +61,7 @@ def moments_about_mean(px, py, pz, chosen, count):
         x, y, z = x / count, y / count, z / count
     m = NO_MOMENTS
     for k in range(count):
-        m = add_point(m, px[chosen[k]] - x, py[chosen[k]] - y, pz[chosen[k]] - z)
+        m = add_point(m, 1.0, px[chosen[k]] - x, py[chosen[k]] - y, pz[chosen[k]] - z)
     return x, y, z, m
 
 

@@ -64,7 +64,7 @@ def rehash(keys, table_key, table_slot):
 
 
 @njit(cache=True)
-def insert(points, voxel, table_key, table_slot, keys, moment, mean, last_mark, size, mark, accumulate):
+def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, last_mark, size, mark, accumulate):
     """Add points to the voxels; returns the slots of the touched voxels and the number of all voxels.
 
     ``mark`` numbers the insertion. ``last_mark`` holds the last one that touched each voxel.
@@ -92,9 +92,9 @@ def insert(points, voxel, table_key, table_slot, keys, moment, mean, last_mark, 
             touched[count] = slot
             count += 1
             if not accumulate and m[0] > 0.0:  # the old mean counts as one point
-                store(add_point(NO_MOMENTS, m[1] / m[0], m[2] / m[0], m[3] / m[0]), m)
+                store(add_point(NO_MOMENTS, 1.0, m[1] / m[0], m[2] / m[0], m[3] / m[0]), m)
         x, y, z = points[n, 0] - i * voxel, points[n, 1] - j * voxel, points[n, 2] - k * voxel
-        store(add_point(m, x, y, z), m)
+        store(add_point(m, weights[n], x, y, z), m)
     for n in range(count):
         slot = touched[n]
         i, j, k = unpack(keys[slot])

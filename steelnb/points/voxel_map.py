@@ -19,7 +19,7 @@ class VoxelGrid(NamedTuple):
 
 
 class VoxelMap:
-    """Voxels of edge ``voxel_m``, metres, in the world frame, with the number, mean and covariance of their points.
+    """Voxels of edge ``voxel_m``, metres, in the world frame, with the weight, mean and covariance of their points.
 
     With ``accumulate`` the mean is that of all inserted points. Without, the map is filtered again after every scan as
     in the report: the old mean of a voxel counts as one point. The slot of a voxel never changes. The time of an
@@ -44,20 +44,23 @@ class VoxelMap:
     def __len__(self) -> int:
         return self._size
 
-    def insert(self, points: Array) -> IntArray:
-        """Add points ``(N, 3)`` in metres; returns the slots of the touched voxels.
+    def insert(self, points: Array, weight: Array | None = None) -> IntArray:
+        """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1; returns the slots of the touched voxels.
 
         Raises `InputError` and leaves the map unchanged if a point is not finite or farther than `voxel_kernels.REACH`
-        voxels away.
+        voxels away, or if a weight is not positive and finite.
         """
         points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        weight = np.ones(len(points)) if weight is None else np.ascontiguousarray(weight, dtype=np.float64)
         farthest = np.abs(points).max(initial=0.0)
         if not farthest < (kernels.REACH - 2) * self.voxel_m:
             raise InputError(f"points: a coordinate of {farthest:.3g} m; too far for voxels of {self.voxel_m} m")
+        if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
+            raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         self._reserve(len(points))
         self._mark += 1
         touched, self._size = kernels.insert(
-            points, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._mean,
+            points, weight, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._mean,
             self._last_mark, self._size, self._mark, self.accumulate,
         )  # fmt: skip
         return touched
@@ -80,7 +83,7 @@ class VoxelMap:
         return self._mean[: self._size].copy() if slots is None else self._mean[slots]
 
     def weights(self) -> Array:
-        """Numbers of points ``(M,)`` of all voxels."""
+        """Total weights ``(M,)`` of all voxels."""
         return self._moment[: self._size, 0].copy()
 
     def near(self, centre: Array, radius_m: float) -> IntArray:

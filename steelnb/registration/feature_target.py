@@ -74,7 +74,7 @@ def _fit(tree, kind, source, plane, T, limit, across, point, shape, match):
             continue
         m = NO_MOMENTS
         for k in found:
-            m = add_point(m, p[k, 0] - qx, p[k, 1] - qy, p[k, 2] - qz)
+            m = add_point(m, 1.0, p[k, 0] - qx, p[k, 1] - qy, p[k, 2] - qz)
         xx, xy, xz, yy, yz, zz = covariance(m)
         small, medium, large = eigen(xx, xy, xz, yy, yz, zz)
         if kind == 1:

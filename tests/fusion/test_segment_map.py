@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from steelnb.fusion import SegmentMap, associate
 from steelnb.fusion.association import GAP_MAX_M, pair_distance
-from steelnb.report.structure_tables import structure_of
+from steelnb.fusion.incremental import structure_of
 from steelnb.settings import FusionSettings
 from steelnb.types import Segments
 from tests import naive

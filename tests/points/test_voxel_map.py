@@ -39,18 +39,18 @@ def sorted_by_voxel(points):
     n=st.integers(1, 60),
 )
 def test_moments_and_shapes_equal_their_slow_twin_after_every_scan(seed, voxel_m, count, n):
-    voxels, points = VoxelMap(voxel_m), np.zeros((0, 3))
+    voxels, points, weights = VoxelMap(voxel_m), np.zeros((0, 3)), np.zeros(0)
     rng = np.random.default_rng(seed)
     for _ in range(count):
-        frame = rng.normal(size=(n, 3)) * [1, 0.5, 0.1]
-        voxels.update_shapes(voxels.insert(frame))
-        points = np.vstack([points, frame])
-        expected = naive.voxel_moments(points, voxel_m)
+        frame, weight = rng.normal(size=(n, 3)) * [1, 0.5, 0.1], rng.uniform(0.5, 2, n)
+        voxels.update_shapes(voxels.insert(frame, weight))
+        points, weights = np.vstack([points, frame]), np.append(weights, weight)
+        expected = naive.voxel_moments(points, weights, voxel_m)
         means, mass, shapes = voxels.means(), voxels.weights(), naive.full(all_shapes(voxels))
         assert len(voxels) == len(expected) == len(means)
         for slot, cell in enumerate(map(tuple, np.floor(means / voxel_m).astype(int))):
-            count_, mean, covariance = expected[cell]
-            assert mass[slot] == count_
+            weight_, mean, covariance = expected[cell]
+            assert mass[slot] == pytest.approx(weight_)
             np.testing.assert_allclose(means[slot], mean, atol=1e-12)
             np.testing.assert_allclose(shapes[slot], covariance, atol=1e-12)
 
@@ -124,13 +124,23 @@ def test_shapes_and_means_keep_their_precision_far_from_the_origin():
     np.testing.assert_allclose(sorted_by_voxel(far.means() - offset), sorted_by_voxel(near.means()), atol=1e-9)
 
 
-@pytest.mark.parametrize("points", [np.full((2, 3), np.nan), np.array([[np.inf, 0, 0]]), np.array([[1e6, 0, 0]])])
-def test_invalid_points_are_refused_and_leave_the_map_unchanged(points):
+@pytest.mark.parametrize(
+    ("points", "weight"),
+    [
+        (np.full((2, 3), np.nan), None),
+        (np.array([[np.inf, 0, 0]]), None),
+        (np.array([[1e6, 0, 0]]), None),
+        (np.zeros((2, 3)), np.array([1.0, 0.0])),
+        (np.zeros((2, 3)), np.array([1.0, np.nan])),
+        (np.zeros((2, 3)), np.ones(3)),
+    ],
+)
+def test_invalid_points_and_weights_are_refused_and_leave_the_map_unchanged(points, weight):
     voxels = VoxelMap(0.1)
     voxels.insert(next(frames(1)))
     before = voxels.means()
     with pytest.raises(InputError):
-        voxels.insert(points)
+        voxels.insert(points, weight)
     np.testing.assert_array_equal(voxels.means(), before)
 
 

@@ -1,4 +1,4 @@
-"""Notebook 04: the basin of convergence of a registration."""
+"""The basin of convergence of a registration, and false convergence during a flight."""
 
 import copy
 from collections.abc import Callable

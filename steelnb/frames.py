@@ -1,4 +1,4 @@
-"""Notebooks 06 and 06: methods of segmentation on views of a tower; scenes, trials and their tables."""
+"""Methods of segmentation on single frames: views of a tower, trials of a method on them, and their tables."""
 
 import math
 import time
@@ -124,9 +124,9 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     ).reset_index()  # fmt: skip
 
 
-def trial_timing(trials: Iterable[Trial], by_seed: bool = False) -> pd.DataFrame:
-    """Milliseconds a frame, median and 95th percentile, a row for each case of `trial_table`, with or without seeds."""
-    groups = _rows(trials).groupby([*CASE, "seed"] if by_seed else list(CASE), sort=False)
+def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
+    """Milliseconds a frame, median and 95th percentile, a row for each of `trial_table`."""
+    groups = _rows(trials).groupby([*CASE, "seed"], sort=False)
     times = groups["ms"].quantile(np.array([0.5, 0.95])).unstack().set_axis(["median_ms", "p95_ms"], axis=1)
     return groups[["points"]].mean().join(times).reset_index()
 
@@ -165,7 +165,7 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
     that the folder has for them. Raises `InputError`.
     """
-    names = ["scene", "noise_m", "clutter", "kept", "method", "seed"]
+    names = [*CASE, "seed"]
     try:
         rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
     except OSError as fault:

@@ -1,4 +1,4 @@
-"""Notebook 09: how noise and bias of an IMU show in its readings at rest."""
+"""How noise and bias of an IMU show in its readings at rest."""
 
 import numpy as np
 

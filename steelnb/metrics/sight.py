@@ -1,4 +1,4 @@
-"""Notebook 11: what a flight has seen of the steel."""
+"""What a flight has seen of the steel."""
 
 import numpy as np
 from scipy.spatial import cKDTree

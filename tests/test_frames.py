@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from steelnb.report import segmentation
+from steelnb.frames import Scenes, attempt, trial_table, trial_timing
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.paths import waypoints
@@ -13,7 +13,7 @@ from steelnb.simulation.views import pose_on_path, take_view
 
 @pytest.fixture(scope="module")
 def scenes():
-    return segmentation.Scenes()
+    return Scenes()
 
 
 def test_a_frame_is_made_again_by_its_seed(scenes):
@@ -66,11 +66,9 @@ def test_poses_follow_the_path():
 
 
 def test_trials_become_rows(scenes):
-    frames = {seed: scenes.frames(seed, 2) for seed in (5, 6)}
-    trials = [
-        segmentation.attempt(name, scene) for name in ("hough", "dbscan") for some in frames.values() for scene in some
-    ]
-    table = segmentation.trial_table(trials)
+    seen = [scene for seed in (5, 6) for scene in scenes.frames(seed, 2)]
+    trials = [attempt(name, scene) for name in ("hough", "dbscan") for scene in seen]
+    table = trial_table(trials)
     assert len(table) == 4
     assert (table["frames"] == 2).all()
     hough = table[table["method"] == "hough"]
@@ -80,12 +78,12 @@ def test_trials_become_rows(scenes):
     expected = np.mean([t.score.recall for t in trials[:2]])
     assert hough["recall"].iloc[0] == pytest.approx(expected)
     assert "median_ms" not in table
-    timing = segmentation.trial_timing(trials)
-    assert set(timing["method"]) == {"hough", "dbscan"}
+    timing = trial_timing(trials)
+    assert timing[["method", "seed"]].equals(table[["method", "seed"]])
 
 
 def test_a_frame_without_a_segment_has_precision_0(scenes):
-    nothing = segmentation.attempt("hough", scenes.frames(5, 1)[0], points_min=100_000)
-    row = segmentation.trial_table([nothing]).iloc[0]
+    nothing = attempt("hough", scenes.frames(5, 1)[0], points_min=100_000)
+    row = trial_table([nothing]).iloc[0]
     assert row["precision"] == row["recall"] == row["segments"] == 0
     assert math.isnan(row["angle_deg"])

@@ -1,0 +1,157 @@
+"""Structures rebuilt from flights over named towers: from drifting, corrected and true poses, once from all scans and
+scan by scan; their scores, and the near-side bias."""
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import experiment
+from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
+from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.reconstruct import map_scans, reconstruct
+from steelnb.fusion.structure import Structure
+from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure, toward_sensor_m
+from steelnb.odometry import SegmentOdometry
+from steelnb.parameters import check_names
+from steelnb.row import case_of
+from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
+from steelnb.types import Array, Flight, IntArray, Segments
+
+POSES = ("raw", "corrected", "true")
+METHODS = ("final", "incremental")
+"""Once from all scans, and scan by scan as in the report."""
+CASE = ("trajectory", "noise", "tower", "seed", "poses", "method", "odometry", "sensor")
+NUMBERS = (
+    "recall", "precision", "duplicates", "angle_median_deg", "offset_median_m", "offset_p90_m", "end_median_m",
+    "joint_recall", "joint_error_median_m", "edge_recall", "edge_precision", "bars", "observed", "joints",
+    "joints_observed", "joint_precision", "edges", "angle_p90_deg", "end_p90_m", "joint_error_p90_m",
+    "toward_sensor_median_m", "ate_rmse_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TowerFlight:
+    """A flight over a named tower, its odometry and truth, the members to be found, and ``T_world_drone (K, 4, 4)`` at
+    the scans for each of `POSES`."""
+
+    tower: str
+    flight: Flight
+    result: experiment.Result
+    reference: Reference
+    poses: dict[str, Array]
+
+    def toward_sensor_m(self, bars: Segments, member: IntArray) -> Array:
+        """`metrics.reconstruction.toward_sensor_m` of bars from this flight."""
+        T_world_sensor = self.poses["true"] @ self.flight.T_drone_sensor
+        return toward_sensor_m(bars, member, self.reference.axes, T_world_sensor, self.result.settings.tof)
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """One structure: from which of `POSES`, by which of `METHODS`, its score and the seconds it took."""
+
+    source: TowerFlight
+    poses: str
+    method: str
+    structure: Structure
+    score: StructureScore
+    seconds: float
+
+
+def fly_tower(
+    trajectory: TrajectoryName,
+    sensor: str,
+    noise: str,
+    method: str,
+    seed: int,
+    duration_s: float,
+    tower: str = "tapered",
+    overrides: dict[str, Any] | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> TowerFlight:
+    """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `InputError`."""
+    settings = ExperimentSettings.preset(
+        trajectory, noise, sensor=sensor, seed=seed, duration_s=duration_s, method=method
+    )
+    settings = settings.replace(tower=TowerSettings.preset(tower)).override(overrides or {})
+    flight, truth = experiment.simulate(settings)
+    result = experiment.estimate(settings, flight, truth, on_progress)
+    at_scans = (result.prior, result.corrected, truth.trajectory.at(flight.prior.stamp_s))
+    poses = {name: path.T_world_drone for name, path in zip(POSES, at_scans, strict=True)}
+    return TowerFlight(tower, flight, result, reference(truth.tower, truth.visibility), poses)
+
+
+def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str, str], Rebuilt]:
+    """The structure from each of some `POSES` by each of `METHODS`, by (poses, method). Raises `InputError`.
+
+    The final reconstruction adjusts poses which were corrected and not smoothed; drifting ones are taken as they are.
+    """
+    check_names("poses", poses, POSES)
+    flight, runs = source.flight, {}
+    for each, method in itertools.product(poses, METHODS):
+        began = time.perf_counter()
+        if method == "final":
+            chosen = StructureSettings(adjust=each != "raw" and not source.result.settings.odometry.smooth)
+            structure = reconstruct(flight.scans, source.poses[each], flight.T_drone_sensor, chosen)
+        else:
+            structure = _scan_by_scan(source, each)
+        seconds = time.perf_counter() - began
+        score = score_structure(structure, source.reference)
+        runs[each, method] = Rebuilt(source, each, method, structure, score, seconds)
+    return runs
+
+
+def _scan_by_scan(source: TowerFlight, poses: str) -> Structure:
+    """The map of `SegmentOdometry`, which is given the poses and corrects nothing, as a structure."""
+    s = source.result.settings
+    still = OdometrySettings.preset("none", s.sensor).replace(preprocess=s.odometry.preprocess)
+    odometry = SegmentOdometry(still, source.flight.T_drone_sensor)
+    for k, (scan, T_world_drone) in enumerate(zip(source.flight.scans, source.poses[poses], strict=True)):
+        odometry.update(scan, T_world_drone)
+        if k % FORGET_FRAMES == 0:
+            odometry.map.prune(SIGHTINGS_MIN, FORGET_FRAMES)
+    return structure_of(odometry.map)
+
+
+def structure_row(run: Rebuilt) -> dict[str, Any]:
+    """A row of a table: `CASE`, what the structure was built from, `NUMBERS`, and the ``seconds`` that it took.
+
+    ``odometry`` names the method that corrected the poses; ``toward_sensor_median_m`` is how much nearer to the sensor
+    the axes lie than the true ones, NaN where no bar is on a member.
+    """
+    result = run.source.result
+    case = case_of(result.settings)
+    case |= {"tower": run.source.tower, "poses": run.poses, "method": run.method, "odometry": case["method"]}
+    toward = pd.Series(run.source.toward_sensor_m(run.structure.segments, run.score.member))
+    ate_m = {"raw": result.metrics["raw_ate_rmse_m"], "corrected": result.metrics["ate_rmse_m"], "true": 0.0}
+    values = case | run.score.metrics | {"toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses]}
+    return {name: values[name] for name in (*CASE, *NUMBERS)} | {"seconds": run.seconds}
+
+
+def near_side(run: Rebuilt) -> pd.DataFrame:
+    """Near-side bias: how much nearer to the sensor bars lie than the true axes, in the middle of their points and as
+    rebuilt.
+
+    One row a bar on a member: ``axis`` (``middle of points`` or ``section fitted``), the ``kind`` and the
+    ``section_m`` (width of the flange) of its member, and ``toward_sensor_m``. Poses are those of the run.
+    """
+    source, s = run.source, StructureSettings()
+    T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor
+    middles = find_bars(map_scans(source.flight.scans, T_world_sensor, s))[0]
+    unknown = np.full(len(middles), np.nan)
+    blank = Structure(middles, unknown, middles.count, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
+    members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)
+    tables = []
+    for axis, bars, on in (
+        ("middle of points", middles, score_structure(blank, source.reference).member),
+        ("section fitted", run.structure.segments, run.score.member),
+    ):
+        toward = source.toward_sensor_m(bars, on)[on >= 0]
+        own = members.loc[on[on >= 0]].set_axis(["kind", "section_m"], axis=1)
+        tables.append(own.assign(axis=axis, toward_sensor_m=toward))
+    return pd.concat(tables, ignore_index=True)
