@@ -1,12 +1,7 @@
-"""Words of summaries and messages."""
+"""Words of tables."""
 
 UNITS = {"m": "m", "deg": "°", "s": "s"}
 """Last part of a column's name → its unit."""
-
-
-def counted(number: int | float, noun: str) -> str:
-    """A number and its noun, which has an s unless there is one: ``1 scan``, ``2 scans``."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def worded(column: str) -> str:
