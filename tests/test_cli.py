@@ -109,7 +109,7 @@ BAD = (
     (["run", "a.mcap", "--odometry", "syntax:Mine"], "syntax:Mine: module 'syntax' cannot be imported: "),
     (["run", "a.mcap", "--estimate", "nothing.tum"], "nothing.tum: does not exist; expected a TUM trajectory"),
     (["run", "untrue.mcap", "--estimate", "theirs.tum"], "theirs.tum: untrue.mcap has no truth to score it against"),
-    (["run", "a.mcap", "--estimate", "late.tum"], "late.tum: its poses at 1000000000.000 to 1000000000.400 s match"),
+    (["run", "a.mcap", "--estimate", "late.tum"], "late.tum: its poses at 1000000000.000 to "),
     (["record", "a.mcap"], "a.mcap: exists already; expected a new name, or --force"),
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--trajectory", "lops"], "did you mean 'loops'?"),
