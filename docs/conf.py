@@ -57,6 +57,11 @@ def list_parameters(app: Sphinx, what: str, name: str, obj: object, options: obj
     lines[begin:end] = [*"\n".join(listed).split("\n"), ""]
 
 
+def offer_files(app: Sphinx, page: str, source: list[str]) -> None:
+    """Links to pages of the repository that are none of these, such as those of benchmarks, offer the file."""
+    source[0] = re.sub(r"\[([^]]+)\]\((\.\./[^)#]+\.md)\)", r"{download}`\1 <\2>`", source[0])
+
+
 def visit_math(writer, node: nodes.math) -> None:  # type: ignore[no-untyped-def]
     """Equations as MathML, which browsers show without a script from elsewhere."""
     writer.body.append(latex2mathml.tex2mathml(node.astext()))
@@ -69,5 +74,6 @@ def visit_math_block(writer, node: nodes.math_block) -> None:  # type: ignore[no
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("source-read", offer_files)
     app.connect("autodoc-process-docstring", list_parameters, priority=100)  # before napoleon
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

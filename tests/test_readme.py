@@ -1,4 +1,4 @@
-"""The pages of the repository link to files that are there, and the numbers of the first page are those of its files."""
+"""The pages of the repository link to files that are there; numbers of the first page are those of its files."""
 
 import json
 import re
