@@ -39,6 +39,7 @@ html_static_path = ["_static"]
 html_css_files = ["steelnb.css"]
 html_js_files = ["plotly.min.js", "resize.js"] if (DOCS / "_static/plotly.min.js").exists() else []
 html_show_sourcelink = False
+html_sidebars = {"**": []}  # no page has pages below it
 html_math_renderer = "mathml"
 html_theme_options = {"navbar_align": "left", "show_prev_next": True, "navigation_depth": 2}
 
