@@ -33,8 +33,9 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
     kind: Any = getattr(module, class_name)
     if not callable(getattr(kind, "update", None)):
         raise InputError(f"{name}: no method 'update'; expected update(scan, T_world_drone_prior) -> OdometryStep")
-    needed = [each.name for each in inspect.signature(kind).parameters.values() if each.default is each.empty]
-    if unknown := set(needed) - {*GIVEN, "args", "kwargs"}:
+    parameters = inspect.signature(kind).parameters.values()
+    needed = {each.name for each in parameters if each.default is each.empty and "VAR" not in each.kind.name}
+    if unknown := needed - set(GIVEN):
         raise InputError(f"{name}: its constructor needs {', '.join(sorted(unknown))}; expected {', '.join(GIVEN)}")
     return kind  # type: ignore[no-any-return]
 
