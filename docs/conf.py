@@ -1,6 +1,5 @@
-"""Sphinx: the method explained, how-to pages, the notebooks as executed, and the API, to read offline."""
+"""Sphinx: ten pages and the notebooks as executed, to read offline."""
 
-import os
 import re
 from pathlib import Path
 
@@ -10,7 +9,6 @@ from sphinx.application import Sphinx
 
 import steelnb
 
-ROOT = Path(__file__).parents[1]
 DOCS = Path(__file__).parent
 
 project = "steelnb"
@@ -41,44 +39,9 @@ html_static_path = ["_static"]
 html_css_files = ["steelnb.css"]
 html_js_files = ["plotly.min.js", "resize.js"] if (DOCS / "_static/plotly.min.js").exists() else []
 html_show_sourcelink = False
-# Pages without pages below them.
-html_sidebars: dict[str, list[str]] = {
-    page: [] for page in ("index", "start", "results", "claims", "architecture", "contributing", "changelog")
-}
+html_sidebars = {"**": []}  # no page has pages below it
 html_math_renderer = "mathml"
 html_theme_options = {"navbar_align": "left", "show_prev_next": True, "navigation_depth": 2}
-
-# Pages that stand elsewhere in the repository, for readers of its files: target below docs/ → source.
-BROUGHT = {
-    "results.md": "results/README.md",
-    "claims.md": "results/claims/README.md",
-    "contributing.md": "CONTRIBUTING.md",
-    "changelog.md": "CHANGELOG.md",
-    "benchmarks/index.md": "benchmarks/README.md",
-    **{f"benchmarks/{path.name}": f"benchmarks/{path.name}" for path in (ROOT / "benchmarks").glob("[!R]*.md")},
-}
-TOCTREE = "\n\n```{toctree}\n:hidden:\n:glob:\n*\n```\n"
-
-
-def bring(target: str, source: str) -> None:
-    """Copy a page. Links lead to the pages that are brought too, and to pictures and tables; others become text."""
-    pages = {ROOT / origin: DOCS / page for page, origin in BROUGHT.items()}
-
-    def led(link: re.Match[str]) -> str:
-        text, name, anchor = link[1], link[2], link[3] or ""
-        if name.startswith(("http:", "https:")):
-            return link[0]
-        file = (ROOT / source).parent.joinpath(name).resolve()
-        file = pages.get(file, file)
-        if file.suffix not in {".md", ".png", ".csv"}:
-            return text
-        return f"[{text}]({os.path.relpath(file, (DOCS / target).parent)}{anchor})"
-
-    page = re.sub(r"\[([^]]*)\]\(([^)#\s]+)(#[^)]*)?\)", led, (ROOT / source).read_text(encoding="utf-8"))
-    page += TOCTREE if target.endswith("index.md") else ""
-    (DOCS / target).parent.mkdir(exist_ok=True)
-    if not (DOCS / target).exists() or (DOCS / target).read_text(encoding="utf-8") != page:
-        (DOCS / target).write_text(page, encoding="utf-8")
 
 
 def list_parameters(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
@@ -95,6 +58,11 @@ def list_parameters(app: Sphinx, what: str, name: str, obj: object, options: obj
     lines[begin:end] = [*"\n".join(listed).split("\n"), ""]
 
 
+def offer_files(app: Sphinx, page: str, source: list[str]) -> None:
+    """Links to pages of the repository that are none of these, such as those of benchmarks, offer the file."""
+    source[0] = re.sub(r"\[([^]]+)\]\((\.\./[^)#]+\.md)\)", r"{download}`\1 <\2>`", source[0])
+
+
 def visit_math(writer, node: nodes.math) -> None:  # type: ignore[no-untyped-def]
     """Equations as MathML, which browsers show without a script from elsewhere."""
     writer.body.append(latex2mathml.tex2mathml(node.astext()))
@@ -107,7 +75,6 @@ def visit_math_block(writer, node: nodes.math_block) -> None:  # type: ignore[no
 
 
 def setup(app: Sphinx) -> None:
-    for target, source in BROUGHT.items():
-        bring(target, source)
+    app.connect("source-read", offer_files)
     app.connect("autodoc-process-docstring", list_parameters, priority=100)  # before napoleon
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
     from steelnb.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
 
-__version__ = "0.2.0"
+__version__ = "1.0.0"
 
 _MODULES = {
     "errors": ("InputError", "SteelnbError"),

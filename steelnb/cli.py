@@ -26,12 +26,15 @@ METHODS, TRAJECTORIES = (
 )
 """The same names as in `steelnb.settings`, which takes too long to import for a help text."""
 
-# Plain help, as rich shows <bool> at every flag and wraps examples.
-app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, epilog=EXIT_CODES)
+MORE = "More"
+"""Panel of the options that few users need."""
+NO_VALUE = " "
+"""For flags, at which Typer would show <bool>."""
+app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False, epilog=EXIT_CODES)
 Set = Annotated[
     list[str] | None, typer.Option("--set", metavar="TABLE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite the output of an earlier call.")]
+Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrite the output of an earlier call.")]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,59 +60,79 @@ def _version(is_set: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, metavar=NO_VALUE, help="Show the version and exit."
+        ),
     ] = False,
 ) -> None:
     """Drone mapping of steel structures: recorded flights and point clouds."""
 
 
-@app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run scans/ --mount 0.06,0,0,0,0,0 -o out")
+@app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run flight.mcap --odometry mine:Mine -o out")
 def run(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder or a folder of clouds.")
     ],
-    odometry: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}.")] = "best",
+    odometry: Annotated[
+        str, typer.Option(metavar="NAME", help=f"A class of yours, MODULE:CLASS, or one of {', '.join(METHODS)}.")
+    ] = "best",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_run here.")
     ] = None,
-    scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.")] = None,
-    poses: Annotated[str | None, typer.Option(help="Topic or trajectory file of the poses.")] = None,
+    estimate: Annotated[
+        Path | None, typer.Option(metavar="FILE.tum", help="Poses of another program, to score beside ours.")
+    ] = None,
     truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for evaluation only.")] = None,
+    range_max: Annotated[
+        float | None, typer.Option(help="Range of the sensor, metres. Default: from the first scans.")
+    ] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", metavar=NO_VALUE, help="Adjust all poses and bars jointly at the end.")
+    ] = False,
+    changed: Set = None,
+    force: Force = False,
+    scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.", rich_help_panel=MORE)] = None,
+    poses: Annotated[
+        str | None, typer.Option(help="Topic or trajectory file of the poses.", rich_help_panel=MORE)
+    ] = None,
     mount: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
             help="Pose of the sensor on the drone, metres and degrees. Default: from tf_static, else zero.",
+            rich_help_panel=MORE,
         ),
     ] = None,
-    range_max: Annotated[
-        float | None, typer.Option(help="Range of the sensor, metres. Default: from the first scans.")
-    ] = None,
-    smooth: Annotated[bool, typer.Option("--smooth", help="Adjust all poses and bars jointly at the end.")] = False,
-    changed: Set = None,
-    force: Force = False,
 ) -> None:
     """Correct the drift of a recorded flight.
 
     Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
     """
     with _progress() as progress:
-        from steelnb.io import read_flight, read_truth
-        from steelnb.report.recording import opened_lines, run_recording
-        from steelnb.report.recording_settings import Scene, recording_settings, settings_line
+        from steelnb.io import read_flight, read_trajectory, read_truth
+        from steelnb.odometry import load_odometry
+        from steelnb.recording import opened_lines, run_recording
+        from steelnb.recording_settings import Scene, recording_settings, settings_line, voxel_warning
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}
-        recording_settings(odometry, **options)  # raises for bad options before a file is opened
+        own = load_odometry(odometry) if ":" in odometry else None
+        options["method"] = odometry if own is None else "best"  # whose preprocessing the reconstruction uses
+        recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
+        other = (estimate.name, read_trajectory(estimate)) if estimate else None
         progress.stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
-        true = read_truth(recording, truth=truth)
-        settings, structure = recording_settings(odometry, scene=Scene.of(flight), **options)
+        true, scene = read_truth(recording, truth=truth), Scene.of(flight)
+        settings, structure = recording_settings(scene=scene, **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
-        report = run_recording(flight, target, settings, structure, true, progress.share, progress.stage)
+        report = run_recording(
+            flight, target, settings, structure, true, progress.share, progress.stage, own=own, other=other
+        )
     print("\n".join(report.summary))
+    _warn(*voxel_warning(settings, scene), *report.warnings)
 
 
 @app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")
@@ -163,13 +186,19 @@ def segment(
 ) -> None:
     """Find the straight bars in a point cloud."""
     with _progress() as progress:
-        from steelnb.report.cloud import segment_file
+        from steelnb.segment import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)
         progress.stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
+    _warn(*result.warnings)
+
+
+def _warn(*messages: str) -> None:
+    for message in messages:
+        print("steelnb: warning:", message, file=sys.stderr)
 
 
 class _Progress:

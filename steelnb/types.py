@@ -225,10 +225,10 @@ class OdometryStep:
 
     stamp_s: float
     T_world_drone: Array
-    used: bool
-    reason: str
-    matches: int
-    seconds: dict[str, float]
+    used: bool = True
+    reason: str = ""
+    matches: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
     unobserved: int = 0
 
 

@@ -1,5 +1,6 @@
 """The command line: what it prints, and that bad input is one line, exit code 2 and nothing half-written."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -34,7 +35,33 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "folder.bag").mkdir()
     (folder / "kept_run").mkdir()
     (folder / "kept_run" / "notes.txt").write_text("mine")
+    (folder / "mine.py").write_text(MINE)
+    (folder / "syntax.py").write_text("class Mine:")
+    shutil.copy(folder / "a.mcap", folder / "untrue.mcap")
+    write_tum(folder / "theirs.tum", read_flight(folder / "a.mcap").prior)
+    write_tum(folder / "late.tum", poses(5, begin_s=1e9))
     return folder
+
+
+MINE = """
+import steelnb
+
+class Held:
+    def update(self, scan, T_world_drone_prior):
+        return steelnb.OdometryStep(scan.stamp_s, T_world_drone_prior)
+
+class Mounted(Held):
+    def __init__(self, T_drone_sensor, weight=1.0):
+        assert T_drone_sensor.shape == (4, 4)
+
+class Needy(Held):
+    def __init__(self, leaf): ...
+
+class Silent(Held):
+    def update(self, scan, T_world_drone_prior): ...
+
+class Empty: ...
+"""
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +94,22 @@ BAD = (
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
+    (["run", "a.mcap", "--poses", "late.tum"], "no scan has a pose"),
     (["run", "a.mcap", "--truth", "nothing.tum"], "nothing.tum: no such file, here or in a.mcap"),
     (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),
+    (
+        ["run", "a.mcap", "--odometry", "nothing:Mine"],
+        "nothing:Mine: module 'nothing' cannot be imported: No module named",
+    ),
+    (["run", "a.mcap", "--odometry", "mine:Broken"], "mine:Broken: no class 'Broken' in "),
+    (["run", "a.mcap", "--odometry", "mine:Hed"], "did you mean 'Held'?"),
+    (["run", "a.mcap", "--odometry", "mine:Empty"], "mine:Empty: no method 'update'; expected update(scan, T_world"),
+    (["run", "a.mcap", "--odometry", "mine:Needy"], "mine:Needy: its constructor needs leaf; expected T_drone_sensor"),
+    (["run", "a.mcap", "--odometry", "mine:Silent"], "Silent.update gave None; expected an OdometryStep"),
+    (["run", "a.mcap", "--odometry", "syntax:Mine"], "syntax:Mine: module 'syntax' cannot be imported: "),
+    (["run", "a.mcap", "--estimate", "nothing.tum"], "nothing.tum: does not exist; expected a TUM trajectory"),
+    (["run", "untrue.mcap", "--estimate", "theirs.tum"], "theirs.tum: untrue.mcap has no truth to score it against"),
+    (["run", "a.mcap", "--estimate", "late.tum"], "late.tum: its poses at 1000000000.000 to "),
     (["record", "a.mcap"], "a.mcap: exists already; expected a new name, or --force"),
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--trajectory", "lops"], "did you mean 'loops'?"),
@@ -112,6 +153,32 @@ def test_without_a_correction_the_poses_are_the_prior_s(here: Path) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["Held", "Mounted"])
+def test_an_odometry_of_ones_own_is_run(here: Path, tmp_path: Path, name: str, capsys) -> None:
+    command = ["run", "a.mcap", "-o", str(tmp_path / "out"), "--estimate", "theirs.tum"]
+    assert cli.main([*command, "--odometry", f"mine:{name}"]) == 0
+    shown = capsys.readouterr()
+    numbers = pd.read_csv(tmp_path / "out" / "table.csv", index_col="quantity")["value"]
+    assert numbers["corrected_ate_rmse_m"] == numbers["prior_ate_rmse_m"] == numbers["estimate_ate_rmse_m"] > 0
+    assert [line.split()[0] for line in shown.out.splitlines() if line.startswith("     ")] == [
+        "drifting", name, "theirs.tum"
+    ]  # fmt: skip
+    assert shown.err == ""
+    assert numbers["structure_bars"] > 5
+
+
+def test_what_makes_a_run_worthless_is_a_warning(here: Path, tmp_path: Path, capsys) -> None:
+    leaf = ["--set", "preprocess.voxel_leaf_m=50"]
+    assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "coarse"), *leaf]) == 0
+    said = capsys.readouterr().err
+    assert "steelnb: warning: voxels of 50 m leave " in said
+    assert "steelnb: warning: no scan corrected a pose" in said
+    assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "high"), "--set", "preprocess.floor_m=100"]) == 0
+    assert "steelnb: warning: the map has no points" in capsys.readouterr().err
+    assert cli.main(["segment", "tower.ply", "-o", str(tmp_path / "bars"), "--voxel", "5"]) == 0
+    assert "steelnb: warning: no bar found: voxels of 5 m leave" in capsys.readouterr().err
+
+
 def test_a_folder_of_clouds_gives_the_same_result_as_its_bag(here: Path, corrected: Path, tmp_path: Path) -> None:
     flight = read_flight(here / "a.mcap")
     for k, scan in enumerate(flight.scans):
@@ -136,6 +203,10 @@ def test_version_help_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(command in shown for command in ("run", "record", "segment", "Exit codes"))
+    assert cli.main(["run", "--help"]) == 0
+    first, _, more = capsys.readouterr().out.partition("More")
+    assert sum(line.startswith("│ --") for line in first.splitlines()) <= 10
+    assert all(option in more for option in ("--scans", "--poses", "--mount"))
     assert cli.METHODS == settings.METHODS
     assert cli.TRAJECTORIES == settings.TRAJECTORIES
 
@@ -152,11 +223,6 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(here: Path, monkeypatch: pytest.M
         raise KeyboardInterrupt
 
     before = sorted(here.rglob("*"))
-    monkeypatch.setattr("steelnb.report.recording.measure_recording", interrupted)
+    monkeypatch.setattr("steelnb.recording.measure_recording", interrupted)
     assert cli.main(["run", "a.mcap", "-o", "stopped"]) == 130
     assert sorted(here.rglob("*")) == before
-
-
-def test_poses_from_another_time_are_refused(here: Path, tmp_path: Path) -> None:
-    write_tum(tmp_path / "late.tum", poses(5, begin_s=1e9))
-    assert cli.main(["run", "a.mcap", "--poses", str(tmp_path / "late.tum")]) == 2

@@ -1,34 +1,118 @@
-"""The examples of the documentation are run as they stand; those that want files of a recording were run by hand."""
+"""Every page is followed as it stands: its files saved, its commands and its Python run, in order."""
 
 import contextlib
 import doctest
 import importlib
 import io
 import re
+import shlex
+import sys
 from pathlib import Path
 
 import pytest
+import trimesh
 
-DOCS = Path(__file__).parents[1] / "docs"
-FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+from steelnb import cli, runs
+from steelnb.io import read_flight, write_tum
+from tests.lattice import lattice, scanned
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(path.name for path in DOCS.glob("*.md"))
+FENCE = re.compile(r"(.*?)^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+SAVED = re.compile(r"[Ss]ave (?:this|it) as\s+`([^`]+)`")
 WITH_EXAMPLES = (
     "steelnb.hough.lines", "steelnb.hough.segments", "steelnb.registration.api", "steelnb.settings.experiment",
     "steelnb.settings.world",
 )  # fmt: skip
 
 
-def blocks(page: str, language: str) -> str:
-    """The fenced blocks of a page in one language, one after the other."""
-    found = FENCE.findall((DOCS / page).read_text(encoding="utf-8"))
-    return "\n".join(text for name, text in found if name == language)
-
-
-def run(page: str) -> tuple[dict, str]:
-    """The names that a page's Python leaves, and what it prints."""
-    names: dict = {}
-    with contextlib.redirect_stdout(io.StringIO()) as said:
-        exec(compile(blocks(page, "python"), page, "exec"), names)
+def follow(page: str) -> tuple[dict, str]:
+    """Do what a page says, in the working directory: the names that its Python leaves, and what that prints."""
+    names, python, said, saved = {}, "", io.StringIO(), None
+    for text, language, block in FENCE.findall((DOCS / page).read_text(encoding="utf-8")):
+        found = SAVED.search(text)
+        saved = found[1] if found else saved
+        if language == "python":
+            python += block
+            with contextlib.redirect_stdout(said):
+                exec(compile(block, page, "exec"), names)
+        if language == "sh":
+            for line in block.splitlines():
+                run(shlex.split(line))
+        elif saved and Path(saved).suffix in (".toml", ".py"):
+            Path(saved).write_text(python if language == "python" else block, encoding="utf-8")
     return names, said.getvalue()
+
+
+def run(words: list[str]) -> None:
+    """Run one command of a page; of those of `make` it is enough that their targets exist."""
+    if words[0] == "make":
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    elif words[:3] == ["python", "-m", "steelnb.runs"]:
+        assert runs.main(words[3:]) == 0
+    else:
+        assert words[0] == "steelnb"
+        if "theirs.tum" in words:  # the other program of the page
+            write_tum("theirs.tum", read_flight("flight.mcap").prior)
+        sys.modules.pop("mine", None)
+        assert cli.main([*words[1:], "--force"]) == 0 if words[1] == "record" else cli.main(words[1:]) == 0
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    trimesh.PointCloud(scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01)).export("tower.ply")
+    return tmp_path
+
+
+def test_the_start_and_the_report(here):
+    names, said = follow("index.md")
+    assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
+    assert said.endswith("m corrected\n")
+    assert follow("report.md")[1] == "vertical random-walk report 0.69 scans a second\n"
+
+
+def test_a_recording_is_corrected_compared_and_reconstructed(here, capfd):
+    _, said = follow("recording.md")
+    assert re.fullmatch(r"\d+ poses, [1-9]\d* bars of the flight, [1-9]\d* segments of the cloud\n", said)
+    assert "theirs.tum" in capfd.readouterr().out
+    assert {path.name for path in here.iterdir()} >= {"flight_run", "named", "beside", "bars", "tower.json"}
+
+
+def test_settings_and_a_sensor_are_those_of_the_page(here):
+    names, said = follow("settings.md")
+    assert said.startswith("10.0 5.0\n")
+    assert names["odometry"].settings.preprocess.floor_m == -10.0
+    assert names["result"].settings.tof.columns == 120
+    assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
+    assert names["settings"].inertial.gyro_noise == 1.4e-4
+
+
+def test_the_new_odometry_takes_drift_out(here):
+    names, _ = follow("odometry.md")
+    assert names["after"] < 0.5 * names["before"]
+    assert (here / "flight_run" / "corrected.tum").exists()
+    assert (here / "scan-to-map" / "map.png").exists()
+
+
+def test_the_study_has_its_runs(here):
+    names, _ = follow("study.md")
+    assert len(names["table"]) == len(runs.read_runs(here / "my-results")) == 4
+
+
+def test_a_planned_flight_is_recorded(here):
+    follow("method.md")
+    assert (here / "around.mcap").exists()
+
+
+@pytest.mark.parametrize("page", ["../README.md", "../CONTRIBUTING.md", *PAGES])
+def test_commands_that_a_page_names_exist(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {target for target in re.findall(r"`make (\w+)", text)} <= set(targets)
+    known = {command.callback.__name__ for command in cli.app.registered_commands}
+    assert set(re.findall(r"^`?steelnb (\w+)", text, re.MULTILINE)) <= known
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
@@ -36,34 +120,3 @@ def test_examples_in_docstrings(module):
     result = doctest.testmod(importlib.import_module(module))
     assert result.attempted >= 1
     assert result.failed == 0
-
-
-def test_the_new_odometry_takes_drift_out():
-    names, said = run("howto/odometry.md")
-    assert names["after"] < 0.5 * names["before"]
-    assert said.endswith("m corrected\n")
-
-
-def test_the_sensor_of_the_page_is_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.toml").write_text(blocks("howto/sensor.md", "toml").partition("based_on")[0], encoding="utf-8")
-    names, _ = run("howto/sensor.md")
-    assert (names["settings"].tof.columns, names["settings"].odometry.preprocess.crop_m) == (120, 5.0)
-    assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
-
-
-def test_settings_by_name_and_a_first_run():
-    names, said = run("howto/settings.md")
-    assert said == "10.0 5.0\n"
-    assert names["odometry"].settings.preprocess.floor_m == -10.0
-    names, _ = run("start.md")
-    assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
-
-
-def test_the_study_of_the_page_has_the_runs_that_it_says(tmp_path, monkeypatch):
-    from steelnb.runs import read_grids
-
-    (tmp_path / "my-study.toml").write_text(blocks("howto/study.md", "toml"), encoding="utf-8")
-    assert f"{len(read_grids(tmp_path / 'my-study.toml'))} runs" in blocks("howto/study.md", "console")
-    monkeypatch.chdir(tmp_path)  # where rows are kept
-    assert len(run("howto/study.md")[0]["table"]) == 4

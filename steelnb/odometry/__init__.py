@@ -7,6 +7,7 @@ from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.loam import LoamOdometry
 from steelnb.odometry.methods import correct, make_odometry
 from steelnb.odometry.orb import OrbOdometry
+from steelnb.odometry.own import load_odometry, own_odometry
 from steelnb.odometry.peers import PeerOdometry
 from steelnb.odometry.report_clouds import ReportCloudOdometry
 from steelnb.odometry.report_segments import ReportSegmentOdometry
@@ -15,6 +16,6 @@ from steelnb.odometry.segments import SegmentOdometry, shared_segments
 
 __all__ = [
     "CloudOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry",
-    "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "correct", "make_odometry", "run",
-    "shared_segments",
+    "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "correct", "load_odometry", "make_odometry",
+    "own_odometry", "run", "shared_segments",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ S = TypeVar("S", bound=OdometrySettings)
 
 
 class Odometry(Protocol):
-    """Corrects a drifting pose, scan by scan, and builds a map. Only `update` has to be defined."""
+    """Corrects a drifting pose, scan by scan, and may build a map. A class needs `update` alone, and no base class."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan, and add the scan to the map.

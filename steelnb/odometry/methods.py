@@ -60,8 +60,10 @@ def make_odometry(
     return make(settings, T_drone_sensor, **{name: value for name, value in given.items() if name in parameters})
 
 
-def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None) -> Estimate:
-    """Correct a flight with the method of the settings, scan by scan.
+def correct(
+    flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None, odometry: Odometry | None = None
+) -> Estimate:
+    """Correct a flight with the method of the settings, scan by scan, or with a new ``odometry`` in its place.
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
     evenly over the scans. ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan if the
@@ -70,7 +72,9 @@ def correct(flight: Flight, settings: OdometrySettings, on_step: OnStep | None =
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
-    estimate = run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images), on_step)
+    if odometry is None:
+        odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
+    estimate = run(flight, odometry, on_step)
     if not settings.smooth:
         return estimate
     begin, preprocess = time.perf_counter(), settings.preprocess

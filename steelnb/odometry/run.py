@@ -7,7 +7,7 @@ import numpy as np
 
 from steelnb.errors import InputError
 from steelnb.odometry.base import Odometry
-from steelnb.types import Estimate, Flight, OdometryStep, Scan, Trajectory
+from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
@@ -21,7 +21,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
 
-    Raises `InputError` if fewer scans can be read than the flight has poses.
+    Raises `InputError` where fewer scans can be read than the flight has poses, and for an update that gives no step.
     """
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
@@ -29,6 +29,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
         begin = time.perf_counter()
         step = odometry.update(scan, flight.prior.T_world_drone[k])
         update_s[k] = time.perf_counter() - begin
+        if not isinstance(step, OdometryStep):
+            raise InputError(f"{type(odometry).__name__}.update gave {step!r:.80}; expected an OdometryStep")
         steps.append(step)
         reason.append("" if step.used else scan.fault or step.reason)
         if on_step:
@@ -39,8 +41,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     return Estimate(
         prior=flight.prior,
         corrected=Trajectory(flight.prior.stamp_s, np.array([s.T_world_drone for s in steps]).reshape(-1, 4, 4)),
-        points=odometry.map_points(),
-        segments=odometry.map_segments(),
+        points=odometry.map_points() if hasattr(odometry, "map_points") else np.zeros((0, 3)),
+        segments=odometry.map_segments() if hasattr(odometry, "map_segments") else Segments.empty(),
         matches=np.array([s.matches for s in steps], dtype=np.int64),
         reason=tuple(reason),
         seconds={stage: np.array([s.seconds[stage] for s in steps]) for stage in stages},

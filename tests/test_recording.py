@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.io import read_flight, read_trajectory, write_flight
-from steelnb.report.recording import FILES, TIMES, run_recording, truth_at_scans
-from steelnb.report.recording_settings import recording_settings
+from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
+from steelnb.recording import FILES, TIMES, at_scans, run_recording
+from steelnb.recording_settings import recording_settings
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight, Scan, Trajectory
 
@@ -105,18 +105,43 @@ def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):
     assert any("no truth" in line for line in found.summary)
 
 
-def test_truth_in_another_frame_is_moved_onto_the_first_pose():
+def test_a_trajectory_in_another_frame_is_moved_onto_the_first_pose():
     stamp_s = 0.2 * np.arange(20)
     T = np.tile(np.eye(4), (20, 1, 1))
     T[:, 0, 3] = stamp_s
-    flight = Flight([], Trajectory(stamp_s, T), np.eye(4))
+    scans = Trajectory(stamp_s, T)
     T_other = np.eye(4)
     T_other[:3, :3], T_other[:3, 3] = Rotation.from_euler("z", 1.0).as_matrix(), [3.0, 4.0, 0.0]
-    true, notes = truth_at_scans(flight, Trajectory(stamp_s, T_other @ T))
+    true, notes = at_scans(scans, Trajectory(stamp_s, T_other @ T), "the truth")
     assert true is not None
     np.testing.assert_allclose(true.T_world_drone, T, atol=1e-12)
     assert "5.00 m and 57.3° apart" in notes[0]
-    part, notes = truth_at_scans(flight, Trajectory(stamp_s[:10], T[:10]))
+    part, notes = at_scans(scans, Trajectory(stamp_s[:10], T[:10]), "the truth")
     assert part is not None
     assert len(part) == 10
     assert "the truth covers 10 of 20 scans" in notes[0]
+
+
+def test_another_program_is_judged_at_the_scans_of_ours_as_evo_judges_it(simulated, tmp_path):
+    from evo.core.metrics import APE, PoseRelation
+    from evo.core.sync import associate_trajectories
+    from evo.tools.file_interface import read_tum_trajectory_file
+
+    _, flight, truth = simulated
+    T = flight.prior.T_world_drone[5:].copy()
+    T[:, :3, 3] += 0.05 * np.random.default_rng(1).standard_normal((len(T), 3))
+    write_tum(tmp_path / "theirs.tum", Trajectory(flight.prior.stamp_s[5:], T))
+    write_tum(tmp_path / "truth.tum", truth.trajectory)
+    flight = replace(flight, facts={"mount": ""})
+    other = "theirs.tum", read_trajectory(tmp_path / "theirs.tum")
+    found = run_recording(flight, tmp_path / "out", *recording_settings(), truth.trajectory, other=other)
+    true = read_tum_trajectory_file(tmp_path / "truth.tum")
+    for part, file in (("estimate", "theirs.tum"), ("corrected", "out/corrected.tum")):
+        ape = APE(PoseRelation.translation_part)
+        ape.process_data(associate_trajectories(true, read_tum_trajectory_file(tmp_path / file), max_diff=1e-4))
+        error_m = ape.error[-35:]  # theirs covers all scans but the first five
+        assert found.numbers[f"{part}_ate_rmse_m"] == pytest.approx(np.sqrt((error_m**2).mean()), rel=1e-6)
+        assert found.numbers[f"{part}_error_max_m"] == pytest.approx(error_m.max(), rel=1e-6)
+    assert found.numbers["frames_with_truth"] == 35
+    assert any("theirs.tum covers 35 of 40 scans" in line for line in found.summary)
+    assert any(line.split()[0] == "theirs.tum" for line in found.summary)

@@ -10,7 +10,7 @@ from steelnb.errors import InputError, SteelnbError
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.dx import default_dx
 from steelnb.points import voxel_grid
-from steelnb.report.cloud import SegmentReport, segment_file
+from steelnb.segment import SegmentReport, segment_file
 from steelnb.types import Segments
 from tests.lattice import lattice, scanned, thinned
 
@@ -57,8 +57,13 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def report(saved: Path, tmp_path_factory: pytest.TempPathFactory) -> SegmentReport:
-    return segment_file(saved, tmp_path_factory.mktemp("found") / "out")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("found") / "out"
+
+
+@pytest.fixture(scope="module")
+def report(saved: Path, folder: Path) -> SegmentReport:
+    return segment_file(saved, folder)
 
 
 def test_bars_of_a_near_scan_are_found() -> None:
@@ -88,12 +93,12 @@ def test_noise_holds_few_bars(survey: np.ndarray) -> None:
         assert within(cloud, found, dx).mean() < 0.08
 
 
-def test_files_agree_with_the_report(report: SegmentReport) -> None:
+def test_files_agree_with_the_report(report: SegmentReport, folder: Path) -> None:
     bars = report.segments
-    assert {path.name for path in report.folder.iterdir()} == FILES
+    assert {path.name for path in folder.iterdir()} == FILES
     assert len(bars) > 20
     assert report.explained > 0.9
-    table = pd.read_csv(report.folder / "segments.csv")
+    table = pd.read_csv(folder / "segments.csv")
     np.testing.assert_allclose(table[["start_x_m", "start_y_m", "start_z_m"]], bars.start, atol=1e-4)
     np.testing.assert_allclose(table[["end_x_m", "end_y_m", "end_z_m"]], bars.end, atol=1e-4)
     np.testing.assert_allclose(table["length_m"], bars.length, atol=1e-4)
@@ -134,7 +139,7 @@ def test_bad_settings_are_refused(saved: Path, tmp_path: Path, settings: dict, m
 
 
 def test_a_second_run_writes_the_same_bytes_and_leaves_other_files(
-    saved: Path, report: SegmentReport, tmp_path: Path
+    saved: Path, report: SegmentReport, folder: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "out"
     target.mkdir()
@@ -144,7 +149,7 @@ def test_a_second_run_writes_the_same_bytes_and_leaves_other_files(
     assert {path.name for path in target.iterdir()} == FILES | {"notes.txt"}
     assert (target / "notes.txt").read_text() == "mine\n"
     for name in sorted(FILES):
-        assert (target / name).read_bytes() == (report.folder / name).read_bytes()
+        assert (target / name).read_bytes() == (folder / name).read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 

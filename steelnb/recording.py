@@ -1,4 +1,4 @@
-"""A recorded flight through an odometry → a folder with corrected poses, bars, structure, a table and two figures."""
+"""A recorded flight through an odometry → a folder with corrected poses, bars, structure, a table and two pictures."""
 
 import math
 import re
@@ -21,10 +21,8 @@ from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
-from steelnb.plots import Figure
-from steelnb.report.recording_figures import figure_path
-from steelnb.report.three_views import figure_segments, orientation
-from steelnb.report.words import counted
+from steelnb.pictures import figure_bars, figure_path
+from steelnb.plots import COLOURS, LABELS, Figure
 from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
@@ -33,8 +31,14 @@ WARM_UP_SCANS = 3
 TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
 """Numbers of a run that differ from run to run."""
 FILES = ("corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png")
+ERRORS = {"ate_rmse_m": "rms", "error_mean_m": "mean", "error_max_m": "largest", "error_final_m": "last"}
+WARNINGS = {
+    "used": "no scan corrected a pose: the corrected poses are the recorded ones",
+    "map_points": "the map has no points: compare range, floor, voxels and mount above with those of your sensor",
+}
+"""What makes a run worthless that ended well, by the number that is zero."""
 APART_M, APART_RAD = 0.5, math.radians(5)
-"""Poses and truth that differ by more than this at the first scan are in different frames."""
+"""Two trajectories that differ by more than this at their first common scan are in different frames."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,8 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` lines of text.
+    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` and
+    ``warnings`` lines of text.
     """
 
     folder: Path
@@ -53,6 +58,7 @@ class RecordingReport:
     numbers: dict[str, float]
     figures: dict[str, Figure]
     summary: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -74,6 +80,9 @@ def run_recording(
     truth: Trajectory | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
     on_stage: Callable[[str], None] = lambda _: None,
+    *,
+    own: Callable[..., odometry.Odometry] | None = None,
+    other: tuple[str, Trajectory] | None = None,
 ) -> RecordingReport:
     """Correct a recorded flight and write `FILES` to a folder; one scan is in memory at a time.
 
@@ -84,12 +93,17 @@ def run_recording(
     truth : true poses, for judging alone.
     on_progress : called with the share of the scans done, 0 to 1.
     on_stage : called with the name of each stage as it begins.
+    own : a class of the user's in place of the settings' odometry (`steelnb.odometry.load_odometry`).
+    other : name and trajectory of another program, judged at the same scans as ours.
 
     Nothing is written on an error. Raises `InputError`, `OutputError`.
     """
     if isinstance(settings.odometry, OrbSettings) and flight.images is None:
         raise InputError(f"{flight.name}: no images for method {settings.odometry.method!r}: recordings have none here")
-    true, notes = truth_at_scans(flight, truth)
+    method = settings.odometry.method if own is None else own.__name__
+    label, colour = (LABELS[method], COLOURS[method]) if own is None else (method, COLOURS["final"])
+    judged, notes = _judged(flight, truth, other)
+    true, theirs = judged.pop("truth", None), judged
     origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero
     near = replace(flight, prior=flight.prior.moved(-origin))
     if origin[2]:
@@ -104,9 +118,10 @@ def run_recording(
 
     with new_folder(output, FILES) as folder:
         on_stage("warming up, which compiles what was not compiled yet")
-        odometry.correct(near.first(WARM_UP_SCANS), settings.odometry)
+        first = near.first(WARM_UP_SCANS)
+        odometry.correct(first, settings.odometry, odometry=own and odometry.own_odometry(own, first))
         on_stage("correcting the poses")
-        found = odometry.correct(near, settings.odometry, observe)
+        found = odometry.correct(near, settings.odometry, observe, own and odometry.own_odometry(own, near))
         on_stage("reconstructing the bars")
         built = _reconstructed(near, found, structure).moved(origin)
         estimate = replace(
@@ -114,15 +129,17 @@ def run_recording(
             segments=found.segments.moved(origin),
         )  # fmt: skip
         segments = estimate.segments if len(estimate.segments) else built.segments
-        numbers = measure_recording(flight, estimate, true, segments, built)
+        numbers = measure_recording(flight, estimate, true, segments, built, *theirs.values())
+        paths = {"drifting": (estimate.prior, COLOURS["none"]), label: (estimate.corrected, colour)}
+        paths |= {name: (path, COLOURS["incremental"]) for name, path in theirs.items()}
         on_stage("drawing and writing")
-        title = f"{flight.name}: {len(estimate.points)} points of the map, {len(segments)} bars"
-        figures = {"path": figure_path(estimate.prior, estimate.corrected, true, settings.odometry.method, flight.name)}
+        figures = {"path": figure_path(paths, true, flight.name)}
         if len(found.points) > 1:
-            figures["map"] = figure_segments(found.points, segments.moved(-origin), orientation(segments), title)
+            title = f"{flight.name}: map of {len(found.points)} points and {len(segments)} bars"
+            figures["map"] = figure_bars(found.points, segments.moved(-origin), title)
         write_tum(folder / "corrected.tum", estimate.corrected)
         write_segments(segments, folder / "segments.csv", _sigma_m(estimate, segments))
-        write_structure(built, folder / "structure.json", {"source": flight.name, "odometry": settings.odometry.method})
+        write_structure(built, folder / "structure.json", {"source": flight.name, "odometry": method})
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
         for name, figure in figures.items():
@@ -130,8 +147,13 @@ def run_recording(
         written = ", ".join(sorted(file.name for file in folder.iterdir()))
     notes += [f"not smoothed: {estimate.unsmoothed}"] if estimate.unsmoothed else []
     notes += [f"no uncertainty: {estimate.unsure}"] if estimate.unsure else []
-    summary = (*_summary(numbers, notes, built), f"written   {output}/: {written}")
-    return RecordingReport(Path(output), estimate, true, built, segments, numbers, figures, summary)
+    labels = dict(zip(("prior", "corrected", "estimate"), paths, strict=False))
+    lines = (*(f"note      {note}" for note in notes), *_summary(numbers, labels, built))
+    # Method `none` corrects nothing, and a class of the user's need not have a map.
+    expected = {"used": method != "none", "map_points": own is None or hasattr(own, "map_points")}
+    warnings = tuple(text for name, text in WARNINGS.items() if expected[name] and not numbers[name])
+    summary = (*lines, f"written   {output}/: {written}")
+    return RecordingReport(Path(output), estimate, true, built, segments, numbers, figures, summary, warnings)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:
@@ -149,37 +171,58 @@ def _sigma_m(estimate: Estimate, segments: Segments) -> np.ndarray | None:
     return np.column_stack([axis_sigma_m(estimate.axis_covariance, along_m) for along_m in (-half_m, half_m)])
 
 
-def truth_at_scans(flight: Flight, truth: Trajectory | None) -> tuple[Trajectory | None, list[str]]:
-    """True poses at those scans that have one, in the frame of the prior; and remarks for the user.
+def _judged(
+    flight: Flight, truth: Trajectory | None, other: tuple[str, Trajectory] | None
+) -> tuple[dict[str, Trajectory], list[str]]:
+    """The truth, and another program's trajectory by its name, at the scans that all of them have; and remarks."""
+    true, notes = (None, ["no truth: nothing is said of errors"]) if truth is None else (
+        at_scans(flight.prior, truth, "the truth")
+    )  # fmt: skip
+    if other is None:
+        return ({} if true is None else {"truth": true}), notes
+    if true is None:
+        raise InputError(f"{other[0]}: {flight.name} has no truth to score it against; expected one (--truth FILE)")
+    path, remarks = at_scans(true, other[1], other[0])
+    if path is None:
+        seconds = [f"{each.stamp_s[0]:.3f} to {each.stamp_s[-1]:.3f} s" for each in (other[1], true)]
+        raise InputError(f"{other[0]}: its poses at {seconds[0]} match fewer than two scans with a truth, {seconds[1]}")
+    return {"truth": true.at(path.stamp_s), other[0]: path}, notes + remarks
 
-    None where fewer than two scans have one. A truth in another frame is moved so that the first poses agree.
+
+def at_scans(scans: Trajectory, path: Trajectory, what: str) -> tuple[Trajectory | None, list[str]]:
+    """Poses of a ``path`` at those stamps of ``scans`` that it covers, in their frame; and remarks for the user.
+
+    None where it covers fewer than two. A path in another frame is moved so that the first poses agree.
     """
-    if truth is None:
-        return None, ["no truth: nothing is said of errors"]
-    T_world_drone, known = interpolate(truth, flight.prior.stamp_s)
+    T_world_drone, known = interpolate(path, scans.stamp_s)
     notes = []
     if not known.all():
-        notes.append(f"the truth covers {np.count_nonzero(known)} of {len(known)} scans; errors are those there")
+        notes.append(f"{what} covers {np.count_nonzero(known)} of {len(known)} scans; errors are those there")
     if np.count_nonzero(known) < 2:
         return None, notes
-    true = Trajectory(flight.prior.stamp_s[known], T_world_drone[known])
-    T_prior_truth = flight.prior.T_world_drone[known][0] @ np.linalg.inv(true.T_world_drone[0])
-    apart_m = float(np.linalg.norm(flight.prior.position[known][0] - true.position[0]))
-    apart_rad = float(Rotation.from_matrix(T_prior_truth[:3, :3]).magnitude())
+    found = Trajectory(scans.stamp_s[known], T_world_drone[known])
+    T_scans_path = scans.T_world_drone[known][0] @ np.linalg.inv(found.T_world_drone[0])
+    apart_m = float(np.linalg.norm(scans.position[known][0] - found.position[0]))
+    apart_rad = float(Rotation.from_matrix(T_scans_path[:3, :3]).magnitude())
     if apart_m > APART_M or apart_rad > APART_RAD:
         notes.append(
-            f"poses and truth are in different frames, {apart_m:.2f} m and {math.degrees(apart_rad):.1f}° apart at the "
-            "first scan: the truth was moved onto the first pose"
+            f"{what} is in another frame, {apart_m:.2f} m and {math.degrees(apart_rad):.1f}° apart at the first scan: "
+            "it was moved onto the first pose"
         )
-        true = Trajectory(true.stamp_s, T_prior_truth @ true.T_world_drone)
-    return true, notes
+        found = Trajectory(found.stamp_s, T_scans_path @ found.T_world_drone)
+    return found, notes
 
 
 def measure_recording(
-    flight: Flight, estimate: Estimate, truth: Trajectory | None, segments: Segments, built: Structure
+    flight: Flight,
+    estimate: Estimate,
+    truth: Trajectory | None,
+    segments: Segments,
+    built: Structure,
+    theirs: Trajectory | None = None,
 ) -> dict[str, float]:
     """Scans used and not used by reason, milliseconds an update, sizes of the map, and, at the poses of ``truth``,
-    errors in metres.
+    errors in metres, also of ``theirs``.
 
     ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that were used, but say
     nothing of one direction or more.
@@ -196,12 +239,13 @@ def measure_recording(
         **dict(zip(TIMES, times, strict=True)),
     }
     if truth is not None:
-        prior, corrected = (score_trajectory(t.at(truth.stamp_s), truth) for t in (estimate.prior, estimate.corrected))
         numbers |= {"frames_with_truth": len(truth)}
-        numbers |= {f"prior_{name}": value for name, value in prior.items()}
-        numbers |= {f"corrected_{name}": value for name, value in corrected.items()}
-        if prior["ate_rmse_m"] > 0:
-            numbers["drift_removed_percent"] = 100 * (1 - corrected["ate_rmse_m"] / prior["ate_rmse_m"])
+        judged = {"prior": estimate.prior, "corrected": estimate.corrected, "estimate": theirs}
+        for part, path in judged.items():
+            scores = score_trajectory(path.at(truth.stamp_s), truth) if path is not None else {}
+            numbers |= {f"{part}_{name}": value for name, value in scores.items()}
+        if numbers["prior_ate_rmse_m"] > 0:
+            numbers["drift_removed_percent"] = 100 * (1 - numbers["corrected_ate_rmse_m"] / numbers["prior_ate_rmse_m"])
     sizes = {"map_points": len(estimate.points), "segments": len(segments)}
     return numbers | sizes | {"structure_bars": len(built), "structure_joints": len(built.joint)}
 
@@ -223,24 +267,24 @@ def opened_lines(flight: Flight) -> tuple[str, ...]:
     )
 
 
-def _summary(numbers: dict[str, float], notes: list[str], built: Structure) -> list[str]:
+def _summary(numbers: dict[str, float], labels: dict[str, str], built: Structure) -> list[str]:
+    """Lines of text; ``labels``: part of the numbers → the name of its path."""
     unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
     median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
-    lines = [f"note      {note}" for note in notes]
-    lines.append(
-        f"used      {counted(numbers['used'], 'scan')}" + (f"; not used: {', '.join(unused)}" if unused else "")
-    )
+    lines = [f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
     if numbers["prior_followed"]:
-        followed = counted(numbers["prior_followed"], "scan")
-        lines.append(f"weak      {followed} of a wall or of flat ground: along it the prior was followed")
+        weak = f"{numbers['prior_followed']} scans of a wall or of flat ground: along it the prior was followed"
+        lines.append(f"weak      {weak}")
     lines.append(
         f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
         f"{100 * on_time:.1f} % on time"
     )
     if "prior_ate_rmse_m" in numbers:
-        prior_m, corrected_m = numbers["prior_ate_rmse_m"], numbers["corrected_ate_rmse_m"]
-        removed = f", {numbers['drift_removed_percent']:.0f} % of the drift removed" if prior_m > 0 else ""
-        lines.append(f"error     {prior_m:.3f} m drifting, {corrected_m:.3f} m corrected (root mean square){removed}")
-    found = f"{counted(len(built), 'bar')}, {counted(len(built.joint), 'joint')}"
-    lines.append(f"map       {counted(numbers['map_points'], 'point')}, {counted(numbers['segments'], 'bar')}")
+        errors = {label: [numbers[f"{part}_{name}"] for name in ERRORS] for part, label in labels.items()}
+        table = pd.DataFrame(errors, index=list(ERRORS.values())).T.to_string(float_format="{:.3f}".format)
+        lines += [f"{'error (m)' if k == 0 else '':9} {line}" for k, line in enumerate(table.splitlines())]
+    if "drift_removed_percent" in numbers:
+        lines.append(f"removed   {numbers['drift_removed_percent']:.0f} % of the drift (root mean square)")
+    lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
+    found = f"{len(built)} bars, {len(built.joint)} joints"
     return [*lines, f"structure {found if len(built) else f'empty: {built.reason}'}"]

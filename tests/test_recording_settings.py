@@ -7,7 +7,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.report.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings, settings_line
+from steelnb.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings, settings_line
 from steelnb.settings import METHODS, ExperimentSettings
 from steelnb.types import Flight, Scan, Trajectory
 

@@ -13,9 +13,8 @@ from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.hough.dx import default_dx, spacing
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
+from steelnb.pictures import figure_bars
 from steelnb.points import voxel_grid
-from steelnb.report.three_views import GROUPS, figure_segments, orientation
-from steelnb.report.words import counted
 from steelnb.types import Segments
 
 
@@ -23,18 +22,16 @@ from steelnb.types import Segments
 class SegmentReport:
     """Result of `segment_file`.
 
-    ``segments`` in the coordinates of the file; ``explained`` is the share of the file's distinct points that lie
-    within ``dx_m`` of a segment, ``explained_filtered`` that of the voxel-filtered points; ``summary`` is a text.
+    ``segments`` in the coordinates of the file, the longest first; ``explained``: share of the file's distinct points
+    that lie within ``dx_m`` of a segment; ``summary`` and ``warnings``: lines of text.
     """
 
-    folder: Path
     segments: Segments
     voxel_m: float
     dx_m: float
     explained: float
-    explained_filtered: float
-    seconds: float
     summary: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def segment_file(
@@ -53,8 +50,7 @@ def segment_file(
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
-    path = Path(path)
-    began = time.perf_counter()
+    path, began = Path(path), time.perf_counter()
     votes = MIN_VOTES if min_votes is None else min_votes
     if votes < 2:
         raise InputError(f"min_votes = {votes}: expected at least 2")
@@ -67,26 +63,24 @@ def segment_file(
         points = voxel_grid(cloud.points, voxel)
         found = segment_structure(points, dx, votes)
         found = found.take(np.argsort(-found.length, kind="stable"))
-        groups = orientation(found)
         explained = float(within(cloud.points, found, dx).mean())
-        filtered = float(within(points, found, dx).mean())
         segments = found.moved(cloud.origin)
         write_segments(segments, folder / "segments.csv")
-        share = f"{100 * explained:.0f} % of the points within {dx:.2g} m of one"
-        title = f"{path.name}: {counted(len(found), 'segment')}, {share}"
-        figure_segments(cloud.points, found, groups, title).savefig(folder / "segments.png", dpi=150)
-    seconds = time.perf_counter() - began
+        share = f"{100 * explained:.0f} % of the points lie within {dx:.2g} m of a bar"
+        figure_bars(cloud.points, found, f"{path.name}: {len(found)} bars; {share}").savefig(
+            folder / "segments.png", dpi=150
+        )
     summary = (
         f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
         f"dropped), {spacing(cloud.points):.3g} m apart",
         f"settings  voxel {voxel:.3g} m ({len(points)} points after it), dx {dx:.3g} m",
-        f"found     {counted(len(found), 'segment')}, {found.length.sum():.1f} m in all, in {seconds:.1f} s",
-        f"explained {100 * explained:.0f} % of the points lie within dx of a segment "
-        f"({100 * filtered:.0f} % of the filtered ones)",
-        *_summary_of_segments(segments, groups),
+        f"found     {len(found)} bars, {found.length.sum():.1f} m in all, the longest "
+        f"{found.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
+        f"explained {share}",
         f"written   {output}/: segments.csv, segments.png",
     )
-    return SegmentReport(Path(output), segments, voxel, dx, explained, filtered, seconds, summary)
+    none = f"no bar found: voxels of {voxel:.3g} m leave {len(points)} of {len(cloud)} points, and a bar needs {votes}"
+    return SegmentReport(segments, voxel, dx, explained, summary, () if len(found) else (none,))
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
@@ -94,15 +88,3 @@ def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     # Finer than this, voxels could not be numbered.
     if value is not None and not 1e-9 * diagonal <= value <= diagonal:
         raise InputError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")
-
-
-def _summary_of_segments(segments: Segments, groups: list[str]) -> list[str]:
-    length = segments.length
-    lines = [f"          {'':16}{'segments':>9}{'length m':>10}{'longest m':>11}"]
-    for group in GROUPS:
-        own = length[[other == group for other in groups]]
-        lines.append(f"          {group.replace('_', ' '):16}{len(own):9d}{own.sum():10.1f}{own.max(initial=0):11.1f}")
-    for k in range(min(3, len(segments))):
-        start, end = (f"({', '.join(f'{v:.2f}' for v in end[k])})" for end in (segments.start, segments.end))
-        lines.append(f"{'longest' if k == 0 else '':9} {length[k]:.2f} m from {start} to {end}")
-    return lines
