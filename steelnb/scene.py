@@ -94,7 +94,7 @@ def figure_scene(
         height=HEIGHT_PX,
         margin={"l": 0, "r": 16, "t": 12, "b": 48},
         legend={"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"},
-        scene={**axes, "aspectmode": "data", "camera": {"eye": {"x": 0.8, "y": -1.5, "z": 0.5}}},
+        scene={**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.0, "y": -1.9, "z": 0.6}}},
     )
     figure.update_xaxes(title_text="time (s)")
     where = "truth" if "true" in known else "recorded poses"
