@@ -83,6 +83,24 @@ def _tilt(stamp_s: Array, sigma_rad: float, seed: rng.Seed) -> Array:
     return np.pad(lfilter([sigma_rad * np.sqrt(1 - decay**2)], [1.0, -decay], steps, axis=0), ((0, 0), (0, 1)))
 
 
-def random_walk_rms_m(settings: Noise, stamp_s: Array, rate_hz: float = 125.0) -> Array:
-    """Root mean square length ``(N,)``, metres, of the 3D random walk at ``stamp_s (N,)``: σ·√(3·rate·t)."""
-    return np.asarray(settings.random_walk_m * np.sqrt(3 * rate_hz * stamp_s))
+def drift_size(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
+    """Length ``(N,)`` of the position's drift at each stamp, metres; of a noise that only turns, its angle of heading,
+    radians."""
+    error = drift_errors(stamp_s, settings, seed)
+    if turns_only(settings):
+        return np.abs(np.unwrap(np.arctan2(error[:, 1, 0], error[:, 0, 0])))
+    return np.asarray(np.linalg.norm(error[:, :3, 3], axis=1))
+
+
+def drift_size_rms(stamp_s: Array, settings: Noise, rate_hz: float = 125.0) -> Array:
+    """Root mean square ``(N,)`` of `drift_size` by the model: σ·√(3·rate·t) of a random walk, rate·t times its step of
+    a constant drift, σ·√(rate·t) of a yaw walk alone."""
+    steps = rate_hz * stamp_s
+    if turns_only(settings):
+        return np.asarray(settings.yaw_random_walk_rad * np.sqrt(steps))
+    return np.hypot(settings.random_walk_m * np.sqrt(3 * steps), settings.constant_drift_m * steps)
+
+
+def turns_only(settings: Noise) -> bool:
+    """Whether the heading walks and the position does not drift."""
+    return settings.yaw_random_walk_rad > 0 and not (settings.random_walk_m or settings.constant_drift_m)

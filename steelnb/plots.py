@@ -4,7 +4,7 @@ import io
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import matplotlib.figure
@@ -13,12 +13,15 @@ import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from steelnb.types import Array, Segments
+
+if TYPE_CHECKING:
+    from steelnb.simulation import Tower
 
 # Okabe and Ito's palette (2008), which the colour-blind can tell apart, and between its colours those that stay apart.
 BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
@@ -314,3 +317,22 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     panel.plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
     gather_legend(figure, ncols=3)
     return figure
+
+
+def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array], elevation_deg: float = 25.0) -> None:
+    """Draw a tower, its members coloured by kind, and ``paths (N, 3)`` by name of their colour into three panels: in
+    perspective from above the front right with the tower's plates and the paths, from the front, and from the side."""
+    scene, *sides = panels
+    flat = project_perspective(tower.plates, tower.vertices, elevation_deg)
+    scene.add_collection(PolyCollection(list(flat), fc=COLOURS["member"], alpha=0.6))
+    kinds = np.array([member.kind for member in tower.members])
+    for kind in (name for name in reversed(KINDS) if name in kinds):
+        bars = tower.axes[kinds == kind]
+        look = {"color": KINDS[kind], "lw": {"leg": 2.2, "secondary": 0.8}.get(kind, 1.2)}
+        draw_bars(scene, bars, tower.vertices, elevation_deg, **look)
+        for across, side in enumerate(sides):
+            draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
+    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in paths}, elevation_deg)
+    for side, name, across in zip(sides, ("front", "side"), "xy", strict=True):
+        side.set(aspect="equal", title=name, xlabel=f"{across} (m)", ylabel="z (m)")
+        side.autoscale()

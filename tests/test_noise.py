@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.noise import drifting, random_walk_rms_m
+from steelnb.noise import drift_size, drift_size_rms, drifting
 from steelnb.settings import Noise
 from steelnb.types import Trajectory
 
@@ -23,10 +23,22 @@ def errors(noise, seconds, seeds):
 
 def test_random_walk_has_the_root_mean_square_of_its_model():
     error = errors("random-walk", 20, 400)
-    expected = random_walk_rms_m(Noise(random_walk_m=0.002), np.array([20.0]))[0]
+    expected = drift_size_rms(np.array([20.0]), Noise(random_walk_m=0.002))[0]
     assert expected == pytest.approx(0.002 * np.sqrt(3 * 125 * 20))
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(expected, rel=0.08)
     assert np.abs(error.mean(axis=0)).max() < 4 * expected / np.sqrt(3 * 400)
+
+
+@pytest.mark.parametrize("noise", ["random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk"])
+def test_the_size_of_the_drift_is_that_of_the_drifting_poses_and_follows_the_model(noise):
+    truth, settings = still(10), Noise.parse(noise)
+    T = drifting(truth, settings, 3).T_world_drone
+    moved_m = np.linalg.norm(T[:, :3, 3] - truth.position, axis=1)
+    turned_rad = np.abs(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    found = drift_size(truth.stamp_s, settings, 3)
+    np.testing.assert_allclose(found, turned_rad if noise == "yaw-random-walk" else moved_m, atol=1e-12)
+    sizes = np.array([drift_size(truth.stamp_s, settings, seed)[-1] for seed in range(300)])
+    assert np.sqrt((sizes**2).mean()) == pytest.approx(drift_size_rms(truth.stamp_s, settings)[-1], rel=0.1)
 
 
 def test_algorithm_1_is_a_cumulative_sum_of_normal_vectors():

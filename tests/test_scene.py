@@ -7,17 +7,27 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import batch, experiment, scene
 from steelnb.errors import CollisionError, InputError
-from steelnb.report.panel import Panel
-from steelnb.scene import PLOTLY_TYPE
+from steelnb.scene import PLOTLY_TYPE, Panel
 from steelnb.settings import Noise
 
 SHORT = {"tof.rate_hz": 2.5}
-FIRST = ("loops", "random-walk", 1.0, "report-4cm", "icp-3dof", 1, 6.0, SHORT)
+FIRST = {
+    "trajectory": "loops",
+    "noise": "random-walk",
+    "level": 1.0,
+    "sensor": "report-4cm",
+    "method": "icp-3dof",
+    "seed": 1,
+}
+
+
+def make_panel(**other: object) -> Panel:
+    return Panel(6.0, SHORT, **{**FIRST, **other})
 
 
 @pytest.fixture(scope="module")
 def view() -> scene.View:
-    return scene.fly(Panel(*FIRST).settings(*FIRST[:6]))  # type: ignore[arg-type]
+    return make_panel().show()
 
 
 @pytest.mark.parametrize(
@@ -49,13 +59,14 @@ def test_a_flight_is_the_experiment_of_the_same_settings(view: scene.View) -> No
     assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
 
 
-def test_another_drift_keeps_the_flight_and_another_sensor_does_not(view: scene.View) -> None:
-    flown = view.result.settings
-    more = scene.fly(flown.replace(noise_name="constant-drift"))
-    assert more.result.truth is view.result.truth
-    assert not np.allclose(more.result.prior.position, view.result.prior.position)
-    other = scene.fly(flown.override({"tof.columns": 32}))
-    assert other.result.truth is not view.result.truth
+def test_another_drift_keeps_the_flight_and_another_sensor_does_not() -> None:
+    panel = make_panel()
+    before = panel.show().result
+    panel.controls["noise"].value = "constant-drift"
+    assert panel.view.result.truth is before.truth
+    assert not np.allclose(panel.view.result.prior.position, before.prior.position)
+    panel.controls["sensor"].value = "starling2"
+    assert panel.view.result.truth is not before.truth
 
 
 def test_the_cloud_lies_on_the_steel_and_is_light(view: scene.View) -> None:
@@ -90,11 +101,14 @@ def names(figure: dict) -> set[str]:
 
 
 def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_control_moves(shown: list) -> None:
-    panel = Panel(*FIRST)
-    seen: list[float] = []
-    view = panel.show(seen.append)
+    panel = make_panel()
+    said: list[str] = []
+    panel.status.observe(lambda change: said.append(change["new"]), "value")
+    view = panel.show()
     assert view is panel.view
-    assert seen[-1] == 1.0
+    assert said[0].startswith("flying")
+    assert any(text.endswith("correcting it: 100 %") for text in said)
+    assert said[-1].startswith("computed in")
     (first,) = (data[PLOTLY_TYPE] for kind, data in shown if kind == "display" and PLOTLY_TYPE in data)
     assert names(first) == {"true members", "true", "drifting"}
     drawn = shown[-1][1][PLOTLY_TYPE]
@@ -114,19 +128,28 @@ def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_
 
 
 def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypatch: pytest.MonkeyPatch) -> None:
-    def collide(*_: object, **__: object) -> scene.View:
+    def collide(*_: object, **__: object) -> None:
         raise CollisionError("the drone touched the tower")
 
-    panel = Panel(*FIRST)
+    panel = make_panel()
     view = panel.show()
     del shown[:]
-    monkeypatch.setattr("steelnb.report.panel.fly", collide)
+    monkeypatch.setattr("steelnb.experiment.simulate", collide)
     panel.controls["seed"].value = 7
     assert panel.status.value == "the drone touched the tower"
     assert panel.view is view
-    assert not shown
+    assert not [data for _, data in shown if PLOTLY_TYPE in data]
 
 
-def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match="'spiral'"):
-        Panel("spiral", *FIRST[1:])  # type: ignore[arg-type]
+@pytest.mark.parametrize(("name", "value"), [("trajectory", "spiral"), ("noise", "wind"), ("sensor", "sonar")])
+def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name(name: str, value: str) -> None:
+    with pytest.raises(InputError, match=f"'{value}'"):
+        make_panel(**{name: value})
+
+
+def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: scene.View) -> None:
+    paths = {**view.paths, "true": None}
+    figure = scene.figure_scene(paths)
+    assert {trace.name for trace in figure.data} == {"drifting", "corrected"}
+    apart_m = np.linalg.norm(view.paths["corrected"].position - view.paths["drifting"].position, axis=1)
+    np.testing.assert_allclose(figure.data[-1].y, apart_m, atol=1e-12)

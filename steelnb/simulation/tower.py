@@ -7,7 +7,7 @@ import numpy as np
 
 from steelnb.settings import TowerSettings
 from steelnb.simulation.lattice import build_lattice, leg_half_width
-from steelnb.simulation.sections import Member, mesh_members, orthonormal_flanges, unit
+from steelnb.simulation.sections import PLATE, Member, mesh_members, orthonormal_flanges, unit
 from steelnb.types import Array, IntArray
 
 
@@ -27,6 +27,11 @@ class Tower:
     def axes(self) -> Array:
         """End points of the member axes, ``(M, 2, 3)`` metres, world frame."""
         return np.array([self.joints[[member.joints[0], member.joints[-1]]] for member in self.members])
+
+    @property
+    def plates(self) -> Array:
+        """Triangles of the plates, ``(P, 3, 3)`` metres, world frame."""
+        return self.vertices[self.triangles[self.triangle_member == PLATE]]
 
 
 def half_width(settings: TowerSettings, z: float) -> float:

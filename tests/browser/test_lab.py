@@ -19,7 +19,10 @@ from workflow.execute import environment, kill_marked
 ROOT = Path(__file__).parents[2]
 FOR_PAGE_MS = 60_000
 FOR_FLIGHT_MS = 300_000  # kernels are compiled where the cache is empty
+HEIGHT_PX = 1000
 DRAWN = ".js-plotly-plot canvas"
+STATUS = ".widget-html"
+DONE = f"{STATUS} >> text=computed in"
 # What Plotly keeps of the curves: their values say more than pixels.
 ERRORS = "() => Array.from(document.querySelector('.js-plotly-plot')?._fullData?.at(-1).y ?? [])"
 CHANGED = f"before => {{ const now = ({ERRORS})(); return now.length && now.join() !== before.join(); }}"
@@ -60,7 +63,7 @@ def lab(tmp_path: Path) -> Iterator[str]:
 @pytest.fixture
 def page(chromium: Browser, lab: str) -> Iterator[Page]:
     """A page of that JupyterLab; whatever it asks of another host is refused."""
-    with chromium.new_context(viewport={"width": 1400, "height": 1000}) as context:
+    with chromium.new_context(viewport={"width": 1400, "height": HEIGHT_PX}) as context:
         context.route(
             lambda address: not address.startswith((lab, lab.replace("http", "ws"), "data:", "blob:")),
             lambda route: route.abort(),
@@ -78,17 +81,20 @@ def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: P
     page.locator("li[data-command='runmenu:run-all']").click()
     canvas = page.wait_for_selector(DRAWN, timeout=FOR_FLIGHT_MS)
     assert canvas is not None
-    page.wait_for_selector("text=computed in", timeout=FOR_FLIGHT_MS)  # until then the picture is that of the drift
+    page.wait_for_selector(DONE, timeout=FOR_FLIGHT_MS)  # until then the picture is that of the drift
     assert page.locator("[data-mime-type='application/vnd.jupyter.error']").count() == 0
     assert page.locator("[data-mime-type='application/vnd.jupyter.stderr']").count() == 0
 
-    page.locator(".js-plotly-plot").scroll_into_view_if_needed()
-    before, sentence = page.evaluate(ERRORS), page.locator(".jp-RenderedMarkdown", has_text="root mean square").last
+    box = page.locator(".js-plotly-plot").bounding_box()
+    assert box is not None
+    assert 0 < box["y"] < box["y"] + box["height"] < HEIGHT_PX, "the picture is seen without scrolling"
+    before, sentence = page.evaluate(ERRORS), page.locator(STATUS)
     assert len(before) == 100
     text = sentence.inner_text()
     page.locator(".jupyter-widgets.widget-slider", has_text="level ×").locator(".noUi-handle").focus()
     page.keyboard.press("PageUp")
     page.wait_for_function(CHANGED, arg=before, timeout=FOR_FLIGHT_MS)
+    page.wait_for_selector(DONE, timeout=FOR_FLIGHT_MS)
     after = page.evaluate(ERRORS)
     assert len(after) == 100
     assert not np.allclose(after, before, atol=1e-6)
