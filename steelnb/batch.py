@@ -12,6 +12,7 @@ import pandas as pd
 from steelnb import experiment, rng
 from steelnb.errors import InputError
 from steelnb.metrics import position_error_m
+from steelnb.noise import drifting
 from steelnb.odometry import shared_segments
 from steelnb.results import find_root
 from steelnb.row import paired_clouds
@@ -24,6 +25,7 @@ from steelnb.settings import (
     ReportCloudSettings,
 )
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
+from steelnb.simulation import Tower, build_tower, fly
 from steelnb.types import Array
 
 Progress = Callable[[float], None]
@@ -110,6 +112,14 @@ def report_cases(
             for method in methods[shown]
         ]  # fmt: skip
     return cases
+
+
+def paths(settings: ExperimentSettings) -> tuple[Tower, dict[str, Array]]:
+    """The tower, and the positions ``(N, 3)`` of the flight past it: the true ones, ``truth``, and the drifting ones,
+    ``none``. Nothing is scanned. Raises `CollisionError`."""
+    tower = build_tower(settings.tower)
+    truth, _ = fly(tower, settings.flight, settings.seed)
+    return tower, {"truth": truth.position, "none": drifting(truth, settings.noise, settings.seed).position}
 
 
 def run_all(

@@ -234,6 +234,13 @@ def draw_paths(
     frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
 
 
+def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None:
+    """Draw positions ``(N, 3)`` by name of their colour past the members ``(M, 2, 3)`` of a tower, as
+    `project_perspective` shows them."""
+    draw_bars(panel, members, members.reshape(-1, 3), color=COLOURS["member"], lw=0.5)
+    draw_paths(panel, paths, members.reshape(-1, 3), LABELS)
+
+
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
     """Limits of a panel in which `project_perspective` shows ``cloud (N, 3)`` and ``more``, with a bar for the scale in
     place of axes."""

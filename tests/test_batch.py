@@ -34,6 +34,14 @@ def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     assert batch.provenance(runs, batch.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
 
 
+def test_paths_are_those_of_the_flight_without_its_scans(runs):
+    tower, paths = batch.paths(runs[0].settings)
+    np.testing.assert_array_equal(tower.axes, runs[0].truth.tower.axes)
+    np.testing.assert_array_equal(paths["truth"], runs[0].truth.trajectory.position)
+    last = np.searchsorted(runs[0].truth.trajectory.stamp_s, runs[0].prior.stamp_s[-1])
+    np.testing.assert_allclose(paths["none"][last], runs[0].prior.position[-1], atol=0.02)
+
+
 def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
     rows = pd.DataFrame({"case": ["a", "b"], "seed": [1, 2], "x_m": [0.5, np.nan], "n": [3, 4]})
     assert batch.flat(rows, ["case", "seed"]) == {"a.1.x_m": 0.5, "a.1.n": 3.0, "b.2.n": 4.0}
