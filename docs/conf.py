@@ -24,7 +24,7 @@ root_doc = "index"
 nb_execution_mode = "off"
 nb_output_stderr = "remove"
 nb_merge_streams = True
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath", "html_image"]
 myst_heading_anchors = 3
 suppress_warnings = ["mystnb.unknown_mime_type"]
 
@@ -43,7 +43,7 @@ html_js_files = ["plotly.min.js", "resize.js"] if (DOCS / "_static/plotly.min.js
 html_show_sourcelink = False
 # Pages without pages below them.
 html_sidebars: dict[str, list[str]] = {
-    page: [] for page in ("index", "start", "results", "claims", "architecture", "contributing", "changelog")
+    page: [] for page in ("index", "start", "results", "architecture", "contributing", "changelog")
 }
 html_math_renderer = "mathml"
 html_theme_options = {"navbar_align": "left", "show_prev_next": True, "navigation_depth": 2}
@@ -51,7 +51,6 @@ html_theme_options = {"navbar_align": "left", "show_prev_next": True, "navigatio
 # Pages that stand elsewhere in the repository, for readers of its files: target below docs/ → source.
 BROUGHT = {
     "results.md": "results/README.md",
-    "claims.md": "results/claims/README.md",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
     "benchmarks/index.md": "benchmarks/README.md",
@@ -75,6 +74,7 @@ def bring(target: str, source: str) -> None:
         return f"[{text}]({os.path.relpath(file, (DOCS / target).parent)}{anchor})"
 
     page = re.sub(r"\[([^]]*)\]\(([^)#\s]+)(#[^)]*)?\)", led, (ROOT / source).read_text(encoding="utf-8"))
+    page = page.replace('<img src="', f'<img src="{os.path.relpath((ROOT / source).parent, (DOCS / target).parent)}/')
     page += TOCTREE if target.endswith("index.md") else ""
     (DOCS / target).parent.mkdir(exist_ok=True)
     if not (DOCS / target).exists() or (DOCS / target).read_text(encoding="utf-8") != page:

@@ -10,7 +10,6 @@ from steelnb.report import structure_tables as tables
 from steelnb.report.structure_tables import fly_tower, rebuild
 from steelnb.settings import TowerSettings
 from steelnb.types import Segments
-from workflow.merge import merge
 
 COLUMNS = [
     "trajectory", "noise", "tower", "seed", "poses", "method", "recall", "precision", "duplicates", "angle_median_deg",
@@ -103,21 +102,14 @@ def test_goals_are_judged_on_their_side():
     assert tables.structure_goals(table, "zigzag").set_index("goal")["limit"]["recall"] == 0.88
 
 
-def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
+def test_structures_are_results(runs, tmp_path):
     table = tables.structure_table(runs)
     final = runs[-2].structure
-    for part in ("a", "b"):
-        results.write_results(
-            tmp_path / part, table=table, metrics={}, figures={}, files=tables.structure_files("true", final),
-            provenance={"tower": part},
-        )  # fmt: skip
-    merge({name: tmp_path / name for name in "ab"}, tmp_path / "all", {})
-    names = {path.name for path in (tmp_path / "all").glob("structure_*")}
-    assert names == {f"structure_true_{part}.json" for part in "ab"}
-    assert {path.name for path in results.result_files(tmp_path / "all")} >= names
-    read = json.loads((tmp_path / "all" / "structure_true_a.json").read_text())
+    files = tables.structure_files("true", final)
+    results.write_results(tmp_path / "a", table=table, metrics={}, figures={}, files=files, provenance={})
+    assert [path.name for path in results.pictures(tmp_path / "a")] == ["structure_true.json"]
+    read = json.loads((tmp_path / "a" / "structure_true.json").read_text())
     np.testing.assert_array_equal([joint["position_m"] for joint in read["joints"]], final.joint)
-    assert json.loads((tmp_path / "all" / "provenance.json").read_text())["parts"]["a"]["tower"] == "a"
 
 
 def test_other_towers_differ_from_the_tapered_one_and_unknown_names_are_refused(source):
