@@ -45,9 +45,9 @@ overrides = {}
 fail = ""
 results_dir = ""  # empty: show only
 """
-# A sleep that holds the interpreter lock, as a long call of compiled code does, as long as the gate is there.
+# The gate may hold a sleep with the interpreter's lock, as a long call of compiled code has it.
 GATE = """
-import ctypes, os, pathlib, sys
+import ctypes, os, pathlib, sys, time
 from steelnb.errors import InputError
 from steelnb import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
@@ -55,9 +55,10 @@ assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
 assert "inline" in os.environ["MPLBACKEND"]
 progress = results.Progress(1, "tiny")
 progress.update(0.5)
-if pathlib.Path(f"gate-{trajectory}").exists():
-    pathlib.Path(f"asleep-{trajectory}").write_text(str(os.getpid()))
-    ctypes.PyDLL(None).sleep(120)
+gate = pathlib.Path(f"gate-{trajectory}")
+if gate.exists():
+    pathlib.Path(f"asleep-{trajectory}").touch()
+    exec(gate.read_text())
 if fail == "exit":
     os._exit(3)
 if fail == "nothing":
@@ -280,34 +281,31 @@ def wait_until(condition, seconds: float) -> bool:
     return bool(reached)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
 def test_a_stopped_run_leaves_nothing_and_the_next_one_resumes(
-    finished: Path,
-    tmp_path: Path,
-    number: signal.Signals,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    finished: Path, tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
-    root, mark = make_project(tmp_path / "project"), f"{os.getpid()}-{number}"
+    root, mark, killed = make_project(tmp_path / "project"), f"{os.getpid()}-{number}", number == signal.SIGKILL
     monkeypatch.chdir(root)
     gate, asleep = root / "notebooks" / "gate-loops", root / "notebooks" / "asleep-loops"
-    kept = root / ".cache" / "workflow" / "results" / "pair" / "zigzag"
-    gate.touch()
+    # Of SIGKILL a kernel hears only when its interpreter runs.
+    gate.write_text("time.sleep(120)" if killed else "ctypes.PyDLL(None).sleep(120)")
     command = [sys.executable, "-m", "workflow", "reproduce", "pair"]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "STEELNB_TEST_MARK": mark}
-    run = subprocess.Popen(command, cwd=root, env=env, stdout=-1, stderr=-1, text=True, start_new_session=True)
+    run = subprocess.Popen(command, cwd=root, env=env, stderr=-1, text=True, start_new_session=True)
     try:
-        assert wait_until(lambda: (kept.exists() and asleep.exists()) or run.poll() is not None, 120)
-        time.sleep(2)  # until pytask has heard of it
+        assert run.stderr is not None
+        assert next(line for line in run.stderr if line.startswith("pair/zigzag: done"))
+        assert wait_until(asleep.exists, 60)
+        time.sleep(2)  # until pytask has noted it
         run.send_signal(number)
         errors = run.communicate(timeout=60)[1]
-        if number != signal.SIGKILL:  # which nobody hears: a kernel ends as soon as its interpreter runs again
-            assert wait_until(lambda: not marked(mark), 5), marked(mark)
-            assert "Traceback" not in errors
+        assert wait_until(lambda: not marked(mark), 5), marked(mark)
     finally:
         for stray in marked(mark):
             stray.kill()
-    assert run.returncode == (-9 if number == signal.SIGKILL else 130)
+    assert run.returncode == (-9 if killed else 130)
+    assert "Traceback" not in errors
     assert not (root / "results" / "pair").exists()
     gate.unlink()
     assert main(["reproduce", "pair"]) == 0

@@ -55,6 +55,8 @@ def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict
         tasks = [make_task(part, cache, Path(scratch), arrays) for part in parts]
         threads: dict[str, Any] = {"n_workers": jobs, "parallel_backend": "threads"}
         session = pytask.build(tasks=tasks, config=config, capture="no", disable_warnings=True, **threads)
+    if session.exit_code not in (pytask.ExitCode.OK, pytask.ExitCode.FAILED):
+        raise RuntimeError(f"pytask: {session.exit_code}")
     return {
         report.task.name: report.exc_info and report.exc_info[1]
         for report in session.execution_reports
@@ -74,10 +76,12 @@ def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.Ta
     def task(key: str) -> None:
         execute(part, scratch / part.label.replace("/", "~"), arrays, folder)
 
-    key = pytask.PythonNode(name=f"key of {part.label}", value=part.key(), hash=True)
-    left = {name: pytask.PathNode(path=folder / name) for name in (*REQUIRED, EXECUTED)}
+    key, name = part.key(), part.label
+    about = pytask.NodeInfo(arg_name="key", path=(), task_path=None, task_name=name, value=key)  # tells keys apart
+    left = {file: pytask.PathNode(path=folder / file) for file in (*REQUIRED, EXECUTED)}
     return pytask.TaskWithoutPath(
-        name=part.label, function=task, depends_on={"key": key}, produces={"left": left},
+        name=name, function=task, produces={"left": left},
+        depends_on={"key": pytask.PythonNode(name=name, value=key, hash=True, node_info=about)},
         markers=[pytask.Mark("try_first", (), {})] if part.experiment.long else [],
     )  # fmt: skip
 
@@ -85,7 +89,8 @@ def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.Ta
 def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
     """Run the notebook of a part in ``scratch``, and rename what it left to ``target``.
 
-    Raises `InputError` where the notebook refused its input, else `SteelnbError`, in one line that names the cell.
+    pytask has made the folder ``target``. Raises `InputError` where the notebook refused its input, else
+    `SteelnbError`, in one line that names the cell.
     """
     import nbformat
     import papermill
@@ -106,23 +111,22 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
     )  # fmt: skip
     own = {"IPYTHONDIR": str(scratch / "ipython"), CACHE_VARIABLE: str(arrays), PROGRESS_VARIABLE: str(progress)}
     try:
-        client.execute(env=os.environ | OWN | own, stderr=subprocess.DEVNULL)
+        client.execute(env=os.environ | OWN | own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         if missing := [name for name in REQUIRED if not (output / name).is_file()]:
             raise SteelnbError(f"{', '.join(missing)} missing; expected write_results(...)")
     except Exception as fault:
-        failed = target.parent / f"{target.name}.failed.ipynb"
-        failed.parent.mkdir(parents=True, exist_ok=True)
+        failed = f"{target}.failed.ipynb"
         nbformat.write(notebook, failed)
         name, message = getattr(fault, "ename", type(fault).__name__), getattr(fault, "evalue", str(fault))
         where = f"{part.label}: {part.notebook.name}, cell {begun[-1] if begun else 0}"
         text = " ".join(f"{where}: {name}: {message}".split())[:400] + f" (see {failed})"
         _tell(f"{part.label}: failed")
         raise (InputError if hasattr(steelnb.errors, name) else SteelnbError)(text) from None
+    finally:
+        progress.unlink()
     nbformat.write(notebook, output / EXECUTED)
-    shutil.rmtree(target, ignore_errors=True)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(target)
     os.replace(output, target)
-    progress.unlink()
     _tell(f"{part.label}: done in {time.monotonic() - begin_s:.0f} s")
 
 
