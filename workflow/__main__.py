@@ -54,7 +54,7 @@ def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget
             merge(own, cache, folder / id, budget)
             if labels:
                 print(f"{os.path.relpath(folder / id)}/ written")
-    write_overview(parts[0].root, folder)
+    write_overview(find_root(), folder)
     failures = [fault for fault in faults.values() if fault]
     for fault in failures:
         print("error:", " ".join(str(fault).split()), file=sys.stderr)
