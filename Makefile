@@ -35,12 +35,12 @@ $(READY): environment.lock pyproject.toml
 
 # ONLY="id ...", BUDGET=smoke, OUT=folder, P="seed=3 tof.rate_hz=10": some notebooks, short, elsewhere, with parameters.
 reproduce: $(READY)  ## run every notebook that is not up to date and regenerate results/ (ONLY= BUDGET= OUT= P=)
-	@$(BIN)/python -m workflow reproduce $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)") $(if $(OUT),--output "$(OUT)") $(if $(P),-p "$(P)")
+	@$(BIN)/python -m workflow reproduce $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)") $(if $(OUT),--output "$(OUT)") $(if $(P),-p "$$P")
 
 smoke: $(READY)  ## the same with short flights, into results-smoke/
 	@$(BIN)/python -m workflow reproduce $(ONLY) --budget smoke
 
-check: $(READY)  ## run everything again in a scratch folder and compare with the committed results (ONLY= BUDGET=)
+check: $(READY)  ## run every notebook again, from nothing, and compare metrics and tables with the last commit (ONLY= BUDGET=)
 	@$(BIN)/python -m workflow check $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)")
 
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (all of it: 5 hours on two cores)

@@ -1,5 +1,5 @@
 """The parameters of a notebook: misspelt names, mistyped values and settings out of range are refused before anything
-runs, whether our workflow, papermill alone or a reader has set them. Nothing here imports a heavy library."""
+runs, whether our workflow, papermill alone or a reader has set them."""
 
 import ast
 import inspect
@@ -8,11 +8,12 @@ import sys
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-from steelnb.errors import InputError
-from steelnb.settings import ExperimentSettings
-from steelnb.settings.base import guess, quoted
+from pydantic import create_model
 
-FLOAT_MAX = sys.float_info.max
+from steelnb.errors import InputError
+from steelnb.settings import ExperimentSettings, Settings
+from steelnb.settings.base import Finite, SeedOrReport, guess, quoted
+
 PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters)
 FOLDER = "results_dir"
 """The parameter that every notebook has, and that the workflow sets."""
@@ -68,46 +69,20 @@ def literals(source: str) -> dict[str, Any]:
 
 def fit_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """``given`` with every name known and every value of its default's type. Raises `InputError`."""
-    known = [name for name in defaults if name != FOLDER]
-    for name in given:
-        if name == FOLDER:
-            raise InputError(f"{experiment}: results_dir is set by the workflow; name a folder with OUT=folder")
-        if name not in known:
-            raise InputError(f"{experiment}: unknown parameter {name!r}{guess(name, known)}; known: {', '.join(known)}")
-    try:
-        return {name: _fit(name, value, defaults[name]) for name, value in given.items()}
-    except InputError as fault:
-        raise InputError(f"{experiment}: {fault}") from None
+    kinds: dict[str, Any] = {name: (_kind(name, value), value) for name, value in defaults.items() if name != FOLDER}
+    fitted = create_model(experiment, __base__=Settings, **kinds)(**given)
+    return {name: getattr(fitted, name) for name in given}
 
 
-def _fit(name: str, value: Any, default: Any) -> Any:
-    """``value`` in the type of ``default``: an int becomes a float, the elements of a list follow the default's. A seed
-    is a number or ``report``, whichever the default is."""
-    kind = type(default)
-    if (
-        default is None
-        or (name.partition("[")[0] == "seed" and "report" in (value, default))
-        or (kind in (bool, int, str) and type(value) is kind)
-    ):
-        return value
-    if kind is float and isinstance(value, int | float) and type(value) is not bool and abs(value) < FLOAT_MAX:
-        return float(value)
-    if kind in (list, tuple) and isinstance(value, list | tuple):
-        return [_fit(f"{name}[{index}]", item, default[0]) if default else item for index, item in enumerate(value)]
-    if kind is dict and isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return value
-    raise InputError(f"{name} = {value!r}: expected {_EXPECTED.get(kind, 'a value')} such as {default!r}")
-
-
-_EXPECTED = {
-    bool: "true or false,",
-    int: "a whole number",
-    float: "a finite number",
-    str: "a text",
-    list: "a list",
-    tuple: "a list",
-    dict: "a table",
-}
+def _kind(name: str, default: Any) -> Any:
+    """The type of a parameter: of its default, of which an empty list or None says nothing."""
+    if isinstance(default, list | tuple):
+        return list[_kind(name, default[0]) if default else Any]  # type: ignore[misc]
+    if default is None:
+        return Any
+    if name in ("seed", "seeds"):
+        return SeedOrReport
+    return {float: Finite, dict: dict[str, Any]}.get(type(default), type(default))
 
 
 def check_settings(experiment: str, values: Mapping[str, Any]) -> None:

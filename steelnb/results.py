@@ -110,22 +110,17 @@ def environment() -> dict[str, Any]:
     return {"versions": versions, "environment_lock_sha256": digest}
 
 
-def result_files(folder: Path) -> list[Path]:
-    """The files in a folder that `write_results` wrote, sorted by name."""
-    return sorted(path for pattern in RESULTS for path in folder.glob(pattern))
-
-
 def pictures(folder: Path) -> list[Path]:
-    """The figures and structures in a folder."""
-    return [path for pattern in PICTURES for path in folder.glob(pattern)]
+    """The figures and structures in a folder, sorted by name."""
+    return sorted(path for pattern in PICTURES for path in folder.glob(pattern))
 
 
 class Progress:
     """How far a notebook has come, over ``total`` runs of equal length; one object a notebook.
 
-    `update` takes the fraction of the current run, and is also what calling the object does, so that it can be handed
-    to a function as its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; the
-    workflow names a file in ``STEELNB_PROGRESS_FILE``, and the fraction of the whole is written there.
+    `update` takes the fraction of the current run, as does a call of the object, which can be handed to a function as
+    its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; the workflow names a
+    file in ``STEELNB_PROGRESS_FILE``, to which the percentage of the whole is written.
     """
 
     def __init__(self, total: int = 1, description: str = "") -> None:
@@ -146,9 +141,7 @@ class Progress:
             return
         self._shown_s = now_s
         if self._file:
-            # The folder vanishes when the run is interrupted; that is no fault of the notebook's.
-            with contextlib.suppress(OSError):
-                Path(self._file).write_text(f"{whole:.4f}", encoding="utf-8")
+            Path(self._file).write_text(f"{whole:.0%}", encoding="utf-8")
         else:
             self._bar.n = whole
             self._bar.refresh()

@@ -30,16 +30,14 @@ def test_a_digest_changes_with_the_last_digit_with_the_shape_and_with_the_type()
     assert len({digest(cloud), digest(cloud, cloud), *map(digest, others)}) == 6
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "said"), [("settings", "seed", "seed = 0, here 7"), ("versions", "numpy", "numpy = 0, here 2")]
-)
-def test_digests_of_other_settings_or_versions_are_refused(tmp_path, part, name, said):
-    kept = {**digests.made_with(SETTINGS), "digests": {}}
+@pytest.mark.parametrize(("part", "name"), [("settings", "seed"), ("versions", "numpy")])
+def test_digests_of_other_settings_or_versions_are_refused(tmp_path, part, name):
+    kept = {**digests.made_with(), "digests": {"a": "1"}}
     (tmp_path / "tests").mkdir()
     (tmp_path / digests.PATH).write_text(json.dumps({**kept, part: {**kept[part], name: 0}}))
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=digests.WRITE):
         read(tmp_path)
-    assert digests.WRITE in str(refused.value)
+    assert read(tmp_path, of_others=True) == {"a": "1"}
 
 
 def test_a_missing_file_of_digests_names_the_command_that_writes_it(tmp_path):

@@ -3,10 +3,10 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from steelnb.report import world
 
 from steelnb import batch, experiment, plots
 from steelnb.metrics import score_segments
-from steelnb.report import world
 from steelnb.runs import grid
 from steelnb.settings import ExperimentSettings
 from steelnb.types import Flight

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,8 +12,9 @@ import pandas as pd
 import pytest
 
 from steelnb.claims import read_claims
-from workflow.__main__ import make_plans
-from workflow.task_notebooks import run
+from workflow.__main__ import cache_folder
+from workflow.experiments import make_parts
+from workflow.task_notebooks import merge, run
 
 ROOT = Path(__file__).parents[1]
 COLOURED_MIN = 0.001  # axes and text alone have none
@@ -51,11 +51,12 @@ def smoke(tmp_path_factory):
 
     Of a notebook that several parts or experiments share the first part alone is run: the others run the same cells.
     """
-    folder = tmp_path_factory.mktemp("smoke")
-    plans = {plan.experiment.notebook: plan for plan in reversed(make_plans(ROOT, None, "smoke", output=folder))}
-    first = [replace(plan, parts=plan.parts[:1]) for plan in reversed(plans.values())]
-    report = run(first, ROOT / ".cache" / "workflow" / "smoke")
-    assert not report.failures, report.failures
+    folder, cache = tmp_path_factory.mktemp("smoke"), cache_folder(ROOT, ROOT / "results-smoke")
+    parts = {part.experiment.notebook: part for part in reversed(make_parts(ROOT, [], "smoke"))}.values()
+    faults = run([*parts], cache, ROOT / ".cache")
+    assert not any(faults.values()), faults
+    for part in parts:
+        merge([part], cache, folder / part.id, "smoke")
     return folder
 
 

@@ -13,32 +13,35 @@ from steelnb import parameters
 from steelnb.errors import InputError
 from steelnb.parameters import check_names, check_settings, fit_parameters
 from steelnb.settings import parse_parameter
-from workflow.parameters import read_parameters
+from workflow.experiments import parse_parameters, read_parameters
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
     "trajectory": "zigzag", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
-    "any": None, "results_dir": "",
+    "any": None, "results_dir": "", "seed": 1, "seeds": [1], "blind_s": [[1.0, 2.0]],
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"trajectry": "loops"}, ["e: unknown parameter 'trajectry'", "did you mean 'trajectory'", "count"]),
-        ({"value": "fast"}, ["value = 'fast'", "a finite number", "1.0"]),
-        ({"value": float("nan")}, ["value = nan"]),
-        ({"value": 10**400}, ["value = 1", "a finite number"]),
+        ({"trajectry": "loops"}, ["e: trajectry", "did you mean 'trajectory'", "count"]),
+        ({"value": "fast"}, ["value = 'fast'", "a valid number"]),
+        ({"value": float("nan")}, ["value = nan", "a finite number"]),
+        ({"value": 10**400}, ["value = 1"]),
         ({"value": True}, ["value = True"]),
-        ({"count": 1.5}, ["count = 1.5", "whole number"]),
+        ({"count": 1.5}, ["count = 1.5", "integer"]),
         ({"count": True}, ["count = True"]),
-        ({"deep": 1}, ["deep = 1", "true or false"]),
-        ({"trajectory": 5}, ["trajectory = 5", "a text"]),
-        ({"noise": "random-walk"}, ["noise = 'random-walk'", "a list"]),
-        ({"noise": ["random-walk", 3]}, ["noise[1] = 3", "a text"]),
+        ({"deep": 1}, ["deep = 1", "boolean"]),
+        ({"trajectory": 5}, ["trajectory = 5", "string"]),
+        ({"noise": "random-walk"}, ["noise = 'random-walk'", "a valid list"]),
+        ({"noise": ["random-walk", 3]}, ["noise.1 = 3", "string"]),
+        ({"blind_s": [[1.0], 2.0]}, ["blind_s.1 = 2.0", "list"]),
+        ({"seed": -1}, ["seed = -1", "'report'"]),
+        ({"seeds": [1, "two"]}, ["seeds.1 = 'two'", "'report'"]),
         ({"overrides": 3}, ["overrides = 3"]),
-        ({"overrides": {3: 1}}, ["overrides = {3: 1}"]),
-        ({"results_dir": "x"}, ["results_dir", "OUT=folder"]),
+        ({"overrides": {3: 1}}, ["overrides.3"]),
+        ({"results_dir": "x"}, ["results_dir"]),
     ],
 )
 def test_names_and_types_are_refused(given: dict, words: list[str]) -> None:
@@ -48,8 +51,9 @@ def test_names_and_types_are_refused(given: dict, words: list[str]) -> None:
 
 
 def test_values_take_the_type_of_their_defaults() -> None:
-    fitted = fit_parameters("e", {"value": 9, "noise": ("a", "b"), "any": 3, "count": 2}, DEFAULTS)
-    assert fitted == {"value": 9.0, "noise": ["a", "b"], "any": 3, "count": 2}
+    given = {"value": 9, "noise": ["a", "b"], "any": 3, "count": 2, "seed": "report", "blind_s": [[1, 2], []]}
+    fitted = fit_parameters("e", given, DEFAULTS)
+    assert fitted == given
     assert type(fitted["value"]) is float
 
 
@@ -86,9 +90,9 @@ def run(shell: InteractiveShell, cell: str) -> None:
 @pytest.mark.parametrize(
     ("injected", "words"),
     [
-        ("sed = 2", "unknown parameter 'sed', did you mean 'seed'.* known: noise, seed, duration_s"),
-        ('seed = "two"', "seed = 'two': expected a whole number such as 1"),
-        ("duration_s = float('nan')", "duration_s = nan: expected a finite number"),
+        ("sed = 2", "sed = 2: unknown setting, did you mean 'seed'.* noise, seed, duration_s"),
+        ('seed = "two"', "seed = 'two': expected a whole number"),
+        ("duration_s = float('nan')", "duration_s = nan: input should be a finite number"),
         ("duration_s = -2", "duration_s = -2"),
         ('noise = "wind"', "wind"),
     ],
@@ -160,12 +164,29 @@ def test_parse_parameter_refuses(text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "flights=['loops', 'zigzag'] seed=3",
+        'flights=["loops", "zigzag"]  seed = 3',
+        "flights=[loops,zigzag] seed=3",
+        "flights=[loops, 'zigzag'] 'seed=3'",
+        "flights=('loops', 'zigzag') seed=3",
+        """'flights=["loops", "zigzag"]' seed=3""",
+        """flights="['loops', 'zigzag']" seed=3""",
+    ],
+)
+def test_lists_are_read_in_every_usual_quoting(text: str) -> None:
+    assert parse_parameters(f"{text} tof.rate_hz=10") == {"flights": ["loops", "zigzag"], "seed": 3, "tof.rate_hz": 10}
+    assert parse_parameters("blind_s=[[16, 18], [20, 21]]") == {"blind_s": [[16, 18], [20, 21]]}
+
+
+@pytest.mark.parametrize(
     ("source", "tags", "words"),
     [
-        ("x = 1\nresults_dir = ''", [], "0 cells are tagged"),
+        ("x = 1\nresults_dir = ''", [], "one cell 'parameters'"),
         ("x = 1.0 * 2\nresults_dir = ''", ["parameters"], "plain literals"),
         ("x = (\nresults_dir = ''", ["parameters"], "plain literals"),
-        ("x = 1", ["parameters"], "expected results_dir"),
+        ("x = 1", ["parameters"], "results_dir"),
     ],
 )
 def test_notebooks_without_plain_parameters_are_refused(

@@ -12,7 +12,6 @@ from steelnb.io.structures import write_structure
 from steelnb.rebuild import CASE, METHODS, NUMBERS, POSES, fly_tower, near_side, rebuild, structure_row
 from steelnb.settings import TowerSettings
 from steelnb.types import Segments
-from workflow.merge import merge
 
 GOALS = {
     "recall", "precision", "duplicates", "angle_median_deg", "offset_median_m", "offset_p90_m", "end_median_m",
@@ -83,20 +82,15 @@ def test_the_fitted_section_takes_the_near_side_out(runs):
     assert set(map(tuple, bias[["kind", "section_m"]].to_numpy())) <= {(one.kind, one.section_m[0]) for one in members}
 
 
-def test_structures_are_results_and_keep_the_name_of_their_part(runs, tmp_path):
+def test_structures_are_results(runs, tmp_path):
     final = runs["true", "final"].structure
-    for part in ("a", "b"):
-        results.write_results(
-            tmp_path / part, table=pd.DataFrame({"bars": [len(final)]}), metrics={}, figures={},
-            files={"structure_true.json": partial(write_structure, final)}, provenance={"tower": part},
-        )  # fmt: skip
-    merge({name: tmp_path / name for name in "ab"}, tmp_path / "all", {})
-    names = {path.name for path in (tmp_path / "all").glob("structure_*")}
-    assert names == {f"structure_true_{part}.json" for part in "ab"}
-    assert {path.name for path in results.result_files(tmp_path / "all")} >= names
-    read = json.loads((tmp_path / "all" / "structure_true_a.json").read_text())
+    results.write_results(
+        tmp_path / "a", table=pd.DataFrame({"bars": [len(final)]}), metrics={}, figures={},
+        files={"structure_true.json": partial(write_structure, final)}, provenance={},
+    )  # fmt: skip
+    assert [path.name for path in results.pictures(tmp_path / "a")] == ["structure_true.json"]
+    read = json.loads((tmp_path / "a" / "structure_true.json").read_text())
     np.testing.assert_array_equal([joint["position_m"] for joint in read["joints"]], final.joint)
-    assert json.loads((tmp_path / "all" / "provenance.json").read_text())["parts"]["a"]["tower"] == "a"
 
 
 def test_other_towers_differ_from_the_tapered_one_and_unknown_names_are_refused(source):

@@ -1,13 +1,17 @@
-"""`python -m workflow`: the calls behind `make reproduce`, `make smoke`, `make check` and `make docs`.
+"""`python -m workflow`: the calls behind `make reproduce`, `make smoke`, `make check`, `make bits` and `make docs`.
 
 Exit code 0: done; 1: a notebook failed, or a result differs; 2: bad input; 130: interrupted.
 """
 
+import difflib
+import itertools
 import json
 import os
-import shlex
 import shutil
+import subprocess
 import sys
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,27 +19,12 @@ import typer
 
 from steelnb.errors import InputError, OutputError, SteelnbError
 from steelnb.results import find_root
-from steelnb.settings import parse_parameter
-from workflow.check import differences, read_check_settings, read_committed, read_results, say
-from workflow.experiments import FOLDERS, make_parts, output_folder, read_experiments, select
-from workflow.task_notebooks import Plan, Report, run
-
-STUDY = Path("results", "study")
+from workflow.experiments import BUDGETS, Part, make_parts, parse_parameters
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
 Budget = Annotated[str, typer.Option(help="full, or smoke: a short run of every method.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Notebooks run at once.")]
-
-
-def make_plans(
-    root: Path, ids: list[str] | None, budget: str, given: dict[str, Any] | None = None, output: Path | None = None
-) -> list[Plan]:
-    """The experiments named with their parts, every parameter checked. Raises `SteelnbError`."""
-    experiments = select(read_experiments(root), ids or [], budget)
-    parts = [make_parts(root, experiment, budget, given or {}) for experiment in experiments]
-    folder = output_folder(root, budget, given or {}, output)
-    return [Plan(each, budget, some, folder / each.id) for each, some in zip(experiments, parts, strict=True)]
 
 
 @app.command()
@@ -45,65 +34,99 @@ def reproduce(
     parameters: Annotated[str, typer.Option("-p", metavar="'NAME=VALUE ...'", help="Wants an output folder.")] = "",
     output: Annotated[Path | None, typer.Option(help="Folder for <id>/; default: results or results-smoke.")] = None,
     jobs: Jobs = 2,
-    force: Annotated[bool, typer.Option("--force", help="Run again what is up to date.")] = False,
 ) -> int:
     """Run the notebooks that are not up to date, and leave metrics, tables and figures in <output>/<id>/."""
-    root, given = find_root(), dict(map(parse_parameter, shlex.split(parameters)))
-    plans = make_plans(root, ids, budget, given, output)
-    report = run(plans, root / ".cache" / "workflow" / ("custom" if given else budget), jobs, force)
-    for folder in report.written:
-        print(f"{os.path.relpath(folder)}/ written")
-    if not report.written and not report.failures:
+    root, given = find_root(), parse_parameters(parameters)
+    parts = make_parts(root, ids or [], budget, given)
+    folder = output_folder(root, budget, given, output)
+    return write(parts, folder, cache_folder(root, folder), root / ".cache", budget, jobs)
+
+
+def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget: str, jobs: int) -> int:
+    """Run what is out of date and write ``folder/<id>/``; say what was written and what failed. Gives the exit code."""
+    from workflow.task_notebooks import merge, run, write_overview
+
+    faults = run(parts, cache, arrays, jobs)
+    for id, some in itertools.groupby(parts, lambda part: part.id):
+        own = list(some)
+        labels = {part.label for part in own} & set(faults)
+        if not any(faults[label] for label in labels):
+            merge(own, cache, folder / id, budget)
+            if labels:
+                print(f"{os.path.relpath(folder / id)}/ written")
+    write_overview(find_root(), folder)
+    failures = [fault for fault in faults.values() if fault]
+    for fault in failures:
+        print("error:", " ".join(str(fault).split()), file=sys.stderr)
+    if not faults:
         print("everything is up to date")
-    return _failures(report)
+    return 0 if not failures else 2 if all(isinstance(fault, InputError) for fault in failures) else 1
+
+
+def output_folder(root: Path, budget: str, given: Mapping[str, Any], output: Path | None) -> Path:
+    """The folder of the results ``<folder>/<id>/``. Raises `InputError` if a run with parameters of its own, or a smoke
+    run, would touch the full results, and `OutputError` if nothing can be written there."""
+    if output is None and given:
+        raise InputError(f"P={next(iter(given))}: parameters of your own want an output folder, OUT=folder")
+    folder, full = (output or root / BUDGETS[budget]).resolve(), (root / BUDGETS["full"]).resolve()
+    if (given or budget != "full") and folder.is_relative_to(full):
+        raise InputError(f"OUT={output}: expected a folder outside {full}, which holds the default results")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as fault:
+        raise OutputError(f"{folder}: cannot be written: {fault.strerror}") from None
+    return folder
+
+
+def cache_folder(root: Path, folder: Path) -> Path:
+    """Where the parts of the results in ``folder`` are kept."""
+    return root / ".cache" / "workflow" / os.path.relpath(folder, root).replace(os.sep, "~")
 
 
 @app.command()
-def check(
-    ids: Ids = None,
-    budget: Budget = "full",
-    jobs: Jobs = 2,
-    rerun: Annotated[bool, typer.Option(help="Run again, or compare the results as they lie there.")] = True,
-) -> int:
-    """Run the notebooks again, into .cache/workflow/check/results/, and compare with the committed results.
-
-    The study's sample of runs is left out until the study is flown again.
-    """
+def check(ids: Ids = None, budget: Budget = "full", jobs: Jobs = 2) -> int:
+    """Run the notebooks again, from nothing, in .cache/check/, and compare metrics and tables with the last commit."""
     root = find_root()
-    cache = root / ".cache" / "workflow" / "check"
-    plans = make_plans(root, ids, budget, output=cache / "results" if rerun else None)
-    settings, named = read_check_settings(root), [plan.experiment.id for plan in plans]
-    committed = read_committed(root, FOLDERS[budget], named)
-    if rerun:
-        shutil.rmtree(cache / "results", ignore_errors=True)
-        report = run(plans, cache, jobs, force=True)
-        if report.failures:
-            return _failures(report)
-    now = read_results(cache / "results" if rerun else root / FOLDERS[budget], named)
-    found = [*differences(committed, now, settings)]
-    if rerun and not ids and (root / STUDY / "runs.parquet").is_file():
-        print(f"{STUDY}: not compared, since it was flown with the sensor report-4cm and is to be flown again")
-    return 0 if say(found, committed, settings) else 1
+    parts, cache = make_parts(root, ids or [], budget), root / ".cache" / "check"
+    names = [f"{part.id}/{name}" for part in parts for name in ("metrics.json", "table.csv")]
+    before = {name: committed(root, f"{BUDGETS[budget]}/{name}") for name in names}
+    shutil.rmtree(cache, ignore_errors=True)
+    if code := write(parts, cache / "results", cache, cache / "arrays", budget, jobs):
+        return code
+    now = {name: (cache / "results" / name).read_bytes() for name in before}
+    differ = [name for name in before if before[name] != now[name]]
+    for name in differ:
+        old, new = (each[name].decode().splitlines() for each in (before, now))
+        print(*difflib.unified_diff(old, new, f"{name}, committed", f"{name}, now", n=0, lineterm=""), sep="\n")
+    print(f"{len(differ)} of {len(before)} files of metrics and tables differ from the last commit")
+    return int(bool(differ))
+
+
+def committed(root: Path, path: str) -> bytes:
+    """A file of the last commit; of the tree where there is no git. Raises `InputError`."""
+    shown = subprocess.run(["git", "show", f"HEAD:./{path}"], cwd=root, capture_output=True, check=False)
+    try:
+        return (root / path).read_bytes() if shown.returncode else shown.stdout
+    except OSError:
+        raise InputError(f"{path}: nothing to compare; run `make reproduce` first") from None
 
 
 @app.command()
 def digests(
     write: Annotated[bool, typer.Option("--write", help="Write tests/digests.json anew.")] = False,
-    short: Annotated[bool, typer.Option("--short", help="The set that `bits` emulates.")] = False,
-    result: Annotated[Path | None, typer.Option("--json", help="Write all digests into this file.")] = None,
+    short: Annotated[bool, typer.Option("--short", help="Print the set that `bits` emulates.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Print the whole set.")] = False,
 ) -> int:
     """Compute the digests of short flights and say which differ from those of the last commit."""
     from workflow import digests as of
 
-    settings, root = of.SHORT if short else of.SETTINGS, find_root()
-    found: dict[str, str] = {}
-    for pair in of.pairs(settings):
-        found.update(of.digests(settings, *pair))
-    if result:
-        result.write_text(json.dumps(found), encoding="utf-8")
-    if short or result:
+    root = find_root()
+    found = of.compute(of.SHORT if short else of.SETTINGS)
+    if short or full:
+        print(json.dumps(found))
         return 0
-    old = of.kept(root) if write else of.read(root)
+    old = of.read(root, of_others=write)
     differ = of.changed(old, found)
     for name in differ:
         print(f"changed: {name}: {old.get(name, 'missing')}, now {found.get(name, 'missing')}")
@@ -116,11 +139,9 @@ def digests(
 @app.command()
 def bits() -> int:
     """Compute the digests as other processors would, natively and emulated, and print a table."""
-    from workflow.bits import compare
-    from workflow.digests import read
+    from workflow.digests import bits
 
-    root = find_root()
-    return 0 if compare(root, read(root)) else 1
+    return 0 if bits(find_root()) else 1
 
 
 @app.command()
@@ -129,17 +150,9 @@ def pages(budget: Budget = "smoke") -> int:
     from workflow.pages import write_pages
 
     root = find_root()
-    missing = write_pages(make_plans(root, None, budget), root / ".cache" / "workflow" / budget, root / "docs")
-    for label in missing:
-        print(f"{label}: no page, since it has not been run: make reproduce ONLY={label.partition('/')[0]}")
+    for name in write_pages(make_parts(root, [], budget), cache_folder(root, root / BUDGETS[budget]), root / "docs"):
+        print(f"{name}: no page, since it has not been run")
     return 0
-
-
-def _failures(report: Report) -> int:
-    for fault in report.failures:
-        print("error:", " ".join(str(fault).split()), file=sys.stderr)
-    refused = all(isinstance(fault, (InputError, OutputError)) for fault in report.failures)
-    return (2 if refused else 1) if report.failures else 0
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -150,9 +163,6 @@ def main(arguments: list[str] | None = None) -> int:
         text = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
         print("error:", " ".join(text.split()), file=sys.stderr)
         return 2
-    except SystemExit as end:
-        print("interrupted; nothing is half-written, and the next call goes on from here", file=sys.stderr)
-        return int(end.code or 0)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,22 @@
 """Digests of short flights: the same on every x86-64 processor with AVX2, or a difference in rounding has crept in.
 
-`tests/digests.json` holds those of the last commit, `tests/test_digests.py` compares. `python -m workflow digests
---write` writes them anew and says which changed; `make bits` computes them as other processors would (`workflow.bits`).
-A digest is the first 16 hexadecimal digits of a SHA-256.
+`tests/digests.json` holds those of the last commit, `tests/test_digests.py` compares; `python -m workflow digests
+--write` writes them anew. A digest is the first 16 hexadecimal digits of a SHA-256.
+
+`make bits` computes them as other processors would. Libraries choose their code by the processor: OpenBLAS by
+``OPENBLAS_CORETYPE``, Numba by ``NUMBA_CPU_NAME``, and all of them, Embree and the C library included, by what the
+processor says of itself, which QEMU's user mode emulates.
 """
 
 import hashlib
 import importlib.metadata
 import json
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
-from steelnb.errors import InputError
+from steelnb.errors import InputError, OutputError, SteelnbError
+from steelnb.files import reading
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
@@ -29,6 +38,14 @@ from steelnb.types import Array, Flight
 PATH = Path("tests", "digests.json")
 WRITE = "python -m workflow digests --write"
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "open3d-cpu", "opencv-python-headless", "pybullet", "imufusion")
+EMULATOR = "qemu-x86_64"
+EMULATED = ("EPYC-Milan", "Haswell", "Skylake-Server")
+GENERIC = {"NUMBA_CPU_NAME": "generic"}
+"""For emulated runs, since compiling is slow there: kernels of no processor in particular."""
+VARIANTS: tuple[dict[str, str], ...] = (
+    {}, GENERIC, {"OPENBLAS_CORETYPE": "Zen"}, {"OPENBLAS_CORETYPE": "Haswell"}, {"NUMBA_CPU_NAME": "znver3"},
+    {"NUMBA_CPU_NAME": "haswell"},
+)  # fmt: skip
 
 SETTINGS: dict[str, Any] = {
     "flights": {
@@ -62,9 +79,10 @@ def digest(*arrays: Any) -> str:
     return found.hexdigest()[:16]
 
 
-def pairs(settings: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Sensor and flight of each simulated flight."""
-    return [(sensor, flight) for sensor, flights in settings["flights"].items() for flight in flights]
+def compute(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Name and digest of everything computed from every flight of the settings."""
+    flights = [(sensor, flight) for sensor, flights in settings["flights"].items() for flight in flights]
+    return {name: found for pair in flights for name, found in digests(settings, *pair)}
 
 
 def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterator[tuple[str, str]]:
@@ -120,43 +138,65 @@ def _bars(name: str, flight: Flight, settings: SegmentSettings) -> Iterator[tupl
     yield f"{name}/segments", digest(*([segments.start, segments.end] if segments else []))
 
 
-def made_with(settings: Mapping[str, Any]) -> dict[str, Any]:
+def made_with() -> dict[str, Any]:
     """The settings and the versions that digests belong to."""
-    return {"settings": dict(settings), "versions": {name: importlib.metadata.version(name) for name in PACKAGES}}
+    return {"settings": SETTINGS, "versions": {name: importlib.metadata.version(name) for name in PACKAGES}}
 
 
-def kept(root: Path) -> dict[str, str]:
-    """The digests of the file, whatever they belong to; none where there is no file."""
-    try:
-        return dict(json.loads((root / PATH).read_text(encoding="utf-8"))["digests"])
-    except (OSError, ValueError, KeyError):
-        return {}
-
-
-def read(root: Path) -> dict[str, str]:
-    """The committed digests. Raises `InputError` where there are none, or of other settings or versions."""
-    try:
+def read(root: Path, of_others: bool = False) -> dict[str, str]:
+    """The committed digests. Raises `InputError` where there are none, or unless ``of_others``, where they were made
+    with other settings or versions."""
+    with reading(root / PATH, f"digests, which `{WRITE}` writes"):
         found = json.loads((root / PATH).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
-        raise InputError(f"{PATH}: {fault}; expected digests, which `{WRITE}` writes") from None
-    for part, here in made_with(SETTINGS).items():
-        there = found.get(part, {})
-        differ = [
-            f"{name} = {there.get(name)}, here {here.get(name)}"
-            for name in {**there, **here}
-            if there.get(name) != here.get(name)
-        ]
-        if differ:
-            raise InputError(f"{PATH}: made with other {part}: {'; '.join(differ)}; `{WRITE}` writes it anew")
-    return dict(found["digests"])
+        kept = dict(found.pop("digests"))
+    if found != made_with() and not of_others:
+        raise InputError(f"{PATH}: made with {found}, here {made_with()}; `{WRITE}` writes it anew")
+    return kept
 
 
 def write(root: Path, found: Mapping[str, str]) -> None:
     """Write the committed digests anew."""
-    text = json.dumps({**made_with(SETTINGS), "digests": dict(found)}, indent=1)
+    text = json.dumps({**made_with(), "digests": dict(found)}, indent=1)
     (root / PATH).write_text(text + "\n", encoding="utf-8")
 
 
 def changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
     """Names whose digests differ, or that only one side has, in the order of the new ones."""
     return [name for name in {**new, **old} if old.get(name) != new.get(name)]
+
+
+def bits(root: Path) -> bool:
+    """Compute the digests in every way, two at once, print a table, and say whether all of them agree.
+
+    Raises `OutputError` where the emulator is missing, and `SteelnbError` where a run fails.
+    """
+    if shutil.which(EMULATOR) is None:
+        raise OutputError(f"{EMULATOR} not found: install it by `apt-get install qemu-user`")
+    whole, short = read(root), elsewhere(root, True, {})
+    elsewhere(root, True, GENERIC)  # compiles the kernels of the emulated runs
+    print("| computed by | digests | differ | the first that does |\n|---|---|---|---|", flush=True)
+    equal = True
+    with ThreadPoolExecutor(2) as pool:
+        runs = [(cpu, short, pool.submit(elsewhere, root, True, GENERIC, cpu)) for cpu in EMULATED]
+        runs += [(_name(each), whole, pool.submit(elsewhere, root, False, each)) for each in VARIANTS]
+        for name, expected, run in runs:
+            differ = changed(expected, run.result())
+            print(f"| {name} | {len(expected)} | {len(differ)} | {''.join(differ[:1])} |", flush=True)
+            equal = equal and not differ
+    return equal
+
+
+def elsewhere(root: Path, short: bool, variables: Mapping[str, str], cpu: str = "") -> dict[str, str]:
+    """The digests in a process of its own, with variables of the environment, on the emulated ``cpu``, if any."""
+    environment = {**os.environ, **variables, "NUMBA_CACHE_DIR": str(root / ".cache" / "bits" / _name(variables))}
+    command = [sys.executable, "-m", "workflow", "digests", "--short" if short else "--full"]
+    emulator = [EMULATOR, "-cpu", cpu] if cpu else []
+    done = subprocess.run([*emulator, *command], cwd=root, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SteelnbError(f"{cpu or _name(variables)}: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
+    found: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _name(variables: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in variables.items()) or "this processor"

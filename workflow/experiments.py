@@ -1,12 +1,10 @@
-"""`notebooks/runs.toml`: experiments, their parts and the key of each part, checked before anything runs."""
+"""`notebooks/runs.toml`: which notebook runs with which parameters, checked before anything runs."""
 
-import hashlib
 import itertools
 import json
 import platform
 import re
-import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,30 +12,23 @@ from typing import Any
 from pydantic import Field
 
 from steelnb.cache import digest_sources
-from steelnb.errors import InputError, OutputError
-from steelnb.parameters import check_settings, fit_parameters
+from steelnb.errors import InputError
+from steelnb.files import reading
+from steelnb.parameters import FOLDER, check_names, check_settings, fit_parameters, literals
 from steelnb.results import EXPERIMENTS_FILE, file_digest
-from steelnb.settings import Settings, read_toml
-from steelnb.settings.base import guess
-from workflow.parameters import read_cells, read_parameters, source
+from steelnb.settings import Settings, parse_parameter, read_tables
 
-FOLDERS = {"full": "results", "smoke": "results-smoke"}
-
-
-def digest(*values: Any) -> str:
-    """SHA-256 of values that JSON can hold; the order of a table's keys does not count."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+BUDGETS = {"full": "results", "smoke": "results-smoke"}
 
 
 class Experiment(Settings):
-    """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of parts.
+    """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of values to combine.
 
-    ``inputs`` are files of the project that the notebook reads: when one changes, it runs again. One that is ``apart``
-    is too long for every day: at the full budget it runs only when it is named. ``title``, ``about`` and ``figures``
-    are for the pages.
+    ``inputs`` are files of the project that the notebook reads. One that is ``long`` is begun first; one that is
+    ``apart`` runs at the full budget only when it is named. ``title``, ``about`` and ``figures`` (the report's) are for
+    the overview.
     """
 
-    id: str
     notebook: str
     title: str
     about: str = ""
@@ -47,104 +38,105 @@ class Experiment(Settings):
     smoke: dict[str, Any]
     inputs: list[str] = Field(default_factory=list)
     apart: bool = False
+    long: bool = False
 
 
 @dataclass(frozen=True)
 class Part:
-    """One execution of a notebook, of one combination of the matrix; ``name`` is empty where there is just one."""
+    """One execution of a notebook, for one combination of the matrix; ``name`` is empty if it is the only one."""
 
-    experiment: Experiment
-    name: str
     root: Path
+    id: str
+    name: str
+    experiment: Experiment
     parameters: Mapping[str, Any]
 
     @property
     def label(self) -> str:
-        return f"{self.experiment.id}/{self.name}" if self.name else self.experiment.id
+        return f"{self.id}/{self.name}" if self.name else self.id
 
     @property
     def notebook(self) -> Path:
         return self.root / "notebooks" / self.experiment.notebook
 
     def key(self) -> str:
-        """Hash of everything that the results depend on: the source of the cells (no outputs), parameters, files
-        that are read, the package, the lock and Python. Raises `SteelnbError`."""
-        cells = [
-            (cell["cell_type"], source(cell), cell.get("metadata", {}).get("tags", []))
-            for cell in read_cells(self.notebook)
-        ]
+        """All that the results depend on: cells without outputs, parameters, files, package and Python."""
         files = {name: file_digest(self.root / name) for name in (*self.experiment.inputs, "environment.lock")}
-        return digest(cells, self.parameters, files, digest_sources(excluded=()), platform.python_version_tuple()[:2])
+        cells = [(cell["cell_type"], cell["source"]) for cell in read_cells(self.notebook)]
+        versions = [digest_sources(excluded=()), *platform.python_version_tuple()[:2]]
+        return json.dumps([cells, self.parameters, files, versions], sort_keys=True)
 
 
 def read_experiments(root: Path) -> dict[str, Experiment]:
     """The experiments of the project below ``root``, by id. Raises `InputError`."""
-    found = {}
-    for name, table in read_toml(root / EXPERIMENTS_FILE).items():
-        if name == "check":  # how results are compared: `steelnb.report.differences`
-            continue
-        if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", name) or not isinstance(table, dict):
-            raise InputError(f"{EXPERIMENTS_FILE}: {name!r}: expected a table named in small letters and hyphens")
-        try:
-            found[name] = Experiment(id=name, **table)
-        except InputError as fault:
-            raise InputError(f"{EXPERIMENTS_FILE}: [{name}]: {fault}") from None
-    return found
+    return read_tables(root / EXPERIMENTS_FILE, Experiment, "a TOML file of experiments")
 
 
-def select(experiments: Mapping[str, Experiment], ids: Iterable[str], budget: str) -> list[Experiment]:
-    """The experiments named, in the file's order; by default all, at the full budget without those apart.
+def read_cells(notebook: Path) -> list[dict[str, Any]]:
+    """The cells of a notebook file, the source of each as one text. Raises `InputError`."""
+    with reading(notebook, "a notebook"):
+        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+        return [{**cell, "source": "".join(cell["source"])} for cell in cells]
 
-    Raises `InputError`.
+
+def read_parameters(notebook: Path) -> dict[str, Any]:
+    """Names and defaults of the cell tagged ``parameters``, which must hold plain literals. Raises `InputError`."""
+    tagged = [cell["source"] for cell in read_cells(notebook) if "parameters" in cell["metadata"].get("tags", [])]
+    with reading(notebook, f"a notebook with one cell 'parameters' of plain literals and {FOLDER} = \"\""):
+        (source,) = tagged
+        defaults = literals(source)
+        defaults.pop(FOLDER)
+        return defaults
+
+
+def parse_parameters(text: str) -> dict[str, Any]:
+    """The parameters of ``P="seed=3 tof.rate_hz=10 flights=['loops', 'zigzag']"``; elements of a list may come without
+    quotes, which a shell takes away. Raises `InputError`."""
+
+    def value(item: str) -> tuple[str, Any]:
+        name, found = parse_parameter(item.strip())
+        if isinstance(found, str) and re.fullmatch(r"\[.*\]|\(.*\)", found, re.DOTALL):
+            found = [value(f"{name}={each}")[1] for each in found[1:-1].split(",") if each.strip()]
+        return name, json.loads(json.dumps(found))
+
+    items = re.split(r"\s+(?=['\"]?[A-Za-z_][\w.]*\s*=)", text.strip())
+    return dict(value(re.sub(r"^(['\"])(.*)\1$", r"\2", item)) for item in items if item)
+
+
+def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, Any] | None = None) -> list[Part]:
+    """The parts of the experiments named, by default of all but those apart, with every parameter checked.
+
+    Parameters ``given`` by the user win over budget and matrix; an axis that they name is dropped. A dotted name, such
+    as ``tof.rate_hz``, goes into the notebook's parameter ``overrides``. Raises `InputError`.
     """
-    ids = list(ids)
-    if budget not in FOLDERS:
-        raise InputError(f"budget = {budget!r}: expected one of {', '.join(FOLDERS)}")
-    for name in ids:
-        if name not in experiments:
-            known = ", ".join(experiments)
-            raise InputError(f"unknown experiment {name!r}{guess(name, experiments)}; known: {known}")
-    chosen = ids or [name for name, each in experiments.items() if budget == "smoke" or not each.apart]
-    return [experiment for name, experiment in experiments.items() if name in chosen]
+    experiments = read_experiments(root)
+    check_names("BUDGET", [budget], BUDGETS)
+    check_names("ONLY", ids, experiments)
+    chosen = ids or [id for id, each in experiments.items() if budget == "smoke" or not each.apart]
+    return [
+        part
+        for id, each in experiments.items()
+        if id in chosen
+        for part in _combine(root, id, each, getattr(each, budget), given or {})
+    ]
 
 
-def make_parts(root: Path, experiment: Experiment, budget: str, given: Mapping[str, Any]) -> list[Part]:
-    """The parts of an experiment, every parameter checked. Raises `InputError`.
-
-    ``given`` are the user's parameters; they win over budget and matrix, and a matrix axis they name is dropped. A
-    dotted name, such as ``tof.rate_hz``, goes into the notebook's parameter ``overrides``.
-    """
+def _combine(
+    root: Path, id: str, experiment: Experiment, usual: Mapping[str, Any], given: Mapping[str, Any]
+) -> list[Part]:
     defaults = read_parameters(root / "notebooks" / experiment.notebook)
-    user = {name: value for name, value in given.items() if "." not in name or "overrides" not in defaults}
-    dotted = {name: value for name, value in given.items() if name not in user}
-    chosen = {**getattr(experiment, budget), **user}
-    if dotted:
-        chosen["overrides"] = {**chosen.get("overrides", defaults["overrides"]), **dotted}
-    axes = {name: values for name, values in experiment.matrix.items() if name not in user}
-    parts = []
+    dotted = {name: value for name, value in given.items() if "." in name and "overrides" in defaults}
+    plain = {name: value for name, value in given.items() if name not in dotted}
+    axes = {name: values for name, values in experiment.matrix.items() if name not in plain}
+    parts = {}
     for combination in itertools.product(*axes.values()):
-        named = dict(zip(axes, combination, strict=True))
-        values = fit_parameters(experiment.id, {**chosen, **named}, defaults)
-        check_settings(experiment.id, {**defaults, **values})
+        values = {**usual, **plain, **dict(zip(axes, combination, strict=True))}
+        if dotted:
+            values["overrides"] = {**values.get("overrides", defaults["overrides"]), **dotted}
+        values = fit_parameters(id, values, defaults)
+        check_settings(id, {**defaults, **values})
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
-        parts.append(Part(experiment, name, root, values))
-    if len({part.name for part in parts}) != len(parts) or not parts:
-        raise InputError(f"{EXPERIMENTS_FILE}: [{experiment.id}]: matrix: expected distinct values on every axis")
-    return parts
-
-
-def output_folder(root: Path, budget: str, given: Mapping[str, Any], output: Path | None) -> Path:
-    """Folder of the results ``<folder>/<id>/``. Raises `InputError` if a run with parameters of its own, or a smoke
-    run, would touch the full results, and `OutputError` if nothing can be written there."""
-    if output is None and given:
-        raise InputError(f"P={next(iter(given))}: parameters of your own want an output folder, OUT=folder")
-    folder = (output or root / FOLDERS[budget]).resolve()
-    full = (root / FOLDERS["full"]).resolve()
-    if (given or budget != "full") and folder.is_relative_to(full):
-        raise InputError(f"OUT={output}: expected a folder outside {full}, which holds the default results")
-    place = next(path for path in (folder, *folder.parents) if path.exists())
-    try:
-        with tempfile.TemporaryFile(dir=place):
-            return folder
-    except OSError as fault:
-        raise OutputError(f"{folder}: cannot be written: {fault.strerror}") from None
+        if name in parts:
+            raise InputError(f"{EXPERIMENTS_FILE}: [{id}]: matrix: {name} twice; expected distinct values")
+        parts[name] = Part(root, id, name, experiment, values)
+    return list(parts.values())

@@ -11,10 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from playwright.sync_api import Browser, Page
 
-from workflow.execute import environment, kill_marked
+from workflow.task_notebooks import OWN
 
 ROOT = Path(__file__).parents[2]
 FOR_PAGE_MS = 60_000
@@ -38,9 +39,8 @@ def lab(tmp_path: Path) -> Iterator[str]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    mark = f"lab-{os.getpid()}-{time.time_ns()}:"
-    seen = {name: value for name, value in environment(tmp_path, mark).items() if name != "STEELNB_PROGRESS_FILE"}
-    seen["JUPYTER_CONFIG_PATH"] = str(ROOT / "scripts" / "jupyterlab")
+    own = {name: str(tmp_path / name) for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR")}
+    seen = os.environ | OWN | own | {"JUPYTER_CONFIG_PATH": str(ROOT / "scripts" / "jupyterlab")}
     command = [sys.executable, "-m", "jupyterlab", "--no-browser", f"--port={port}", "--ServerApp.port_retries=0"]
     command += [f"--notebook-dir={tmp_path}", "--IdentityProvider.token=", "--allow-root"]
     with (tmp_path / "log.txt").open("wb") as log:
@@ -56,7 +56,9 @@ def lab(tmp_path: Path) -> Iterator[str]:
                 time.sleep(0.1)
         yield address
     finally:
-        kill_marked(mark)
+        lab = psutil.Process(process.pid)
+        for started in [lab, *lab.children(recursive=True)]:
+            started.kill()
         process.wait()
 
 
