@@ -340,6 +340,6 @@ def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array
         for across, side in enumerate(sides):
             draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
     draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in paths}, elevation_deg)
-    for side, name, across in zip(sides, ("front", "side"), "xy", strict=True):
-        side.set(aspect="equal", title=name, xlabel=f"{across} (m)", ylabel="z (m)")
+    for side, name, axis in zip(sides, ("front", "side"), "xy", strict=True):
+        side.set(aspect="equal", title=name, xlabel=f"{axis} (m)", ylabel="z (m)")
         side.autoscale()

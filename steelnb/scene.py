@@ -81,13 +81,13 @@ def figure_scene(
     for name, path in known.items():
         if path is not reference:
             error_m = position_error_m(path.at(reference.stamp_s), reference)
-            look = {
+            line = {
                 "name": name,
                 "legendgroup": name,
                 "showlegend": False,
                 "line": {"color": colours[name], "width": 2},
             }
-            figure.add_trace(Scatter(x=reference.stamp_s - reference.stamp_s[0], y=error_m, **look), 1, 2)
+            figure.add_trace(Scatter(x=reference.stamp_s - reference.stamp_s[0], y=error_m, **line), 1, 2)
     axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
     figure.update_layout(
         template="plotly_white",
@@ -148,7 +148,7 @@ class Panel:
         `InputError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
-        self._fixed = {"duration_s": duration_s, "overrides": dict(overrides)}
+        self._fixed: dict[str, Any] = {"duration_s": duration_s, "overrides": dict(overrides)}
         self.settings(**first)
         choices = {
             "trajectory": TRAJECTORIES,
