@@ -3,7 +3,6 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
-from steelnb.report import world
 
 from steelnb import batch, experiment, plots
 from steelnb.metrics import score_segments
@@ -70,15 +69,6 @@ def test_tables_have_the_columns_that_others_read(runs):
     assert all(np.isfinite(value) for value in batch.metrics(runs).values())
 
 
-def test_drift_curves_agree_with_their_expectation():
-    for noise in ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+constant-drift"):
-        stamp, errors = world.drift_curves(noise, range(150), 30.0)
-        rms = np.sqrt((errors[:, -1] ** 2).mean())
-        assert rms == pytest.approx(world.expected_drift(noise, stamp)[-1], rel=0.15)
-    table = world.drift_table({"random-walk": world.drift_curves("random-walk", range(20), 60.0)}, every_s=20.0)
-    assert table["time_s"].tolist() == [20.0, 40.0, 60.0]
-
-
 def test_curves_hold_the_error_of_every_scan_without_and_with_correction(runs):
     curves = batch.curves(runs)
     assert set(curves["curve"]) == {"none", "average", "least_squares"}
@@ -103,7 +93,10 @@ def test_a_map_is_drawn_over_the_members_with_right_and_wrong_bars_apart(runs):
 
 def test_figures_of_the_tower_and_of_clouds_have_units(runs):
     flown = {"zigzag": runs[0].truth.trajectory}
-    assert world.figure_tower(runs[0].truth.tower, flown).axes[1].get_xlabel() == "x (m)"
+    tower, panels = runs[0].truth.tower, plots.Figure().subplots(1, 3)
+    plots.draw_tower(panels, tower, flown)
+    assert (panels[1].get_xlabel(), panels[2].get_xlabel(), panels[2].get_ylabel()) == ("x (m)", "y (m)", "z (m)")
+    assert sum(len(lines.get_segments()) for lines in panels[1].collections) == len(tower.members)
     clouds = dict(zip(("none", "average"), batch.clouds(runs[:2]), strict=True))
     front, side, *_ = plots.figure_clouds(clouds).axes
     assert (front.get_xlabel(), side.get_xlabel(), front.get_ylabel()) == ("x (m)", "y (m)", "z (m)")
