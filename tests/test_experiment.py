@@ -92,7 +92,7 @@ def test_a_map_is_drawn_over_the_members_with_right_and_wrong_bars_apart(runs):
 
 
 def test_figures_of_the_tower_and_of_clouds_have_units(runs):
-    flown = {"zigzag": runs[0].truth.trajectory}
+    flown = {"zigzag": runs[0].truth.trajectory.position}
     tower, panels = runs[0].truth.tower, plots.Figure().subplots(1, 3)
     plots.draw_tower(panels, tower, flown)
     assert (panels[1].get_xlabel(), panels[2].get_xlabel(), panels[2].get_ylabel()) == ("x (m)", "y (m)", "z (m)")
