@@ -32,8 +32,6 @@ Progress = Callable[[float], None]
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that name a run of an odometry by clouds."""
 
-REPORT_FLIGHTS = {"vertical": ("vertical", "zigzag"), "orbit": ("orbit", "orbit-3.3", "loops")}
-"""The report's two flights, and the presets that are compared with each."""
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure of segment odometry on a flight, and of odometry by clouds under a noise, as files are named."""
 REPORT_CURVES = Path("notebooks", "report-curves.csv")
@@ -60,16 +58,6 @@ def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
     wanted = (settings.flight.trajectory, settings.noise_name, settings.tof.rate_hz)
     plots = ((plot.flight or plot.trajectory, plot.noise, plot.rate_hz) for plot in read_report_plots())
     return next((plot for plot, own in zip(read_report_plots(), plots, strict=True) if own == wanted), None)
-
-
-def report_range(noise: str, method: str, trajectory: str) -> tuple[float, float] | None:
-    """Smallest and largest corrected error (m) that the report shows of a method under a noise, on the flight of its
-    own that is compared with a trajectory; None where it shows none."""
-    for plot in read_report_plots():
-        if (plot.noise, plot.method) == (noise, method) and trajectory in REPORT_FLIGHTS[plot.trajectory]:
-            error = report_curve(plot)[1]
-            return float(error.min()), float(error.max())
-    return None
 
 
 def at_level(noise: str, level: float) -> str:

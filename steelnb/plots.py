@@ -28,7 +28,7 @@ BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
     "#000000", "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 )  # fmt: skip
 INDIGO, MAGENTA, WINE, OLIVE = "#332288", "#9E2A8F", "#882255", "#999933"
-GREY, DARK_GREY, LIGHT_GREY = "#777777", "#555555", "#b8b8b8"
+GREY, LIGHT_GREY = "#777777", "#b8b8b8"
 VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
 METHODS = {
     "none": ("no correction", VERMILION),
@@ -86,8 +86,6 @@ CURVES: dict[str, Any] = {
     "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
 }  # fmt: skip
 """How seaborn draws a table of `batch.curves`."""
-REPORT_BAND: dict[str, Any] = {"fc": "#ececec", "ec": "#cccccc", "hatch": "////", "linewidth": 0, "zorder": 0}
-"""Look of a range of values that a figure of the report shows, behind everything else."""
 LOOK: Any = {
     "font.size": 11,
     "axes.titlesize": 12,
