@@ -98,7 +98,7 @@ def test_the_new_odometry_takes_drift_out(here):
 
 def test_the_study_has_its_runs(here):
     names, _ = follow("study.md")
-    assert len(names["table"]) == len(runs.read_runs(here / "my-results")) == 4
+    assert len(names["table"]) == len(runs.read_runs(here / "my-results")) == 8
 
 
 def test_a_planned_flight_is_recorded(here):
