@@ -3,6 +3,7 @@ import pytest
 
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
+from steelnb.odometry.base import SPACING_M
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, shared_ends, shifted
 from steelnb.settings import OdometrySettings
 from steelnb.types import Scan, Segments
@@ -207,9 +208,9 @@ def test_map_points_lie_on_the_bars():
     run = odometry()
     assert run.map_points().shape == (0, 3)
     run.update(frame(0), pose())
-    points = run.map_points(0.1)
+    points = run.map_points()
     bars = run.map.segments
-    assert len(points) >= bars.length.sum() / 0.1
+    assert len(points) >= bars.length.sum() / SPACING_M
     apart = points[:, None] - bars.start
     along = (apart * bars.direction).sum(axis=2, keepdims=True) * bars.direction
     assert np.linalg.norm(apart - along, axis=2).min(axis=1).max() < 1e-9
