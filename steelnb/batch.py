@@ -116,9 +116,9 @@ def run_all(
 ) -> list[experiment.Result]:
     """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`."""
     results: dict[int, experiment.Result] = {}
-    flights: dict[str, list[int]] = {}
+    flights: dict[object, list[int]] = {}
     for k, case in enumerate(cases):
-        flights.setdefault(str((case.tower, case.flight, case.tof, case.seed)), []).append(k)
+        flights.setdefault(experiment.world(case), []).append(k)
     for members in flights.values():
         flight, truth = experiment.simulate(cases[members[0]])
         with shared_segments():
