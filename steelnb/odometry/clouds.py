@@ -27,9 +27,12 @@ NORMALS_MIN = 0.05
 0.06 there with the report's sensor. On a tower 6 m wide it falls to 0.03 now and then."""
 JUMP_MAX_VOXELS = 10
 """Largest accepted distance of a registration from its prediction, in voxels of the map."""
-STOP = {False: (150, 1e-4, 2e-4), True: (20, 5e-4, 7e-4)}
-"""Whether the map is ``measured`` → maximum number of iterations, rotation epsilon (rad) and translation epsilon (m) of
-the solver. Point-to-point ICP takes up to 46 iterations."""
+ITERATIONS_MAX = {"xyz": 200, "xyz_yaw": 150, "se3": 150}
+"""Degrees of freedom → maximum number of iterations of the solver, as in the report's programs."""
+ITERATIONS_MEASURED = 20
+"""Maximum number of iterations with a ``measured`` map, whose solver extrapolates its steps."""
+EPSILONS = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
+"""Whether the map is ``measured`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
 
 
 class Registered(NamedTuple):
@@ -49,7 +52,7 @@ class CloudOdometry(Odometry):
 
     The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, they
     are those of the points accumulated around each voxel and of the sensor's noise along each ray. Points are then
-    moved by the near-side bias (`near_side`), and the solver extrapolates its steps and stops earlier (`STOP`).
+    moved by the near-side bias (`near_side`), and the solver extrapolates its steps and stops earlier (`EPSILONS`).
 
     Parameters
     ----------
@@ -66,7 +69,8 @@ class CloudOdometry(Odometry):
     ) -> None:
         self.settings = s = self._own(settings)
         self.T_drone_sensor, self.measured = mount_of(T_drone_sensor), s.map == "measured"
-        self.stop = STOP[self.measured]
+        iterations_max = ITERATIONS_MEASURED if self.measured else ITERATIONS_MAX[s.dof]
+        self.stop = iterations_max, *EPSILONS[self.measured]
         self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
         self.predictor = PosePredictor(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
         self.free = FREE["se3" if self.predictor.tilted else s.dof]
