@@ -22,7 +22,7 @@ cached."""
 BYTES_MAX = 2_000_000_000
 """Above this size, the least recently used entries are deleted when a process first uses the folder."""
 PACKAGE = Path(__file__).resolve().parent
-EXCLUDED = ("report", "batch.py", "claims.py", "cli.py", "plots.py", "scene.py", "__main__.py")
+EXCLUDED = ("batch.py", "charts.py", "claims.py", "cli.py", "plots.py", "scene.py", "__main__.py")
 """Parts of the package that do not affect results."""
 LIBRARIES = (
     "imufusion", "kiss-icp", "numba", "numpy", "open3d", "open3d-cpu", "opencv-python-headless", "pybullet", "scipy",

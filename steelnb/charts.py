@@ -1,0 +1,60 @@
+"""Charts of the runs of a study, by seaborn: errors over seeds as dots, and estimates with their intervals."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib.figure
+import matplotlib.pyplot as plt
+import pandas as pd
+import seaborn as sns
+
+from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, LABELS, draw_legend
+
+
+def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
+    """The absolute trajectory error of each run as a dot, one row per value of the categorical column ``case`` and one
+    colour per method; a black bar is the mean over the seeds, the range of errors without correction lies behind.
+
+    ``runs`` has the columns ``ate_rmse_m`` and ``raw_ate_rmse_m`` (m) and ``method``. ``facets`` are options of
+    `seaborn.catplot`, such as ``col``.
+    """
+    rows = runs.assign(ate_cm=100 * runs["ate_rmse_m"], drift_cm=100 * runs["raw_ate_rmse_m"])
+    dodge = 0.8 - 0.8 / len(methods) if case != "method" else 0.0
+    dots = {"x": "ate_cm", "y": case, "order": list(rows[case].cat.categories), "hue": "method", "hue_order": methods}
+    grid = sns.catplot(
+        rows, kind="strip", dodge=dodge > 0, jitter=0.06, palette=COLOURS, legend=False, **dots, **facets
+    )
+    mean = {"marker": "|", "ms": 12, "mew": 2, "ls": ""}
+    grid.map_dataframe(sns.pointplot, dodge=dodge or False, errorbar=None, palette="dark:black", **mean, **dots)
+    grid.map_dataframe(_draw_drift, case=case, order=dots["order"])
+    grid.set(xscale="log", xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
+    keys: dict[str, Any] = {LABELS[name]: {"color": COLOURS[name], "marker": "o", "ls": ""} for name in methods}
+    keys |= {"mean": {"color": BLACK, **mean}, LABELS["none"]: {name: DRIFT[name] for name in ("fc", "ec", "alpha")}}
+    draw_legend(grid.figure, keys if case != "method" else dict(list(keys.items())[-2:]), ncols=4)
+    return grid
+
+
+def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -> None:
+    """The range of errors without correction in the current panel, for each value of ``case``."""
+    low, high = (data.groupby(case, observed=True)["drift_cm"].agg(name).reindex(order) for name in ("min", "max"))
+    plt.gca().barh(low.index, high - low, left=low, zorder=0, **DRIFT)
+    plt.gca().use_sticky_edges = False
+
+
+def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
+    """A panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``; dashed lines are
+    the thresholds. Panels have scales of their own."""
+    rows = cells.assign(title=cells["title"].str.wrap(110))
+    heights = rows.groupby("title", sort=False).size() + 2
+    shape = {"sharex": False, "sharey": False, "aspect": 9, "height": 1}
+    grid = sns.FacetGrid(
+        rows, row="title", hue="verdict", palette=colours, gridspec_kws={"height_ratios": list(heights)}, **shape
+    )
+    grid.map(plt.hlines, "cell", "low", "high", lw=2).map(plt.scatter, "estimate", "cell", s=22)
+    for title, panel in grid.axes_dict.items():
+        goal = rows.loc[rows["title"] == title, ["threshold", "threshold_to"]].iloc[0].dropna()
+        panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
+    grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
+    grid.figure.set_figheight(0.23 * heights.sum() + 1)
+    draw_legend(grid.figure, {word: {"marker": "o", "ls": "", "color": colour} for word, colour in colours.items()})
+    return grid.figure
