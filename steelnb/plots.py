@@ -154,7 +154,7 @@ def draw_legend(
 
 def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:
     """A legend of the figure from the labels in all of its panels, each once, in place of seaborn's legends; methods
-    have the names of `LABELS`."""
+    are named as in `LABELS`."""
     found = [zip(*panel.get_legend_handles_labels(), strict=True) for panel in figure.axes]
     handles: dict[Any, Any] = {LABELS.get(label, label): handle for pairs in found for handle, label in pairs}
     for legend in [*figure.legends, *filter(None, (panel.get_legend() for panel in figure.axes))]:

@@ -36,7 +36,7 @@ WARNINGS = {
     "used": "no scan corrected a pose: the corrected poses are the recorded ones",
     "map_points": "the map has no points: compare range, floor, voxels and mount above with those of your sensor",
 }
-"""What makes a run worthless that ended well, by the number that is zero."""
+"""Warnings about a run that ended without an error but is of no use, by the number that is zero."""
 APART_M, APART_RAD = 0.5, math.radians(5)
 """Two trajectories that differ by more than this at their first common scan are in different frames."""
 

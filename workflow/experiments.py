@@ -24,8 +24,8 @@ BUDGETS = {"full": "results", "smoke": "results-smoke"}
 class Experiment(Settings):
     """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of values to combine.
 
-    ``inputs`` are files of the project that the notebook reads. One that is ``long`` is begun first; one that is
-    ``apart`` runs at the full budget only when it is named. ``title``, ``about`` and ``figures`` (the report's) are for
+    ``inputs`` are files of the project that the notebook reads. A ``long`` experiment is started first; one that is
+    ``apart`` runs at the full budget only if it is named. ``title``, ``about`` and ``figures`` (the report's) are for
     the overview.
     """
 

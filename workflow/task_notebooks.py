@@ -183,7 +183,7 @@ def write_overview(root: Path, folder: Path) -> None:
 def stopped(scratch: str) -> Iterator[None]:
     """Let SIGINT and SIGTERM end all that was started here, and this process, at once.
 
-    A kernel inside a long call of compiled code hears no gentle signal, and the threads would wait for it.
+    A kernel in a long call of compiled code does not handle SIGINT, and the threads would wait for it.
     """
 
     def stop(number: int, frame: object) -> None:
