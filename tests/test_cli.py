@@ -74,6 +74,7 @@ def corrected(recorded: Path) -> Path:
 @pytest.fixture
 def here(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(recorded)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # Python's own cache of the user's module is not ours
     return recorded
 
 
