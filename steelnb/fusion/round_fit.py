@@ -11,21 +11,19 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.section_fit import add_residual, damped_step, fit_section, profiles, robust, section_step
+from steelnb.fusion.section_fit import ROUND_DOF, fit_section, profiles, section_step, settle
 from steelnb.fusion.sections import cells_of, merged_cells, outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""
-RADIUS_MIN_M, RADIUS_MAX_M, TUBE_MAX_M = 0.005, 0.15, 0.12
-"""Bounds of the search, and maximum radius of a tube: nearly flat faces are arcs of 14 cm and more."""
+TUBE_MAX_M = 0.12
+"""Maximum radius of a tube: nearly flat faces are arcs of 14 cm and more."""
 COST_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
 """A bar is round if a circle leaves at most this share of the squared depths that the best angle section leaves, and if
 its log-likelihood is larger by this much: half the number of cells times the logarithm of the share, as for normal
 residuals of unknown variance. In 7000 fits to angle sections (development seeds 11 and 12, both sensors and flights,
 true and corrected poses) the least share beyond 100 cells was 0.86, and the largest log-likelihood 15."""
 SEARCH_STEPS, CIRCLE_STEPS = 10, 6
-CIRCLE_DOF = 5
-"""Degrees of freedom: position (2), slope (2), radius."""
 
 
 @njit(cache=True, nogil=True)
@@ -38,7 +36,7 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     """
     face, side = profiles()
     n = len(length)
-    state, normal, cost = np.empty((n, CIRCLE_DOF)), np.empty((n, CIRCLE_DOF, CIRCLE_DOF + 1)), np.empty(n)
+    state, normal, cost = np.empty((n, ROUND_DOF)), np.empty((n, ROUND_DOF, ROUND_DOF + 1)), np.empty(n)
     unclear, pooled = np.zeros(n, np.bool_), 0.0
     for b in range(n):
         if np.isnan(fitted.flange[b]):
@@ -89,7 +87,7 @@ def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-
 def _make_round(fitted, b, cells, cost, state, normal):  # type: ignore[no-untyped-def]
     """Replace the section of bar b by a circle at ``state (5,)``."""
     total = cells[:, 2].sum()
-    inverse = np.linalg.inv(normal[:, :CIRCLE_DOF] + 1e-6 * total * np.eye(CIRCLE_DOF)) * cost / len(cells)
+    inverse = np.linalg.inv(normal[:, :ROUND_DOF] + 1e-6 * total * np.eye(ROUND_DOF)) * cost / len(cells)
     fitted.centre[b], fitted.slope[b] = state[:2], state[2:4]
     fitted.flange[b], fitted.turn[b] = 2.0 * state[4], np.nan
     fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
@@ -102,49 +100,19 @@ def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
 
     Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` there.
     """
-    total, low, start = cells[:, 2].sum(), np.inf, np.zeros(CIRCLE_DOF)
+    total, low, start = cells[:, 2].sum(), np.inf, np.zeros(ROUND_DOF)
+    no_edges, corner = np.empty((0, 6)), np.full((6, 2), np.nan)
     u = (merged[:, 0] * merged[:, 2]).sum() / merged[:, 2].sum()
     v = (merged[:, 1] * merged[:, 2]).sum() / merged[:, 2].sum()
     for k in range(len(RADII_M)):
-        state[0], state[1], state[2], state[3], state[4] = u, v, 0.0, 0.0, RADII_M[k]
-        cost = _settle_circle(merged, state, normal, total, SEARCH_STEPS)
+        state[0], state[1], state[2], state[3] = u, v, 0.0, 0.0
+        corner[0, 0] = state[4] = RADII_M[k]
+        settle(merged, no_edges, corner, state, normal, total, SEARCH_STEPS)
+        cost = section_step(merged, no_edges, corner, state, normal)
         if cost < low:
             low = cost
             start[:] = state
     state[:] = start
-    return _settle_circle(cells, state, normal, total, CIRCLE_STEPS)
-
-
-@njit(cache=True)
-def _settle_circle(cells, state, normal, total, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton from ``state``, changed in place; the cost there."""
-    for _ in range(steps):
-        circle_step(cells, state, normal)
-        damped_step(state, normal, total)
-        state[4] = min(max(state[4], RADIUS_MIN_M), RADIUS_MAX_M)
-    return circle_step(cells, state, normal)
-
-
-@njit(cache=True)
-def circle_step(cells, state, normal):  # type: ignore[no-untyped-def]
-    """Cost of a circle at ``state (5,)``; fills the normal equations ``(5, 6)``."""
-    normal[:, :] = 0.0
-    cost, radius, jacobian = 0.0, state[4], np.empty(CIRCLE_DOF)
-    for k in range(len(cells)):
-        cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
-        u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
-        beside, weight = -sine * u + cosine * v, cells[k, 2]
-        if abs(beside) < 0.999 * radius:
-            front = math.sqrt(radius * radius - beside * beside)
-            residual, rise = cosine * u + sine * v - front, -beside / front
-            ju, jv, jr = -cosine - rise * sine, -sine + rise * cosine, -radius / front
-            weight /= 1.0 + rise * rise
-        else:  # beside the tube
-            side = math.copysign(1.0, beside)
-            residual = beside - side * radius
-            ju, jv, jr = sine, -cosine, -side
-        loss, weight = robust(residual, weight)
-        cost += loss
-        jacobian[0], jacobian[1], jacobian[2], jacobian[3], jacobian[4] = ju, jv, ju * along, jv * along, jr
-        add_residual(normal, jacobian, residual, weight)
-    return cost
+    corner[0, 0] = state[4]
+    settle(cells, no_edges, corner, state, normal, total, CIRCLE_STEPS)
+    return section_step(cells, no_edges, corner, state, normal)

@@ -24,6 +24,10 @@ DEPTH_SCALE_M = 0.03
 OUTLINE_WEIGHT = 0.5
 """Weight of an edge of the outline against all depths from its direction. `DEPTH_SCALE_M`, this and `TELL_APART_M` were
 chosen with `fusion.proposals.TUBE_M`."""
+ROUND_DOF = 5
+"""Degrees of freedom of a round section: position (2), slope (2), radius. An angle is turned by a search instead."""
+RADIUS_MIN_M, RADIUS_MAX_M = 0.005, 0.15
+"""Bounds of the radius."""
 TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less are equally likely, and averaged."""
 
@@ -138,10 +142,13 @@ def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # ty
 
 @njit(cache=True)
 def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped-def]
-    """Cost of a section at ``state (4,)`` (u, v and their slopes); fills the normal equations ``(4, 5)``."""
+    """Cost of a section at ``state (D,)``: u, v, their slopes, and the radius of a round one; D = 4 or 5.
+
+    Fills the normal equations ``(D, D + 1)``.
+    """
     normal[:, :] = 0.0
-    cost = 0.0
-    jacobian = np.zeros(4)
+    cost, is_round = 0.0, len(state) == ROUND_DOF
+    jacobian = np.zeros(len(state))
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
         u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
@@ -152,13 +159,18 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
             residual = depth - front
             ju, jv = -cosine - rise * sine, -sine + rise * cosine
             weight /= 1.0 + rise * rise
+            if is_round:
+                jacobian[4] = -state[4] / front
         else:  # beside the section
-            residual = beside - sections.nearest_edge(corner, cosine, sine, beside)
+            edge = sections.nearest_edge(corner, cosine, sine, beside)
+            residual = beside - edge
             ju, jv = sine, -cosine
+            if is_round:
+                jacobian[4] = -math.copysign(1.0, edge)
         loss, weight = robust(residual, weight)
         cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
-        add_residual(normal, jacobian, residual, weight)
+        _add_residual(normal, jacobian, residual, weight)
     for k in range(len(rows)):
         cosine, sine = rows[k, 2], rows[k, 3]
         low, high = 1e9, -1e9
@@ -170,12 +182,12 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
             residual = rows[k, side] - (low if side == 0 else high)
             loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
             cost += loss
-            add_residual(normal, jacobian, residual, weight)
+            _add_residual(normal, jacobian, residual, weight)
     return cost
 
 
 @njit(cache=True)
-def add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
+def _add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
     """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``."""
     size = len(jacobian)
     for i in range(size):
@@ -185,21 +197,18 @@ def add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def damped_step(state, normal, total):  # type: ignore[no-untyped-def]
-    """Levenberg-Marquardt step of ``state (D,)``, in place, by normal equations ``(D, D + 1)``, at most 3 cm or 0.03
-    each; ``total``: weight of all points."""
-    size = len(state)
-    step = np.linalg.solve(normal[:, :size] + 1e-3 * total * np.eye(size), normal[:, size].copy())
-    state += np.minimum(np.maximum(step, -0.03), 0.03)
+def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no-untyped-def]
+    """Levenberg-Marquardt from ``state (D,)``, in place, at most 3 cm or 0.03 a step; the cost before the last one.
 
-
-@njit(cache=True)
-def _settle(cells, rows, corner, state, normal, steps):  # type: ignore[no-untyped-def]
-    """Gauss-Newton from ``state (4,)``, changed in place; the cost before the last step."""
-    cost, total = 0.0, cells[:, 2].sum()
+    ``total``: weight of all points. The ``corner`` of a round section follows its radius.
+    """
+    cost, size = 0.0, len(state)
     for _ in range(steps):
         cost = section_step(cells, rows, corner, state, normal)
-        damped_step(state, normal, total)
+        step = np.linalg.solve(normal[:, :size] + 1e-3 * total * np.eye(size), normal[:, size].copy())
+        state += np.minimum(np.maximum(step, -0.03), 0.03)
+        if size == ROUND_DOF:
+            corner[0, 0] = state[4] = min(max(state[4], RADIUS_MIN_M), RADIUS_MAX_M)
     return cost
 
 
@@ -211,9 +220,9 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     Returns flange, turn, spread and tilt (`Sections`), and the least cost; fills ``centre (2,)`` and ``slope (2,)``.
     """
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
-    total = cells[:, 2].sum() + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
-    mean_u = (cells[:, 0] * cells[:, 2]).sum() / cells[:, 2].sum()
-    mean_v = (cells[:, 1] * cells[:, 2]).sum() / cells[:, 2].sum()
+    inside = cells[:, 2].sum()
+    total = inside + OUTLINE_WEIGHT * 2.0 * rows[:, 4].sum()
+    mean_u, mean_v = (cells[:, 0] * cells[:, 2]).sum() / inside, (cells[:, 1] * cells[:, 2]).sum() / inside
     tried = np.empty((TURNS * len(FLANGES_M), 5))
     state = np.zeros(4)
     for n in range(len(tried)):
@@ -234,21 +243,15 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
                     continue
                 outline(turn0 + j * size, flange0 * (1.0 + i * size), corner)
                 state[:] = settled
-                cost = _settle(cells, rows, corner, state, normal, 2 if low < np.inf else 4)
+                cost = settle(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
                 if cost < low:
                     low, flange, turn = cost, flange0 * (1.0 + i * size), turn0 + j * size
                     settled[:] = state
     # Mean and spread of all fits of the search, weighted by likelihood.
-    weight = u = v = uu = 0.0
-    lowest = tried[:, 0].min()
-    for k in range(len(tried)):
-        w = math.exp(-0.5 * (tried[k, 0] - lowest) / total / (TELL_APART_M * TELL_APART_M))
-        weight += w
-        u += w * tried[k, 3]
-        v += w * tried[k, 4]
-        uu += w * (tried[k, 3] ** 2 + tried[k, 4] ** 2)
-    u, v = u / weight, v / weight
-    variance = max(uu / weight - u * u - v * v, 0.0)
+    weight = np.exp(-0.5 * (tried[:, 0] - tried[:, 0].min()) / total / (TELL_APART_M * TELL_APART_M))
+    u, v = (weight * tried[:, 3]).sum() / weight.sum(), (weight * tried[:, 4]).sum() / weight.sum()
+    square = (weight * (tried[:, 3] ** 2 + tried[:, 4] ** 2)).sum() / weight.sum()
+    variance = max(square - u * u - v * v, 0.0)
     centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
     slope[0], slope[1] = settled[2], settled[3]
     # Standard deviation of the direction, from the actual residuals.

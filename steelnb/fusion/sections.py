@@ -182,10 +182,10 @@ def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
     """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it, and its slope;
     −1e9 outside of the outline. The corners are counterclockwise, so an edge that faces the viewer runs upwards."""
     if corner[5, 0] != corner[5, 0]:
-        square = corner[0, 0] ** 2 - beside * beside
-        if square <= 0.0:
+        if abs(beside) >= 0.999 * corner[0, 0]:
             return -1e9, 0.0
-        return math.sqrt(square), -beside / math.sqrt(square)
+        front = math.sqrt(corner[0, 0] ** 2 - beside * beside)
+        return front, -beside / front
     front, rise = -1e9, 0.0
     b0, d0 = -sine * corner[5, 0] + cosine * corner[5, 1], cosine * corner[5, 0] + sine * corner[5, 1]
     for i in range(6):
@@ -222,7 +222,9 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
 
 @njit(cache=True)
 def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """The position beside the axis of the corner of the outline that appears nearest to ``beside``."""
+    """The position beside the axis of the corner, or edge of a tube, that appears nearest to ``beside``."""
+    if corner[5, 0] != corner[5, 0]:
+        return math.copysign(corner[0, 0], beside)
     nearest, edge = 1e9, 0.0
     for i in range(6):
         b = -sine * corner[i, 0] + cosine * corner[i, 1]

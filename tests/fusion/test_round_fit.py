@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steelnb.fusion import reconstruct, round_fit, sections
+from steelnb.fusion import reconstruct, round_fit, section_fit, sections
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import map_scans
 from steelnb.metrics.matching import match_members
@@ -106,7 +106,8 @@ def test_a_circle_is_fitted_to_depths(radius_m, arc_rad):
 def test_a_step_is_that_of_its_slow_twin():
     rng = np.random.default_rng(4)
     cells, place, normal = seen_arc(rng, 0.05, 3.0), np.array([0.02, -0.01, 0.003, 0.001, 0.04]), np.empty((5, 6))
-    cost = round_fit.circle_step(cells, place, normal)
+    corner = sections.outlines(np.array([np.nan]), 2 * place[4:])[0]
+    cost = section_fit.section_step(cells, np.empty((0, 6)), corner, place, normal)
     expected, matrix, vector = naive.circle_step(cells, place)
     assert cost == pytest.approx(expected)
     np.testing.assert_allclose(normal[:, :5], matrix, rtol=1e-6, atol=1e-6 * np.abs(matrix).max())
