@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.proposals import find_bars
-from steelnb.fusion.reconstruct import map_scans, reconstruct
+from steelnb.fusion.reconstruct import MappedScans, reconstruct
+from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure, toward_sensor_m
 from steelnb.odometry import SegmentOdometry
@@ -142,7 +142,7 @@ def near_side(run: Rebuilt) -> pd.DataFrame:
     """
     source, s = run.source, StructureSettings()
     T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor
-    middles = find_bars(map_scans(source.flight.scans, T_world_sensor, s))[0]
+    middles = find_bars(MappedScans.mapped(source.flight.scans, T_world_sensor, s).voxels)[0]
     unknown = np.full(len(middles), np.nan)
     blank = Structure(middles, unknown, middles.count, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
     members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)

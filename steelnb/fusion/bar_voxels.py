@@ -44,14 +44,6 @@ class BarVoxels(NamedTuple):
         """The bar ``(N,)`` that each point ``(N, 3)`` in the world frame belongs to, −1 for none."""
         return _bars_of_points(points, *self)
 
-    def points_on_bars(
-        self, points: Array, T_world_sensor: Array, range_max_m: float, floor_m: float
-    ) -> tuple[Array, IntArray]:
-        """The points of a scan ``(N, 3)``, sensor frame, that belong to a bar, and their bars."""
-        world, _, index = world_points(points, T_world_sensor, range_max_m, floor_m)
-        bar = self.bar_of(world)
-        return points[index[bar >= 0]], bar[bar >= 0]
-
     def on_face(
         self, points: Array, bar: IntArray, T_world_sensor: Array, bars: Bars, sigmas: float, most_m: float
     ) -> NDArray[np.bool_]:

@@ -72,20 +72,21 @@ def reconstruct(
         raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
     T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
     if settings.adjust:
-        flight, fitted, _ = map_and_fit(scans, T_world_sensor, settings)
+        flight = MappedScans.mapped(scans, T_world_sensor, settings, every=3)
+        fitted, _ = flight.find_and_fit(fits=2)
         if fitted is not None:
             prior, stamp_s = T_world_sensor, DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
             state, voxels = problem.start(prior, prior, fitted.bars), flight.around(fitted.bars.segments)
             state, _ = flight.adjusted(state, voxels, prior, stamp_s, ADJUST_STEPS, pixels=ADJUST_PIXELS)
             T_world_sensor = state.T_world_sensor
-    flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings), settings)
+    flight = MappedScans.mapped(scans, T_world_sensor, settings)
     segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(segments):
         return Structure.empty(reason)
-    segments = flight.refine_closely(segments)
+    _, segments = flight.refined(segments, rise_m=TUBE_M)
     # Axes through the middles of points hide short bars that axes through centroids do not.
     struts = find_struts(flight.voxels, segments, TUBE_M)
-    segments = flight.refine_closely(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M))
+    _, segments = flight.refined(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = flight.fit(trim_bends(segments), every=1)
     fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # false for NaN, too few points for a section
     if not len(fitted.tilt):
@@ -94,22 +95,11 @@ def reconstruct(
     return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_DETERMINED_RAD))
 
 
-def map_scans(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1) -> VoxelMap:
-    """One in ``every`` scans at the poses ``(K, 4, 4)`` of the sensor, accumulated in voxels with weights 1/range².
+def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: StructureSettings) -> None:
+    """Add the points of a scan to the voxels, with weights 1/range².
 
     Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, in half the voxels.
-    Raises `InputError` if there is no return above the floor.
     """
-    voxels = VoxelMap(VOXEL_M)
-    for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
-        insert_scan(voxels, scan, T_world_sensor[k], settings)
-    if not len(voxels):
-        raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
-    return voxels
-
-
-def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: StructureSettings) -> None:
-    """Add the points of a scan, with smoothed ranges, to the voxels."""
     points, weight, _ = world_points(
         _flat(smooth_ranges(scan.points)), T_world_sensor, settings.range_max_m, settings.floor_m
     )
@@ -144,40 +134,49 @@ class MappedScans:
     voxels: VoxelMap
     settings: StructureSettings
 
+    @classmethod
+    def mapped(
+        cls, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1
+    ) -> "MappedScans":
+        """With one in ``every`` scans in voxels (`insert_scan`). Raises `InputError` if there is no return above the
+        floor."""
+        voxels = VoxelMap(VOXEL_M)
+        for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
+            insert_scan(voxels, scan, T_world_sensor[k], settings)
+        if not len(voxels):
+            raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
+        return cls(scans, T_world_sensor, voxels, settings)
+
     def around(self, bars: Segments) -> BarVoxels:
         """The voxels around bars."""
         return BarVoxels.around(bars, REACH_TUBES * TUBE_M, MARGIN_TUBES * TUBE_M, self.voxels.voxel_m)
 
-    def bar_points(self, voxels: BarVoxels, every: int, pixels: int) -> Iterator[tuple[int, Array, IntArray]]:
-        """For one in ``every`` scans, of one in ``pixels`` of its points: the number of the scan, the points on bars in
-        the sensor frame, and their bars."""
-        s = self.settings
-        for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
-            points = _flat(scan.points)[k % pixels :: pixels]
-            yield k, *voxels.points_on_bars(points, self.T_world_sensor[k], s.range_max_m, s.floor_m)
-
-    def face_points(
-        self, voxels: BarVoxels, bars: Bars, sigma_ratio: float | None, pixels: int = 1
+    def bar_points(
+        self, voxels: BarVoxels, every: int = 1, pixels: int = 1, bars: Bars | None = None, sigma_ratio: float = 1.0
     ) -> Iterator[tuple[int, Array, IntArray]]:
-        """As `bar_points` of all scans, only those within `FACE_SIGMAS` of the front faces (`BarVoxels.on_face`).
-
-        ``sigma_ratio``: range noise as a multiple of that in `points.ranges`; if it is None, all points are taken.
-        """
-        if sigma_ratio is None:
-            yield from self.bar_points(voxels, 1, pixels)
-            return
-        sigmas, most_m = FACE_SIGMAS * max(sigma_ratio, RATIO_MIN), FACE_MAX_TUBES * TUBE_M
-        for k, points, bar in self.bar_points(voxels, 1, pixels):
-            on_face = voxels.on_face(points, bar, self.T_world_sensor[k], bars, sigmas, most_m)
-            yield k, points[on_face], bar[on_face]
+        """For one in ``every`` scans, of one in ``pixels`` of its points: the number of the scan, the points on bars in
+        the sensor frame, and their bars. With ``bars``, only points within `FACE_SIGMAS` of their front faces
+        (`BarVoxels.on_face`); ``sigma_ratio``: range noise as a multiple of that in `points.ranges`."""
+        s, sigmas = self.settings, FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
+        for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
+            points, T = _flat(scan.points)[k % pixels :: pixels], self.T_world_sensor[k]
+            world, _, index = world_points(points, T, s.range_max_m, s.floor_m)
+            bar = voxels.bar_of(world)
+            points, bar = points[index[bar >= 0]], bar[bar >= 0]
+            if bars is not None:
+                on_face = voxels.on_face(points, bar, T, bars, sigmas, FACE_MAX_TUBES * TUBE_M)
+                points, bar = points[on_face], bar[on_face]
+            yield k, points, bar
 
     def adjusted(
         self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
         sigma_ratio: float | None = None, pixels: int = 1,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
-        """The state after a number of ``steps`` with the same `face_points`, and the equations of the last one;
-        ``prior`` and ``stamp_s`` as for `solver.improve`."""
-        observations = Observations.gathered(self.face_points(voxels, state.bars, sigma_ratio, pixels))
+        """The state after a number of ``steps`` with the same `bar_points`, and the equations of the last one;
+        ``prior`` and ``stamp_s`` as for `solver.improve`. Without a ``sigma_ratio``, points far from the front faces
+        take part, too."""
+        chosen = (state.bars, sigma_ratio) if sigma_ratio is not None else ()
+        observations = Observations.gathered(self.bar_points(voxels, 1, pixels, *chosen))
         for _ in range(steps):
             equations = linearised(state, observations)
             state = improve(state, equations, prior, stamp_s)
@@ -188,7 +187,7 @@ class MappedScans:
         centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
-        for k, points, bar in self.bar_points(self.around(bars), every, 1):
+        for k, points, bar in self.bar_points(self.around(bars), every):
             sightings += np.bincount(bar, minlength=n) >= 10
             sections.accumulate(
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
@@ -211,29 +210,18 @@ class MappedScans:
         segments, reason = find_bars(self.voxels, grids=1)
         fitted = None
         for _ in range(fits if len(segments) else 0):
-            fitted = self.fit(trim_bends(segments), every)
-            segments = merge_pieces(_tied(fitted).segments, fitted.bars.flange)
+            fitted, segments = self.refined(segments, every)
         return fitted if len(segments) else None, reason
 
-    def refine_closely(self, segments: Segments) -> Segments:
-        """The bars after a fit as in `find_and_fit`, except that weakly determined bars keep their direction, and that
-        braces at an acute angle to their chord are no copies of it (`merge_pieces`)."""
-        segments = trim_bends(segments)
-        fitted = self.fit(segments, every=5)
-        is_determined, found = (fitted.tilt <= TILT_DETERMINED_RAD)[:, None], fitted.bars.segments
-        start = np.where(is_determined, found.start, segments.start)
-        end = np.where(is_determined, found.end, segments.end)
-        fitted = replace(fitted, bars=replace(fitted.bars, segments=replace(segments, start=start, end=end)))
-        return merge_pieces(_tied(fitted).segments, fitted.bars.flange, TUBE_M)
-
-
-def map_and_fit(
-    scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, fits: int = 2
-) -> tuple[MappedScans, FittedBars | None, str]:
-    """A quick reconstruction that determines the sections of most bars: one in three scans mapped at the poses ``(K, 4,
-    4)`` of the sensor, and the bars of `MappedScans.find_and_fit`. Raises `InputError` as `map_scans`."""
-    flight = MappedScans(scans, T_world_sensor, map_scans(scans, T_world_sensor, settings, every=3), settings)
-    return flight, *flight.find_and_fit(fits)
+    def refined(self, bars: Segments, every: int = 5, rise_m: float = math.inf) -> tuple[FittedBars, Segments]:
+        """The bars fitted, and then extended to their joints and merged (`merge_pieces`). With a bound ``rise_m``, bars
+        whose direction is weakly determined keep it."""
+        bars = trim_bends(bars)
+        fitted = self.fit(bars, every)
+        if rise_m < math.inf:
+            is_weak, moved = ~(fitted.tilt <= TILT_DETERMINED_RAD), fitted.bars.segments
+            moved.start[is_weak], moved.end[is_weak] = bars.start[is_weak], bars.end[is_weak]
+        return fitted, merge_pieces(_tied(fitted).segments, fitted.bars.flange, rise_m)
 
 
 def _tied(fitted: FittedBars) -> Structure:

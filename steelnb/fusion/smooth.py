@@ -11,7 +11,7 @@ from steelnb.errors import InputError
 from steelnb.fusion import problem, uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
-from steelnb.fusion.reconstruct import map_and_fit
+from steelnb.fusion.reconstruct import MappedScans
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
@@ -59,9 +59,10 @@ def smooth(
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     for fits, stages in ROUNDS:
         try:
-            scans, fitted, reason = map_and_fit(flight.scans, T, settings, fits)
+            scans = MappedScans.mapped(flight.scans, T, settings, every=3)
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
+        fitted, reason = scans.find_and_fit(fits)
         if fitted is None or fitted.bars.has_section.sum() < BARS_MIN:
             return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
         state = problem.start(T, prior, fitted.bars, tilt_sigma_rad, inertial)

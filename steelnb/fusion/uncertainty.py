@@ -33,6 +33,7 @@ ATTITUDE_SIGMA_RAD = 0.01
 drones. The position does not contain it."""
 FREE_SIGMA = 10.0
 """A larger standard deviation, metres or radians, means that nothing holds that direction."""
+AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 HOLD = 1e-6
 """Information that keeps the matrix of free poses positive definite: a standard deviation of 1 km."""
 
@@ -137,18 +138,9 @@ def check_poses(covariance: Array) -> None:
     if bad.any():
         raise InputError(f"covariance of pose {int(np.argmax(bad))} is not finite")
     value, vector = np.linalg.eigh(covariance[1:])
-    for end, wrong, says in (
-        (-1, value[:, -1] > FREE_SIGMA**2, "singular: nothing holds it"),
-        (0, value[:, 0] <= 0.0, "not positive definite"),
-    ):
+    too_large, too_small = value[:, -1] > FREE_SIGMA**2, value[:, 0] <= 0.0
+    for end, wrong, says in ((-1, too_large, "singular: nothing holds it"), (0, too_small, "not positive definite")):
         if wrong.any():
             k = int(np.argmax(wrong))
-            raise InputError(f"covariance of pose {k + 1} is {says} along {_named(vector[k, :, end])}")
-
-
-def _named(direction: Array) -> str:
-    """A direction ``(D,)`` by its components, largest first, such as ``0.96 z + 0.28 x``."""
-    axes = ("roll", "pitch", "yaw", "x", "y", "z")[-len(direction) :]
-    sign = np.sign(direction[np.argmax(np.abs(direction))])
-    order = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > 0.05]
-    return " + ".join(f"{sign * direction[k]:.2f} {axes[k]}" for k in order).replace("+ -", "- ")
+            axis = AXES[np.argmax(np.abs(vector[k, :, end])) - vector.shape[1]]
+            raise InputError(f"covariance of pose {k + 1} is {says}, mostly along {axis}")

@@ -156,7 +156,8 @@ class InertialPrediction:
         """Pose and velocity by the readings, the derivative ``(15, 15)`` of the errors by those of the old state, and
         the covariance of the noise."""
         passed_s, R = stamp_s - old.stamp_s, old.T_world_drone[:3, :3]
-        read = integrated(self.imu, np.array([old.stamp_s, stamp_s]), old.bias[None])
+        imu, stamps_s = self.imu, np.array([old.stamp_s, stamp_s])
+        read = integrated(imu.stamp_s, imu.specific_force, imu.angular_rate, stamps_s, old.bias[None])
         by_force, shift = R @ read.velocity[0], R @ read.position[0]
         by_gravity = np.array([0.0, 0.0, -GRAVITY]) * passed_s
         T = np.eye(4)

@@ -128,11 +128,9 @@ def test_an_interval_with_a_gap_says_nothing():
     [
         (
             lambda imu: replace(imu, specific_force=imu.specific_force / GRAVITY),
-            r"of 0\.967 on average, as of g; expected 9\.81 m/s²",
+            r"force of 0\.967 on average; expected",
         ),
-        (lambda imu: replace(imu, specific_force=100 * imu.specific_force), "as of mg or cm/s²"),
-        (lambda imu: replace(imu, specific_force=3 * imu.specific_force), r"specific force of .* on average; expected"),
-        (lambda imu: replace(imu, specific_force=-imu.specific_force), "vertical is upside down"),
+        (lambda imu: replace(imu, specific_force=-imu.specific_force), r"vertical is 1[78]\d° off"),
         (lambda imu: replace(imu, specific_force=imu.specific_force[:, [2, 1, 0]]), r"vertical is \d+° off"),
         (lambda imu: replace(imu, angular_rate=np.degrees(imu.angular_rate)), "as of degrees; expected rad/s"),
         (lambda imu: replace(imu, stamp_s=imu.stamp_s + 1e9), "0 of 501 readings within the time of the poses"),

@@ -8,7 +8,7 @@ import pytest
 
 from steelnb.fusion import reconstruct, round_fit, section_fit, sections
 from steelnb.fusion.proposals import find_bars
-from steelnb.fusion.reconstruct import map_scans
+from steelnb.fusion.reconstruct import MappedScans
 from steelnb.metrics.matching import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
@@ -39,7 +39,7 @@ def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
     tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
     flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     T = flight.prior.T_world_drone
-    plain, _ = find_bars(map_scans(flight.scans, T, settings))
+    plain, _ = find_bars(MappedScans.mapped(flight.scans, T, settings).voxels)
     assert np.nanmedian(offsets(plain, tower)) > 0.2 * radius_m  # the bias to the near side
     found = reconstruct(flight.scans, T, settings=settings)
     off = offsets(found.segments, tower)

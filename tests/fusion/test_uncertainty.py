@@ -119,7 +119,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 def test_a_free_direction_is_named(monkeypatch):
     monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
     T, bars, observed = wall_of_posts()
-    with pytest.raises(InputError, match=r"pose 1 is singular: nothing holds it along 1\.00 z$"):
+    with pytest.raises(InputError, match="pose 1 is singular: nothing holds it, mostly along z"):
         marginals(state_of(T, bars), observed, T)
 
 
@@ -140,9 +140,9 @@ def test_equations_that_are_not_finite_are_refused():
 @pytest.mark.parametrize(
     ("covariance", "says"),
     [
-        (np.diag([1.0, 0.0, 1.0]), r"pose 2 is not positive definite along 1\.00 y"),
+        (np.diag([1.0, 0.0, 1.0]), "pose 2 is not positive definite, mostly along y"),
         (np.diag([1.0, np.inf, 1.0]), "pose 2 is not finite"),
-        (np.diag([1.0, 1.0, 400.0]), r"pose 2 is singular: nothing holds it along 1\.00 z"),
+        (np.diag([1.0, 1.0, 400.0]), "pose 2 is singular: nothing holds it, mostly along z"),
     ],
 )
 def test_covariances_that_are_none_are_named(covariance, says):
