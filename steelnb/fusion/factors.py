@@ -4,12 +4,10 @@ The residual of a point is its distance to the front face of its bar (`fusion.se
 scan, and on position, direction, rotation and flange of the bar.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.sparse import csr_array
 
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
@@ -40,13 +38,6 @@ class PointEquations(NamedTuple):
     pair_scan: IntArray
     pair_bar: IntArray
     residuals: Array
-
-    def between(self) -> Array:
-        """The block between poses and bars ``(K, D, 6 B)``."""
-        poses, size = self.vector.shape
-        result = np.zeros((poses, size, len(self.block), BAR_DOF))
-        result[self.pair_scan, :, self.pair_bar] = self.cross
-        return result.reshape(poses, size, -1)
 
 
 def linearised(problem: Problem, observations: Observations) -> PointEquations:
@@ -84,9 +75,9 @@ def _bar_motion(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
 
 def summed(values: Array, group: IntArray, count: int) -> Array:
     """Sums ``(count, …)`` of the values ``(P, …)`` in each ``group (P,)``."""
-    flat = values.reshape(len(group), math.prod(values.shape[1:]))
-    membership = csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
-    return np.asarray(membership @ flat).reshape(count, *values.shape[1:])
+    result = np.zeros((count, *values.shape[1:]))
+    np.add.at(result, group, values)
+    return result
 
 
 def noise_ratio(residuals: Array, ratio: float) -> float:

@@ -44,18 +44,18 @@ def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segmen
     Meetings on one bar that are less than `SAME_M` apart are one joint: the point nearest to all axes that it ties.
     Bars that do not reach this point are not tied. Ends near the first and last joint of a bar move there.
     """
-    pair, at, point, lead = _meetings(bars.start, bars.direction, bars.length, width_m, SLACK_M, REACH_M)
+    pair, at, lead = _meetings(bars.start, bars.direction, bars.length, width_m, SLACK_M, REACH_M)
     is_first = _is_first(pair, at, bars.length)
-    pair, at, point, lead = pair[is_first], at[is_first], point[is_first], lead[is_first]
+    pair, at, lead = pair[is_first], at[is_first], lead[is_first]
+    point = (bars.start[pair] + at[:, :, None] * bars.direction[pair]).sum(axis=1) * 0.5
     group = _groups(pair, at, point)
-    names = np.unique(group)
-    joint, ties, leads = np.zeros((len(names), 3)), [], []
-    for j, name in enumerate(names):
-        inside = group == name
+    joint, ties, leads = np.zeros((group.max(initial=-1) + 1, 3)), [], []
+    for j in range(len(joint)):
+        inside = group == j
         tied = np.unique(pair[inside])
         axes = np.stack([bars.start[tied], bars.end[tied]], axis=1)
         joint[j] = nearest_point(axes, point[inside].mean(axis=0))
-        ties += [(j, int(bar)) for bar in tied]
+        ties += [(j, bar) for bar in tied.tolist()]
         leads += [lead[inside][(pair[inside] == bar).any(axis=1)].max() for bar in tied]
     tie, lead = np.array(ties, dtype=np.int64).reshape(-1, 2), np.array(leads)
     # The nearest point of bars that meet at an acute angle may lie beyond the reach of their extensions.
@@ -89,11 +89,10 @@ def trim_bends(bars: Segments) -> Segments:
 
     Their axes come closer than `BEND_GAP_M`, up to `BEND_M` from their ends.
     """
-    pair, at, _, lead = _meetings(bars.start, bars.direction, bars.length, np.zeros(len(bars)), BEND_GAP_M, 0.0)
-    start, end, length = bars.start.copy(), bars.end.copy(), bars.length
-    for k in np.flatnonzero(lead >= BEND_M):
-        for bar, along in zip(pair[k], at[k], strict=True):
-            (start if along < length[bar] / 2 else end)[bar] = bars.start[bar] + along * bars.direction[bar]
+    pair, at, lead = _meetings(bars.start, bars.direction, bars.length, np.zeros(len(bars)), BEND_GAP_M, 0.0)
+    start, end, is_bend = bars.start.copy(), bars.end.copy(), lead >= BEND_M
+    for bar, along in zip(pair[is_bend].ravel(), at[is_bend].ravel(), strict=True):
+        (start if along < bars.length[bar] / 2 else end)[bar] = bars.start[bar] + along * bars.direction[bar]
     return replace(bars, start=start, end=end)
 
 
@@ -113,18 +112,24 @@ def _extended(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segme
 
 
 @njit(cache=True)
+def are_near(start, direction, length, i, j, limit):  # type: ignore[no-untyped-def]
+    """Whether two bars can come closer than a limit, by their middles: a quick test that few of all pairs pass."""
+    square = 0.0
+    for k in range(3):
+        middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+        square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+    return math.sqrt(square) <= 0.5 * (length[i] + length[j]) + limit
+
+
+@njit(cache=True)
 def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no-untyped-def]
-    """Pairs of bars that meet ``(P, 2)``, the positions along both ``(P, 2)``, metres from their starts, the points
-    between ``(P, 3)``, and the largest extension or cut of either ``(P,)``."""
-    pairs, positions, points, leads = [(0, 0)], [(0.0, 0.0)], [(0.0, 0.0, 0.0)], [0.0]
-    widest = width.max() if len(width) else 0.0
+    """Pairs of bars that meet ``(P, 2)``, the positions along both ``(P, 2)``, metres from their starts, and the
+    largest extension or cut of either ``(P,)``."""
+    pairs, positions, leads = [(0, 0)], [(0.0, 0.0)], [0.0]
+    limit = 2.0 * max(BEND_M, LEAD_MAX_M) + slack + (width.max() if len(width) else 0.0)
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
-            square = 0.0
-            for k in range(3):  # scalars, since few of all pairs pass
-                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
-                square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + 2.0 * max(BEND_M, LEAD_MAX_M) + slack + widest:
+            if not are_near(start, direction, length, i, j, limit):
                 continue
             cosine = (direction[i] * direction[j]).sum()
             if abs(cosine) > BEND_MIN:
@@ -145,15 +150,13 @@ def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no
                 s = min(max(s, -lead), length[i] + lead)
                 t = min(max(f + cosine * s, -lead), length[j] + lead)
                 s = min(max(cosine * t - c, -lead), length[i] + lead)
-            p, q = start[i] + s * direction[i], start[j] + t * direction[j]
-            gap = p - q
+            gap = start[i] + s * direction[i] - (start[j] + t * direction[j])
             if math.sqrt((gap * gap).sum()) > slack + 0.5 * (width[i] + width[j]):
                 continue
             pairs.append((i, j))
             positions.append((s, t))
-            points.append((0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])))
             leads.append(lead)
-    return np.array(pairs)[1:], np.array(positions)[1:], np.array(points)[1:], np.array(leads)[1:]
+    return np.array(pairs)[1:], np.array(positions)[1:], np.array(leads)[1:]
 
 
 def _is_first(pair: IntArray, at: Array, length: Array) -> NDArray[np.bool_]:
@@ -184,13 +187,13 @@ def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
     while True:
         ends = np.array(edges, dtype=np.int64).reshape(-1, 2)
         group = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=(len(pair), len(pair))))[1]
-        middle = {name: point[group == name].mean(axis=0) for name in range(group.max(initial=-1) + 1)}
+        middle = [point[group == joint].mean(axis=0) for joint in range(group.max(initial=-1) + 1)]
         joint_of: dict[tuple[int, int], int] = {}
         count = len(edges)
-        for name in middle:
-            for two in itertools.combinations(np.unique(pair[group == name]).tolist(), 2):
-                other = joint_of.setdefault(two, name)
-                if other != name and np.linalg.norm(middle[other] - middle[name]) < 2 * SAME_M:
-                    edges.append((int(np.argmax(group == other)), int(np.argmax(group == name))))
+        for joint in range(len(middle)):
+            for two in itertools.combinations(np.unique(pair[group == joint]).tolist(), 2):
+                other = joint_of.setdefault(two, joint)
+                if other != joint and np.linalg.norm(middle[other] - middle[joint]) < 2 * SAME_M:
+                    edges.append((int(np.argmax(group == other)), int(np.argmax(group == joint))))
         if len(edges) == count:
             return group.astype(np.int64)

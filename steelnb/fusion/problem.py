@@ -80,10 +80,6 @@ class Problem:
     tilt_sigma_rad: float = 0.0
     inertial: Inertial | None = None
 
-    def from_fitted(self) -> Array:
-        """Differences ``(B, 2)`` of rotations and flanges from the fitted ones; 0 for bars without a section."""
-        return np.nan_to_num(np.column_stack([self.bars.turn, self.bars.flange]) - self.fitted)
-
     def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float) -> "Problem":
         """After steps ``(K, D)`` of the states, D as in `solver.state_equations`, and ``(B, 6)`` of the bars."""
         pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.joints import REACH_M
+from steelnb.fusion.joints import REACH_M, are_near
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
@@ -123,11 +123,7 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
         for i in range(j):
             if fate[i] != i:
                 continue
-            square = 0.0
-            for k in range(3):  # scalars, since few of all pairs pass
-                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
-                square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-            if math.sqrt(square) > 0.5 * (length[i] + length[j]) + PIECE_GAP_MAX_M + copy[i]:
+            if not are_near(start, direction, length, i, j, PIECE_GAP_MAX_M + copy[i]):
                 continue
             cosine = abs((direction[i] * direction[j]).sum())
             if cosine < math.cos(COPY_RAD):

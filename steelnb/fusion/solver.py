@@ -27,8 +27,9 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
     ``stamp_s (K,)``. The range noise is updated from the median of the residuals before the step.
     """
-    rhs = equations.rhs.copy()
-    rhs[:, 4:] -= problem.from_fitted() * BAR_SIGMA[4:] ** -2.0
+    rhs, bars = equations.rhs.copy(), problem.bars
+    from_fitted = np.nan_to_num(np.column_stack([bars.turn, bars.flange]) - problem.fitted)  # 0 without a section
+    rhs[:, 4:] -= from_fitted * BAR_SIGMA[4:] ** -2.0
     (matrix, beside, vector), between = state_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
     forward = chain.forward(np.concatenate([between, vector[:, :, None]], axis=2))
@@ -50,7 +51,10 @@ def state_equations(
     """
     T, inertial = problem.T_world_sensor, problem.inertial
     matrix, beside, vector = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
-    matrix, vector, between = matrix + equations.matrix, vector + equations.vector, equations.between()
+    matrix, vector = matrix + equations.matrix, vector + equations.vector
+    between = np.zeros((*vector.shape, *equations.rhs.shape))
+    between[equations.pair_scan, :, equations.pair_bar] = equations.cross
+    between = between.reshape(*vector.shape, -1)
     if inertial is None:
         return ChainEquations(matrix, beside, vector), between
     by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
