@@ -47,23 +47,20 @@ class Bend:
 
     def slices(self, axis: Array) -> dict[str, Array]:
         """Columns of a table with a row a slice: height, tilt, yaw, the length of `offset_m`, and blur."""
+        offset_m = np.linalg.norm(self.offset_m(axis), axis=1)
         return {
-            "height_m": self.height_m,
-            "tilt_deg": self.tilt_deg,
-            "yaw_deg": self.yaw_deg,
-            "offset_m": np.linalg.norm(self.offset_m(axis), axis=1),
+            "height_m": self.height_m, "tilt_deg": self.tilt_deg, "yaw_deg": self.yaw_deg, "offset_m": offset_m,
             "blur_m": self.blur_m,
-        }
+        }  # fmt: skip
 
     def metrics(self, axis: Array) -> dict[str, float]:
         """``bend_deg``, the maximum tilt, yaw and offset of a slice, and the mean blur."""
+        most = {name: float(np.abs(values).max()) for name, values in self.slices(axis).items()}
+        blur_m = float(np.average(self.blur_m, weights=self.count))
         return {
-            "bend_deg": self.bend_deg,
-            "tilt_max_deg": float(self.tilt_deg.max()),
-            "yaw_max_deg": float(np.abs(self.yaw_deg).max()),
-            "offset_max_m": float(np.linalg.norm(self.offset_m(axis), axis=1).max()),
-            "blur_mean_m": float(np.average(self.blur_m, weights=self.count)),
-        }
+            "bend_deg": self.bend_deg, "tilt_max_deg": most["tilt_deg"], "yaw_max_deg": most["yaw_deg"],
+            "offset_max_m": most["offset_m"], "blur_mean_m": blur_m,
+        }  # fmt: skip
 
 
 def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:

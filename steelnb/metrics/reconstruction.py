@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.fusion.joints import nearest_point
 from steelnb.fusion.structure import Structure
-from steelnb.metrics.matching import DISTANCE_MAX_M, SHARE_MIN, match_members, share
+from steelnb.metrics.members import DISTANCE_MAX_M, SHARE_MIN, match_members, share
 from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility
@@ -66,18 +66,16 @@ def reference(tower: Tower, visibility: Visibility) -> Reference:
     along = tuple(member.joints for member in tower.members)
     observed = visibility.observed()
     slices = tuple(part > 0 for part in visibility.slices)
-    observed_members = np.zeros(len(tower.joints), dtype=np.int64)
-    joints = tower.joints.copy()
-    members_of: list[list[int]] = [[] for _ in tower.joints]
-    for m, of_member in enumerate(along):
-        for j in of_member:
-            members_of[j].append(m)
-            t = float(np.linalg.norm(tower.joints[j] - tower.axes[m, 0]))
-            near = _observed_between(slices[m], t - DISTANCE_MAX_M, t + DISTANCE_MAX_M)
-            observed_members[j] += observed[m] and near > 0
-    for j, members in enumerate(members_of):
-        joints[j] = nearest_point(axes[members], tower.joints[j] + shift[members].mean(axis=0))
-    return Reference(axes, joints, along, slices, observed, observed_members >= 2)
+    joints, joint_observed = np.zeros_like(tower.joints), np.zeros(len(tower.joints), dtype=bool)
+    for j, heel in enumerate(tower.joints):
+        members = [m for m, joints_of_member in enumerate(along) if j in joints_of_member]
+        joints[j] = nearest_point(axes[members], heel + shift[members].mean(axis=0))
+        seen = 0
+        for m in members:
+            t = float(np.linalg.norm(heel - tower.axes[m, 0]))
+            seen += observed[m] and _observed_between(slices[m], t - DISTANCE_MAX_M, t + DISTANCE_MAX_M)
+        joint_observed[j] = seen >= 2
+    return Reference(axes, joints, along, slices, observed, joint_observed)
 
 
 def score_structure(structure: Structure, truth: Reference) -> StructureScore:
@@ -156,13 +154,12 @@ def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:
             low, high = sorted(float(np.linalg.norm(truth.joints[j] - truth.axes[m, 0])) for j in (a, b))
             inside = truth.slices[m][_slices_between(len(truth.slices[m]), low, high)]
             if inside.any() and inside.mean() >= 0.5:
-                expected.add((min(a, b), max(a, b)))
+                expected.add(frozenset((a, b)))
         for i, j in itertools.combinations(range(len(joints)), 2):
             if not any(truth.joint_observed[between] for between in joints[i + 1 : j]):
-                allowed.add((min(joints[i], joints[j]), max(joints[i], joints[j])))
+                allowed.add(frozenset((joints[i], joints[j])))
     pieces = np.unique(np.sort(structure.pieces()[:, :2], axis=1), axis=0)
-    edges = [(min(a, b), max(a, b)) for a, b in pair[pieces].tolist()]
-    right = np.array([edge in allowed for edge in edges], dtype=bool)
+    edges = [frozenset(edge) for edge in pair[pieces].tolist()]
     return {
         "joints": float(len(structure.joint)),
         "joints_observed": float(truth.joint_observed.sum()),
@@ -170,18 +167,15 @@ def _score_graph(structure: Structure, truth: Reference) -> dict[str, float]:
         "joint_precision": share(pair >= 0),
         **_spread("joint_error", "m", error),
         "edges": float(len(edges)),
-        "edge_recall": share(np.array([edge in set(edges) for edge in sorted(expected)], dtype=bool)),
-        "edge_precision": share(right),
+        "edge_recall": share(np.array([edge in edges for edge in expected], dtype=bool)),
+        "edge_precision": share(np.array([edge in allowed for edge in edges], dtype=bool)),
     }
 
 
 def _pair_points(points: Array, others: Array) -> tuple[IntArray, Array]:
     """Pair points one to one within 10 cm, nearest first: the partner ``(N,)`` of each, or −1, and their distances."""
-    partner = np.full(len(points), -1, dtype=np.int64)
-    if not len(points) or not len(others):
-        return partner, np.zeros(0)
     candidates = cKDTree(points).sparse_distance_matrix(cKDTree(others), DISTANCE_MAX_M, output_type="ndarray")
-    is_paired, error = np.zeros(len(others), dtype=bool), []
+    partner, is_paired, error = np.full(len(points), -1), np.zeros(len(others), dtype=bool), []
     for i, j, distance in candidates[np.argsort(candidates["v"], kind="stable")].tolist():
         if partner[i] < 0 and not is_paired[j]:
             partner[i], is_paired[j] = j, True
@@ -195,10 +189,10 @@ def _slices_between(slice_count: int, low: float, high: float) -> NDArray[np.boo
     return (middle >= low) & (middle <= high)
 
 
-def _observed_between(slices: NDArray[np.bool_], low: float, high: float) -> int:
-    """Number of observed slices that overlap the interval from ``low`` to ``high``."""
+def _observed_between(slices: NDArray[np.bool_], low: float, high: float) -> bool:
+    """Whether an observed slice overlaps the interval from ``low`` to ``high``."""
     edge = np.arange(len(slices)) * SLICE_M
-    return int(np.count_nonzero(slices & (edge + SLICE_M > low) & (edge < high)))
+    return bool((slices & (edge + SLICE_M > low) & (edge < high)).any())
 
 
 def _spread(name: str, unit: str, values: Array) -> dict[str, float]:

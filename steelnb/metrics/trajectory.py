@@ -23,12 +23,8 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float
     Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
     """
     error = position_error_m(estimate, truth)
-    result = {
-        "ate_rmse_m": np.sqrt((error**2).mean()),
-        "error_mean_m": error.mean(),
-        "error_max_m": error.max(),
-        "error_final_m": error[-1],
-    }
+    ate_m = np.sqrt((error**2).mean())
+    result = dict(ate_rmse_m=ate_m, error_mean_m=error.mean(), error_max_m=error.max(), error_final_m=error[-1])
     frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
     if len(estimate) > frames:
         P, Q = estimate.T_world_drone, truth.at(estimate.stamp_s).T_world_drone

@@ -11,7 +11,7 @@ from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.proposals import VOXEL_M, find_bars
-from steelnb.metrics.matching import match_members
+from steelnb.metrics.members import match_members
 from steelnb.metrics.reconstruction import reference, score_structure
 from steelnb.points import VoxelMap
 from steelnb.settings import ExperimentSettings, StructureSettings

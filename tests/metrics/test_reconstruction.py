@@ -8,8 +8,7 @@ from steelnb.metrics.reconstruction import Reference, reference, score_structure
 from steelnb.settings import TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.truth import SLICE_M, Visibility
-from steelnb.types import Segments
-from tests.fusion.made import turned
+from tests.fusion.made import structure_of_bars, turned
 
 # A post of 4 m with joints at 0, 2 and 4 m, and a strut of 3 m from its middle.
 JOINTS = np.array([[0, 0, 0], [0, 0, 2], [0, 0, 4], [3, 0, 2]], dtype=float)
@@ -23,9 +22,7 @@ def truth(observed=(True, True), joint_observed=(True, True, True, True)):
 
 
 def made(axes=AXES, joint=JOINTS, tie=((0, 0), (1, 0), (2, 0), (1, 1), (3, 1))):
-    axes, n = np.asarray(axes, dtype=float), len(axes)
-    segments = Segments(axes[:, 0], axes[:, 1], np.full(n, 10), np.full(n, 0.01))
-    return Structure(segments, np.full(n, 0.07), np.full(n, 9), np.full(n, 0.01), joint, np.array(tie).reshape(-1, 2))
+    return structure_of_bars(axes, joint, tie)
 
 
 def test_the_truth_is_perfect():
