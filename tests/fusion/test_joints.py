@@ -52,21 +52,6 @@ def test_a_wide_bar_has_wide_copies_and_pieces():
     assert len(merge_pieces(bars.take(np.array([3, 1, 2, 0])), width[[3, 1, 2, 0]])) == 2
 
 
-def test_a_brace_at_an_acute_angle_to_its_chord_is_no_copy():
-    """The arm of a tower: chords 0.4 m apart at the body that meet at the tip, and braces between them at 11° and 14°.
-    By angle and distance alone, both braces pass for copies of the chord that they leave."""
-    upper, lower = [[0, 0, 0.4], [2.4, 0, 0]], [[0, 0, 0], [2.4, 0, 0]]
-    braces = [[0.5, 0, 0], [1.4, 0, 0.17]], [[1.4, 0, 0], [2.1, 0, 0.18]]
-    along, across = (
-        [[0.3, 0.03, 0], [1.5, -0.02, 0.02]],
-        [[0.4, -0.02, 0.0], [1.8, 0.03, 0.0]],
-    )  # fits to the chord's points
-    bars = bars_of(upper, lower, *braces, along, across)
-    assert len(merge_pieces(bars)) == 2
-    merged = merge_pieces(bars, rise_m=0.06)
-    assert sorted(np.round(merged.length, 2)) == sorted(np.round(bars.length[:4], 2))
-
-
 @settings(max_examples=40, deadline=None)
 @given(SEEDS, st.floats(0.3, 3), st.floats(5, 14))
 def test_a_bar_across_a_stronger_one_stays_if_it_rises_by_more_than_the_bound(seed, length, angle_deg):

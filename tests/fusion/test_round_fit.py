@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steelnb.fusion import reconstruct, round_fit, section_fit, sections
+from steelnb.fusion import reconstruct, section_fit, sections
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import MappedScans
-from steelnb.metrics.matching import match_members
+from steelnb.metrics.members import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
 from steelnb.simulation.sections import mesh_members
@@ -63,24 +63,24 @@ def test_tubes_take_part_in_an_adjustment():
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_angle_sections_are_not_round(side):
-    flight = around(small_tower(), 120, noise_m=0.01, seed=11, turn_rad=SIDES[side])
-    found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
-    assert len(found) > 15
-    assert found.tube is None
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_angle_sections_beside_a_tube_are_not_round(side):
-    """The clear tube makes the others no tubes; one in the middle of the tower would be hidden."""
-    tower, tube = small_tower(), build_tubes(np.array([[[-1.7, -0.4, 0.3], [-1.7, -0.4, 3.4]]]), 0.05)
-    joints, members = np.concatenate([tower.joints, tube.joints]), list(tower.members)
-    members.append(replace(tube.members[0], joints=(len(tower.joints), len(tower.joints) + 1)))
+@pytest.mark.parametrize("tubes", [0, 1])
+def test_angle_sections_are_not_round(tubes, side):
+    """A clear tube beside the tower makes the others no tubes; one in its middle would be hidden."""
+    tower = small_tower()
+    joints, members = tower.joints, list(tower.members)
+    if tubes:
+        tube = build_tubes(np.array([[[-1.7, -0.4, 0.3], [-1.7, -0.4, 3.4]]]), 0.05)
+        members.append(replace(tube.members[0], joints=(len(joints), len(joints) + 1)))
+        joints = np.concatenate([joints, tube.joints])
     both = Tower(joints, tuple(members), *mesh_members(joints, members), tower.settings)
     flight = around(both, 120, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
-    assert found.tube.sum() == 1
-    assert np.linalg.norm(found.segments.middle[found.tube][0, :2] - [-1.7, -0.4]) < 0.01
+    assert len(found) > 15
+    if tubes:
+        assert found.tube.sum() == 1
+        assert np.linalg.norm(found.segments.middle[found.tube][0, :2] - [-1.7, -0.4]) < 0.01
+    else:
+        assert found.tube is None
 
 
 def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
@@ -94,15 +94,6 @@ def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
     return np.column_stack([u, v, rng.uniform(0.5, 2.0, n), *towards, along, view])
 
 
-@pytest.mark.parametrize("arc_rad", [1.0, 2 * np.pi])
-@pytest.mark.parametrize("radius_m", [0.025, 0.05, 0.1])
-def test_a_circle_is_fitted_to_depths(radius_m, arc_rad):
-    cells, place, normal = seen_arc(np.random.default_rng(1), radius_m, arc_rad), np.empty(5), np.empty((5, 6))
-    cost = round_fit.fit_circle(cells, cells, place, normal)
-    assert place == pytest.approx([0.012, -0.02, 0.006, -0.004, radius_m], abs=0.0025)
-    assert math.sqrt(cost / cells[:, 2].sum()) < 0.005
-
-
 def test_a_step_is_that_of_its_slow_twin():
     rng = np.random.default_rng(4)
     cells, place, normal = seen_arc(rng, 0.05, 3.0), np.array([0.02, -0.01, 0.003, 0.001, 0.04]), np.empty((5, 6))
@@ -112,16 +103,3 @@ def test_a_step_is_that_of_its_slow_twin():
     assert cost == pytest.approx(expected)
     np.testing.assert_allclose(normal[:, :5], matrix, rtol=1e-6, atol=1e-6 * np.abs(matrix).max())
     np.testing.assert_allclose(normal[:, 5], vector, rtol=1e-6, atol=1e-6 * np.abs(vector).max())
-
-
-def test_a_reconstructed_tube_has_its_circle_for_an_outline():
-    tower = build_tubes(AXES[:1], 0.05)
-    flight = around(tower, 160, turn_rad=math.pi)
-    [width_m] = reconstruct(flight.scans, flight.prior.T_world_drone).width_m
-    [corner] = sections.outlines(np.array([np.nan]), np.array([width_m]))
-    for angle in (0.3, 2.0, 4.4):
-        cosine, sine = math.cos(angle), math.sin(angle)
-        height, rise = sections.front_face(corner, cosine, sine, 0.03)
-        assert height == pytest.approx(0.04, abs=0.002)
-        assert rise == pytest.approx(-0.75, abs=0.05)
-        assert sections.front_face(corner, cosine, sine, 0.06)[0] < -1e8

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import SegmentMap, associate
-from steelnb.fusion.association import GAP_MAX_M, pair_distance
-from steelnb.fusion.segment_map import structure_of
+from steelnb.fusion.segment_map import GAP_MAX_M, pair_distance, structure_of
 from steelnb.settings import FusionSettings
 from steelnb.types import Segments
 from tests import naive
@@ -42,33 +41,11 @@ def built(frames, settings=NARROW):
     return bars
 
 
-@pytest.mark.parametrize(
-    ("bar", "matches"),
-    [
-        (([0.09, 0, 1], [0.09, 0, 2]), True),
-        (([0.11, 0, 1], [0.11, 0, 2]), False),
-        (([0, 0.05, 2], [0, 0.05, 1]), True),  # the other way round
-        (([0, 0, 4.15], [0, 0, 5]), True),  # a gap of 15 cm
-        (([0, 0, 4.25], [0, 0, 5]), False),
-        (([0, 0, 1], [math.tan(math.radians(4)), 0, 2]), True),
-        (([0, 0, 1], [math.tan(math.radians(6)), 0, 2]), False),
-        (([0, 0, -1], [0, 0, 5]), True),  # longer than what is known
-        (([-0.5, 0, 2], [0.5, 0, 2]), False),
-    ],
-)
-def test_segments_are_associated_by_angle_distance_and_gap(bar, matches):
-    assert (associate(bars_of(bar), bars_of(LEG), NARROW)[0] == 0) == matches
-
-
-def test_the_nearest_of_two_bars_is_taken_and_radii_widen_the_gate():
-    known = bars_of(LEG, ([0.15, 0, 0], [0.15, 0, 4]))
-    assert associate(bars_of(([0.09, 0, 1], [0.09, 0, 2])), known, NARROW)[0] == 1
-    far = bars_of(([0.33, 0, 1], [0.33, 0, 2]), radius=0.05)
-    assert associate(far, known, NARROW)[0] == -1
-    wide = Segments(known.start, known.end, known.count, np.full(2, 0.05))
-    assert associate(far, wide, NARROW.replace(add_radii=True))[0] == 1
+def test_the_nearest_of_two_bars_is_taken():
+    known, new = bars_of(LEG, ([0.15, 0, 0], [0.15, 0, 4])), bars_of(*(([x, 0, 1], [x, 0, 2]) for x in (0.09, 0.33)))
+    assert associate(new, known, NARROW).tolist() == [1, -1]
     assert len(associate(Segments.empty(), known, NARROW)) == 0
-    np.testing.assert_array_equal(associate(far, Segments.empty(), NARROW), [-1])
+    assert associate(new, Segments.empty(), NARROW).tolist() == [-1, -1]
 
 
 @settings(max_examples=50, deadline=None)
@@ -76,34 +53,15 @@ def test_the_nearest_of_two_bars_is_taken_and_radii_widen_the_gate():
 def test_distances_are_those_of_the_definition(seed):
     rng = np.random.default_rng(seed)
     known, wide = random_bars(seed, 12), FusionSettings(angle_max_rad=0.5, distance_max_m=0.3, add_radii=bool(seed % 2))
-    shift = rng.normal(scale=0.2, size=(2, 12, 3))
-    new = Segments(known.end + shift[0], known.start + shift[1], known.count, known.radius)
-    expected = naive.pair_distance(new, known, wide, GAP_MAX_M)
-    assert np.isfinite(expected).any()
-    np.testing.assert_allclose(pair_distance(new, known, wide), expected, atol=1e-12)
-
-
-@settings(max_examples=100, deadline=None)
-@given(SEEDS)
-def test_association_does_not_depend_on_the_frame_nor_on_the_sense_of_segments(seed):
-    rng = np.random.default_rng(seed)
-    known = random_bars(seed, 12)
-    low = rng.uniform(-0.2, 0.6, 12)[:, None]
+    # Most overlap the known ones, others lie behind an end, some of them by more than the gap.
+    shift, low = rng.normal(scale=0.15, size=(2, 12, 3)), rng.uniform(-1.0, 1.2, 12)[:, None]
     run = known.end - known.start
-    noise = rng.normal(scale=0.04, size=(2, 12, 3))
-    new = Segments(known.start + low * run + noise[0], known.start + (low + 0.5) * run + noise[1], known.count,
-                   known.radius)  # fmt: skip
-    settings = FusionSettings(angle_max_rad=0.1, distance_max_m=0.08, add_radii=bool(seed % 2))
-    found = associate(new, known, settings)
-    T = rigid(seed)
-    np.testing.assert_array_equal(associate(new.transformed(T), known.transformed(T), settings), found)
-    np.testing.assert_array_equal(associate(turned(new, seed), turned(known, seed + 1), settings), found)
-    # Whatever is associated lies near its bar.
-    matched = np.flatnonzero(found >= 0)
-    bars = known.take(found[matched])
-    axes = np.stack([bars.start, bars.end], axis=1)
-    limit = settings.distance_max_m + 0.02 + np.sin(settings.angle_max_rad) * new.length[matched]
-    assert (np.diag(distance_to_lines(new.middle[matched], axes)) <= limit).all()
+    ends = known.start + (low + 0.7) * run + shift[0], known.start + low * run + shift[1]
+    new = Segments(*ends, known.count, known.radius)
+    expected = naive.pair_distance(new, known, wide, GAP_MAX_M)
+    assume(np.isfinite(expected).any())
+    np.testing.assert_allclose(pair_distance(new, known, wide), expected, atol=1e-12)
+    np.testing.assert_allclose(pair_distance(turned(new, seed), turned(known, seed + 1), wide), expected, atol=1e-12)
 
 
 def test_merging_is_weighted_by_point_counts():

@@ -48,9 +48,6 @@ def test_the_first_pose_is_the_prior_s_and_roll_and_pitch_stay(flown, smoothed):
     )
     assert len(smoothed.segments) > 20
     assert len(smoothed.points) > 1000
-
-
-def test_it_has_a_covariance_for_each_pose_and_axis(smoothed):
     assert smoothed.unsure == ""
     assert smoothed.pose_covariance.shape == (len(smoothed.corrected), 6, 6)
     assert smoothed.axis_covariance.shape == (len(smoothed.segments), 4, 4)
@@ -65,14 +62,6 @@ def test_without_covariances_the_reason_is_given_and_the_poses_stay(flown, smoot
     assert "pose 3" in found.unsure
     assert found.pose_covariance is None
     np.testing.assert_array_equal(found.corrected.T_world_drone, smoothed.corrected.T_world_drone)
-
-
-def test_the_odometry_s_settings_ask_for_it(flown, smoothed):
-    settings = ExperimentSettings.preset("loops", NOISE, seed=11, duration_s=16.0, method="smoothed")
-    found = experiment.estimate(settings, *flown[:2])
-    apart = found.corrected.position - smoothed.corrected.position
-    assert np.linalg.norm(apart, axis=1).max() < 0.01  # the odometry's floor is another than the structure's
-    assert found.seconds["smooth"].sum() > 0
 
 
 def test_another_frame_gives_the_same_path(flown, smoothed):
