@@ -292,7 +292,7 @@ def circle_step(cells, place, robust_m=0.03):
 
 
 def pair_distance(new, known, settings, gap_max_m):
-    """Distances across (M, K) of `fusion.association.pair_distance`, pair by pair; infinite where two do not match."""
+    """Distances across (M, K) of `fusion.segment_map.pair_distance`, pair by pair; infinite where two do not match."""
     result = np.full((len(new), len(known)), np.inf)
     for m, (start, end) in enumerate(zip(new.start, new.end, strict=True)):
         for k, axis in enumerate(known.direction):

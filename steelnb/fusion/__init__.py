@@ -1,8 +1,10 @@
-"""Segments in the world frame → `SegmentMap`; scans with corrected poses → `Structure`."""
+"""Segments in the world frame → `SegmentMap`; scans with corrected poses → `Structure`.
 
-from steelnb.fusion.association import associate
+Unless said otherwise, constants were chosen on flights of the development seeds 11 and 12.
+"""
+
 from steelnb.fusion.reconstruct import reconstruct
-from steelnb.fusion.segment_map import SegmentMap
+from steelnb.fusion.segment_map import SegmentMap, associate
 from steelnb.fusion.smooth import smooth
 from steelnb.fusion.structure import Structure
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from steelnb.fusion import sections
 from steelnb.fusion.problem import Bars
-from steelnb.points.voxel_kernels import EMPTY, find, pack, put, rehash
+from steelnb.points.voxel_kernels import EMPTY, find, pack, put
 from steelnb.types import Array, IntArray, Segments
 
 
@@ -34,11 +34,8 @@ class BarVoxels(NamedTuple):
     def around(cls, bars: Segments, reach_m: float, margin_m: float, voxel_m: float) -> "BarVoxels":
         """The voxels whose centres lie within ``reach_m + margin_m`` of a bar. A voxel within ``reach_m`` belongs to
         the nearest bar unless a second one is less than ``margin_m`` farther away."""
-        key, bar = _label(bars.start, bars.end, reach_m, margin_m, voxel_m)
-        size = 1 << max(10, (2 * len(key)).bit_length())
-        table = np.full(size, EMPTY, dtype=np.int64), np.zeros(size, dtype=np.int64)
-        rehash(key, *table)
-        return cls(bar, voxel_m, *table)
+        bar, key, slot = _label(bars.start, bars.end, reach_m, margin_m, voxel_m)
+        return cls(bar, voxel_m, key, slot)
 
     def bar_of(self, points: Array) -> IntArray:
         """The bar ``(N,)`` that each point ``(N, 3)`` in the world frame belongs to, −1 for none."""
@@ -50,7 +47,12 @@ class BarVoxels(NamedTuple):
         """Mask of the points of a scan ``(N, 3)``, sensor frame, near the front face of their ``bar (N,)``: within
         ``sigmas`` standard deviations of `points.ranges`, at most ``most_m`` metres, if this whole interval lies in
         voxels of the bar."""
-        return np.asarray(_on_face(points, bar, T_world_sensor, *bars.faces(), sigmas, most_m, *self))
+        residual, sigma, distance, place, ray = face_residuals(points, bar, T_world_sensor, *bars.faces())
+        bound = np.minimum(sigmas * sigma, most_m)
+        on_face = np.abs(residual) <= bound  # false for NaN
+        for end in (residual - bound, residual + bound):
+            on_face[on_face] = self.bar_of((place - (end / distance)[:, None] * ray)[on_face]) == bar[on_face]
+        return on_face
 
 
 class Observations(NamedTuple):
@@ -103,25 +105,21 @@ def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
     return placed[:n], weight[:n], index[:n]
 
 
-@njit(cache=True)
-def _bar_at(x, y, z, bar_of_voxel, inverse, table_key, table_slot):  # type: ignore[no-untyped-def]
-    """The bar of the voxel that holds a point, −1 for none; ``inverse``: one over the edge of the voxels."""
-    i, j, k = np.int64(np.floor(x * inverse)), np.int64(np.floor(y * inverse)), np.int64(np.floor(z * inverse))
-    slot = find(pack(i, j, k), table_key, table_slot)
-    return bar_of_voxel[slot] if slot >= 0 else np.int64(-1)
-
-
 @njit(cache=True, nogil=True)
 def _bars_of_points(points, bar_of_voxel, voxel, table_key, table_slot):  # type: ignore[no-untyped-def]
-    bar, inverse = np.empty(len(points), np.int64), 1.0 / voxel
+    bar, inverse = np.full(len(points), -1), 1.0 / voxel
     for n in range(len(points)):
-        bar[n] = _bar_at(points[n, 0], points[n, 1], points[n, 2], bar_of_voxel, inverse, table_key, table_slot)
+        x, y, z = points[n, 0] * inverse, points[n, 1] * inverse, points[n, 2] * inverse
+        key = pack(np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z)))
+        slot = find(key, table_key, table_slot)
+        if slot >= 0:
+            bar[n] = bar_of_voxel[slot]
     return bar
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
-    """Keys ``(V,)`` of the voxels whose centres lie within ``reach + margin`` of a bar, and the bar of each ``(V,)``.
+    """The bar ``(V,)`` of each voxel whose centre lies within ``reach + margin`` of a bar, and their hash table.
 
     Each bar is traversed slab by slab along the world axis nearest to it, so it meets each voxel once.
     """
@@ -136,8 +134,7 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
     while size < capacity:
         size *= 2
     table_key, table_slot = np.full(size, EMPTY, np.int64), np.zeros(size, np.int64)
-    keys, bar = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    nearest, second = np.empty(capacity), np.empty(capacity)
+    bar, nearest, second = np.empty(capacity, np.int64), np.empty(capacity), np.empty(capacity)
     n, index, centre = 0, np.empty(3, np.int64), np.empty(3)
     for b in range(len(start)):
         along = end[b] - start[b]
@@ -165,34 +162,35 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
                     slot = find(key, table_key, table_slot)
                     if slot < 0:
                         put(key, n, table_key, table_slot)
-                        keys[n], bar[n], nearest[n], second[n] = key, b, distance, np.inf
+                        bar[n], nearest[n], second[n] = b, distance, np.inf
                         n += 1
                     elif distance < nearest[slot]:
                         bar[slot], second[slot], nearest[slot] = b, nearest[slot], distance
                     elif distance < second[slot]:
                         second[slot] = distance
     is_unique = (nearest[:n] <= reach) & (second[:n] - nearest[:n] >= margin)
-    return keys[:n], np.where(is_unique, bar[:n], -1)
+    return np.where(is_unique, bar[:n], -1), table_key, table_slot
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _on_face(  # type: ignore[no-untyped-def]
-    points, bar, T, start, direction, length, across, corner, sigmas, most, bar_of_voxel, voxel, table_key, table_slot
-):
-    result, inverse = np.zeros(len(points), np.bool_), 1.0 / voxel
+def face_residuals(points, bar, T, start, direction, length, across, corner):  # type: ignore[no-untyped-def]
+    """`sections.face_distance` of the points ``(N, 3)`` of a scan, sensor frame, and their bars ``(N,)``, −1 for none.
+
+    Residual, its standard deviation, and distance to the sensor across the bar ``(N,)``, the first NaN if there is no
+    face; and in the world frame, the points and the vectors from there to the sensor, both ``(N, 3)``.
+    """
+    residual, sigma, distance = np.full(len(points), np.nan), np.zeros(len(points)), np.ones(len(points))
+    place, ray = np.zeros((len(points), 3)), np.zeros((len(points), 3))
     for i in range(len(points)):
         b = bar[i]
+        if b < 0:
+            continue
         x, y, z, cx, cy, cz = sections.sighting(T, points[i], start[b])
         u, v, t = sections.in_frame(direction[b], across[b], x, y, z)
         p, q, w = sections.in_frame(direction[b], across[b], cx, cy, cz)
-        residual, sigma, distance, _, _, _, _, _ = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
-        bound = min(sigmas * sigma, most)
-        if not abs(residual) <= bound:  # NaN too
-            continue
-        inside = True
-        for end in (residual - bound, residual + bound):  # both ends of the interval
-            step = -end / distance  # along the ray, as a multiple of the vector from the point to the sensor
-            ex, ey, ez = start[b, 0] + x + step * cx, start[b, 1] + y + step * cy, start[b, 2] + z + step * cz
-            inside = inside and _bar_at(ex, ey, ez, bar_of_voxel, inverse, table_key, table_slot) == b
-        result[i] = inside
-    return result
+        residual[i], sigma[i], distance[i], _, _, _, _, _ = sections.face_distance(
+            u, v, t, p, q, w, corner[b], length[b]
+        )
+        place[i, 0], place[i, 1], place[i, 2] = start[b, 0] + x, start[b, 1] + y, start[b, 2] + z
+        ray[i, 0], ray[i, 1], ray[i, 2] = cx, cy, cz
+    return residual, sigma, distance, place, ray

@@ -16,7 +16,7 @@ from steelnb.fusion.problem import BAR_DOF, Bars, Problem
 from steelnb.types import Array, IntArray
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
-"""A residual beyond their sum is down-weighted (Geman-McClure). Chosen on the development seeds 11 and 12."""
+"""A residual beyond their sum is down-weighted (Geman-McClure)."""
 MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 
@@ -41,11 +41,8 @@ class PointEquations(NamedTuple):
 
 
 def linearised(problem: Problem, observations: Observations) -> PointEquations:
-    """The normal equations of all points.
-
-    A motion of a pose is the opposite motion of its bars. So the blocks of poses follow from those of bars, pair by
-    pair.
-    """
+    """The normal equations of all points. A motion of a pose is the opposite motion of its bars, so the blocks of poses
+    follow from those of bars, pair by pair."""
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
     shares, rhs, residuals = _gathered(*observations, T, *bars.faces(), bars.flange, problem.sigma_ratio)
     by_pose = _bar_motion(T[scan, :3, 3] - bars.segments.start[bar], bars, bar, pose_size(problem.tilt_sigma_rad))

@@ -131,14 +131,9 @@ def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
     for rotations so small that their direction does not matter."""
     gyro, force = (max(each, SIGMA_MIN) ** 2 for each in (noise.gyro_noise, noise.accelerometer_noise))
     one, gap_s = np.eye(3), gap_s[:, None, None]
-    spread, none = force * gap_s**2 / 2 * one, 0 * gap_s * one
-    return np.block(
-        [
-            [gyro * gap_s * one, none, none],
-            [none, force * gap_s * one, spread],
-            [none, spread, force * gap_s**3 / 3 * one],
-        ]
-    )
+    by_gyro, spread, none = gyro * gap_s * one, force * gap_s**2 / 2 * one, 0 * gap_s * one
+    by_force, shift = force * gap_s * one, force * gap_s**3 / 3 * one
+    return np.block([[by_gyro, none, none], [none, by_force, spread], [none, spread, shift]])
 
 
 def gaps(at_s: Array, stamp_s: Array) -> NDArray[np.bool_]:

@@ -14,10 +14,8 @@ from steelnb.fusion.structure import Structure
 from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
-"""Cosines of the angles between bars that meet at a bend. Below 1.5° its position is undetermined. These and the
-lengths below were chosen with `fusion.proposals.TUBE_M`."""
-SLACK_M, REACH_M, LEAD_MAX_M, SAME_M = 0.02, 0.2, 0.8, 0.15
-BEND_M, BEND_GAP_M = 1.2, 0.1
+"""Cosines of the angles between bars that meet at a bend. Below 1.5° its position is undetermined."""
+SLACK_M, REACH_M, LEAD_MAX_M, SAME_M, BEND_M, BEND_GAP_M = 0.02, 0.2, 0.8, 0.15, 1.2, 0.1
 """See `find_joints` and `trim_bends`."""
 ANCHOR = 0.01
 """Weight of an initial position against that of a line: almost parallel lines have no nearest point."""
@@ -70,9 +68,8 @@ def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segmen
 def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
     """The bars of a structure, with the axes of ``weak (B,)`` ones through the first and last joint that tie them.
 
-    The points of a short strut, without those near its ends, determine its direction to a few degrees only. Its joints
-    lie on the axes of longer bars, to a few millimetres across these. A bar keeps its axis if its joints do not lie
-    within `SAME_M` of both its ends.
+    The points of a short strut determine its direction to a few degrees only, while its joints lie on the axes of
+    longer bars. A bar keeps its axis if its joints do not lie within `SAME_M` of both its ends.
     """
     bars = structure.segments
     start, end = bars.start.copy(), bars.end.copy()
@@ -85,10 +82,8 @@ def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
 
 
 def trim_bends(bars: Segments) -> Segments:
-    """The bars, cut at bends. There two bars continue each other at a small angle, and each has grown into the other.
-
-    Their axes come closer than `BEND_GAP_M`, up to `BEND_M` from their ends.
-    """
+    """The bars, cut at bends, where two bars continue each other at a small angle, and each has grown into the other:
+    their axes come closer than `BEND_GAP_M`, up to `BEND_M` from their ends."""
     pair, at, lead = _meetings(bars.start, bars.direction, bars.length, np.zeros(len(bars)), BEND_GAP_M, 0.0)
     start, end, is_bend = bars.start.copy(), bars.end.copy(), lead >= BEND_M
     for bar, along in zip(pair[is_bend].ravel(), at[is_bend].ravel(), strict=True):
@@ -112,25 +107,12 @@ def _extended(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segme
 
 
 @njit(cache=True)
-def are_near(start, direction, length, i, j, limit):  # type: ignore[no-untyped-def]
-    """Whether two bars can come closer than a limit, by their middles: a quick test that few of all pairs pass."""
-    square = 0.0
-    for k in range(3):
-        middle = start[j, k] + 0.5 * length[j] * direction[j, k]
-        square += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
-    return math.sqrt(square) <= 0.5 * (length[i] + length[j]) + limit
-
-
-@njit(cache=True)
 def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no-untyped-def]
     """Pairs of bars that meet ``(P, 2)``, the positions along both ``(P, 2)``, metres from their starts, and the
     largest extension or cut of either ``(P,)``."""
     pairs, positions, leads = [(0, 0)], [(0.0, 0.0)], [0.0]
-    limit = 2.0 * max(BEND_M, LEAD_MAX_M) + slack + (width.max() if len(width) else 0.0)
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
-            if not are_near(start, direction, length, i, j, limit):
-                continue
             cosine = (direction[i] * direction[j]).sum()
             if abs(cosine) > BEND_MIN:
                 continue

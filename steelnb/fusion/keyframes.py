@@ -1,7 +1,5 @@
 """Keyframes of a flight in progress: their poses and bars, adjusted together from time to time."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from steelnb.fusion import problem
@@ -14,7 +12,7 @@ from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
 
 FITS = 2
-"""Number of fits of the bars before an adjustment. Chosen on the development seed 11."""
+"""Number of fits of the bars before an adjustment."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. It bounds the time of
 an adjustment."""
@@ -22,24 +20,17 @@ BARS_MIN = 4
 """Minimum number of bars with a section."""
 
 
-class Readings(NamedTuple):
-    """Readings of an IMU, the errors of its data sheet, and the sensor's mount ``T_drone_sensor (4, 4)``."""
-
-    imu: Imu
-    noise: ImuSettings
-    T_drone_sensor: Array
-
-
 class Keyframes:
     """K scans of a flight, accumulated in voxels at the poses that they had when they were added.
 
     ``T_world_sensor (K, 4, 4)``: their poses after the last adjustment; ``settings``: of the bars; ``tilt_sigma_rad``:
-    standard deviation of the prior's roll and pitch (`Problem`); ``readings``: of an IMU, if any.
+    standard deviation of the prior's roll and pitch (`Problem`); ``readings``: of an IMU, with its data sheet and the
+    sensor's mount ``T_drone_sensor (4, 4)``.
     """
 
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
         self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
-        self.readings: Readings | None = None
+        self.readings: tuple[Imu, ImuSettings, Array] | None = None
         self.voxels = VoxelMap(VOXEL_M)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))

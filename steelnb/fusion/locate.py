@@ -7,10 +7,9 @@ factor with its information.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from steelnb.fusion import poses, sections
-from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
+from steelnb.fusion import poses
+from steelnb.fusion.bar_voxels import BarVoxels, Observations, face_residuals, world_points
 from steelnb.fusion.factors import linearised, noise_ratio
 from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
 from steelnb.fusion.problem import BAR_DOF, Bars, Problem
@@ -21,14 +20,14 @@ MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
 SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
 """Standard deviations of a bar: of its position, an error that all scans share; of the rotation of its section,
-radians; and of its flange. Chosen on the development seeds 11 and 12."""
+radians; and of its flange."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
 SHARE_MIN, MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
 """Minimum share of the points on front faces, number of bars, points a bar, and points a scan; below them a
-registration is rejected. Chosen on the development seeds 11 and 12."""
+registration is rejected."""
 RATIO_BOUNDS = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 
@@ -121,33 +120,14 @@ class Locator:
     def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
         """For each bar, how many of the ``points (N, 3)``, sensor frame, belong to it, and how many of these lie on its
         front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
-        world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
-        bar, n = self._voxels.bar_of(world), len(self.bars.turn)
-        distance = _face_sigmas(world, T_world_sensor[:3, 3], bar, *self.bars.faces(), self.ratio)
-        on = (bar >= 0) & (np.abs(distance) < MATCH_SIGMAS)
+        bar, n = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]), len(self.bars.turn)
+        residual, sigma, *_ = face_residuals(points, bar, T_world_sensor, *self.bars.faces())
+        on = np.abs(residual) < MATCH_SIGMAS * self.ratio * sigma  # false for NaN
         return np.bincount(bar[bar >= 0], minlength=n), np.bincount(bar[on], minlength=n)
 
 
-def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int = 0) -> Array:
-    """Points ``(N, 3)`` of a scan in the sensor frame, within range and not below the floor: about ``count`` of them,
-    picked evenly, or all for 0."""
+def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int) -> Array:
+    """About ``count`` points ``(N, 3)`` of a scan, sensor frame, within range and above the floor, picked evenly."""
     flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
     world = world_points(flat, T_world_sensor, range_max_m, floor_m)[0]
-    picked = world[:: max(1, len(world) // count)] if count else world
-    return np.asarray((picked - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])
-
-
-@njit(cache=True, error_model="numpy")
-def _face_sigmas(points, sensor, bar, start, direction, length, across, corner, ratio):  # type: ignore[no-untyped-def]
-    """Distances ``(N,)`` of points in the world frame from the front faces of their bars, in standard deviations of the
-    range noise; NaN for none."""
-    result = np.full(len(points), np.nan)
-    for i in range(len(points)):
-        b = bar[i]
-        if b >= 0:
-            x, c = points[i] - start[b], sensor - points[i]
-            u, v, t = sections.in_frame(direction[b], across[b], x[0], x[1], x[2])
-            p, q, w = sections.in_frame(direction[b], across[b], c[0], c[1], c[2])
-            residual, sigma, _, _, _, _, _, _ = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])
-            result[i] = residual / (ratio * sigma)
-    return result
+    return np.asarray((world[:: max(1, len(world) // count)] - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])

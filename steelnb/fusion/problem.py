@@ -30,7 +30,7 @@ BAR_DOF = 6
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Prior standard deviations of a bar. Of position and direction for one step: they hold what no point determines, such
 as the position of a single face along itself. Of rotation and flange about those fitted to the outlines, which are no
-factors here. Chosen on the development seed 11."""
+factors here."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 
 
@@ -59,10 +59,6 @@ class Bars:
         """The bars selected by a mask or an index."""
         return Bars(self.segments.take(mask), self.across[mask], self.turn[mask], self.flange[mask])
 
-    def sectioned(self) -> "Bars":
-        """The bars with a known section."""
-        return self.take(self.has_section)
-
 
 @dataclass(frozen=True)
 class Problem:
@@ -81,7 +77,7 @@ class Problem:
     inertial: Inertial | None = None
 
     def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float) -> "Problem":
-        """After steps ``(K, D)`` of the states, D as in `solver.state_equations`, and ``(B, 6)`` of the bars."""
+        """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, and ``(B, 6)`` of the bars."""
         pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]
         return replace(
             self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step), bars=_moved_bars(self.bars, bar_step),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.joints import REACH_M, are_near
+from steelnb.fusion.joints import REACH_M
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
@@ -13,8 +13,8 @@ from steelnb.types import Array, IntArray, Segments
 
 TUBE_M, VOXEL_M = 0.06, 0.04
 """Radius of the tube about a bar that holds its points, and edge of the voxels that accumulate the scans. These and the
-other lengths and shares of reconstruction were chosen together on flights of the preset ``starling2`` with the
-development seeds 11 and 12, ``zigzag`` and ``loops``, around the tower ``tapered`` and one with flanges of 160 mm."""
+other lengths and shares of reconstruction were chosen together with ``starling2``, ``zigzag`` and ``loops``, around the
+tower ``tapered`` and one with flanges of 160 mm."""
 RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
 """See `ridge_points`."""
 LENGTH_MIN_M = 0.3
@@ -47,11 +47,8 @@ def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) ->
 
 
 def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
-    """The short bars between the ``bars`` of a voxel map.
-
-    They are weak beside long bars, and their ends lie within the tubes of these. So they are searched for in the voxels
-    farther than ``hide_m`` from all bars.
-    """
+    """The short bars between the ``bars`` of a voxel map. They are weak beside long bars, and their ends lie within the
+    tubes of these, so they are searched for in the voxels farther than ``hide_m`` from all bars."""
     hidden = within(voxels.means(), bars, hide_m)
     points = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
     points = voxel_grid(points, STRUT_TUBE_M / math.sqrt(3))
@@ -69,15 +66,14 @@ def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = m
     """Join the pieces of bars, drop copies of stronger bars, and sort by strength.
 
     Pieces are in line, at most `PIECE_GAP_MAX_M` apart, and at most `TUBE_M` beside each other. A joined bar has the
-    moments of its pieces, each taken as a uniform bar of its points. They add exactly, in any order.
+    moments of its pieces, each taken as a uniform bar of its points.
 
-    A copy is another line through the points of a stronger bar. It lies mostly within `COPY_M` of that, at a small
-    angle, and rises across it by at most ``rise_m`` metres over its length. The rise tells a copy from a brace at an
-    acute angle to its chord: a line through points spread evenly over a tube rises by at most the radius of the tube, a
-    brace of 1 m at 12° by 0.2 m. By default it has no bound, and such braces are copies.
+    A copy lies mostly within `COPY_M` of a stronger bar, at a small angle, and rises across it by at most ``rise_m``
+    metres over its length. The rise tells it from a brace at an acute angle to its chord: a line through the points of
+    a tube rises by at most the tube's radius, a brace of 1 m at 12° by 0.2 m. By default such braces are copies.
 
-    ``width_m (B,)``: the widths of the bars, NaN if unknown. They widen the bounds, since points of an angle section
-    lie up to 0.8 flanges from its centroid, and the middles of its faces half a flange apart.
+    The widths ``width_m (B,)``, NaN if unknown, widen the bounds, since points of an angle section lie up to 0.8
+    flanges from its centroid, and the middles of its faces half a flange apart.
     """
     width = np.zeros(len(bars)) if width_m is None else np.nan_to_num(width_m)
     while len(bars):
@@ -123,7 +119,11 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
         for i in range(j):
             if fate[i] != i:
                 continue
-            if not are_near(start, direction, length, i, j, PIECE_GAP_MAX_M + copy[i]):
+            apart = 0.0
+            for k in range(3):  # scalars, since few of all pairs are near
+                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+                apart += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+            if math.sqrt(apart) > 0.5 * (length[i] + length[j]) + PIECE_GAP_MAX_M + copy[i]:
                 continue
             cosine = abs((direction[i] * direction[j]).sum())
             if cosine < math.cos(COPY_RAD):

@@ -27,17 +27,16 @@ END_TUBES = 1.2
 """Points within this many tube radii of the ends of a bar take no part in the fit of its section."""
 TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
-the end runs from joint to joint; above the second it is dropped. Chosen on the development seed 11."""
+the end runs from joint to joint; above the second it is dropped."""
 ADJUST_STEPS, ADJUST_PIXELS = 2, 4
-"""Number of steps of an adjustment, chosen on the development seed 11; and one in so many pixels takes part in that of
-`reconstruct`."""
+"""Number of steps of an adjustment; and one in so many pixels takes part in that of `reconstruct`."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
 """Maximum distance of a point of an adjustment from the front face of its bar, in standard deviations of the range
-noise and in tube radii; and minimum noise ratio, below which poses and sections are wrong, not points. On the
-development seeds 11 and 12, with ``starling2``, 2 to 3 standard deviations give similar errors. With the report's
-sensor a larger bound leaves too few points of the first scan, which holds the world frame."""
+noise and in tube radii; and minimum noise ratio, below which poses and sections are wrong, not points. With
+``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor a larger bound leaves too few
+points of the first scan, which holds the world frame."""
 
 
 def reconstruct(
@@ -108,11 +107,10 @@ def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: S
 
 @dataclass(frozen=True)
 class FittedBars:
-    """B bars with their fitted sections.
+    """B bars with their fitted sections, flange and tilt NaN for a bar with too few points.
 
     Standard deviations ``sigma (B,)`` of the position of the axis across, metres, and ``tilt (B,)`` of its direction,
-    radians; ``sightings (B,)``: number of scans that observed the bar. A bar with too few points has a flange and tilt
-    of NaN.
+    radians; ``sightings (B,)``: number of scans that observed the bar.
     """
 
     bars: Bars
@@ -186,7 +184,7 @@ class MappedScans:
         """Fit sections, angles or circles, to the points on each bar in one in ``every`` scans. The axes move to the
         centroids."""
         across, n = sections.frames(bars.direction), len(bars)
-        histogram, sightings = sections.empty_histogram(n), np.zeros(n, dtype=np.int64)
+        histogram, sightings = np.zeros((n, *sections.HISTOGRAM)), np.zeros(n, dtype=np.int64)
         for k, points, bar in self.bar_points(self.around(bars), every):
             sightings += np.bincount(bar, minlength=n) >= 10
             sections.accumulate(

@@ -37,7 +37,7 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     face, side = profiles()
     n = len(length)
     state, normal, cost = np.empty((n, ROUND_DOF)), np.empty((n, ROUND_DOF, ROUND_DOF + 1)), np.empty(n)
-    unclear, pooled = np.zeros(n, np.bool_), 0.0
+    likelihood, is_round = np.full(n, -np.inf), np.zeros(n, np.bool_)
     for b in range(n):
         if np.isnan(fitted.flange[b]):
             continue
@@ -45,26 +45,24 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
         cost[b] = fit_circle(cells, merged_cells(histogram[b]), state[b], normal[b])
         if state[b, 4] > TUBE_MAX_M:
             continue
-        unclear[b] = True
+        likelihood[b] = np.nan  # as yet
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
-        if not cost[b] <= bound * _angle_cost(cells, fitted, b):
-            continue  # true of most bars, and saves a fit
-        least = _least_angle_cost(histogram[b], cells, face, side)
-        if cost[b] <= bound * least:
-            unclear[b] = False
-            pooled += 0.5 * len(cells) * math.log(least / cost[b])
-            _make_round(fitted, b, cells, cost[b], state[b], normal[b])
-    if pooled == 0.0:
+        if cost[b] <= bound * _angle_cost(cells, fitted, b):  # false for most bars, and saves a fit
+            least = _least_angle_cost(histogram[b], cells, face, side)
+            likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
+            is_round[b] = cost[b] <= bound * least
+    if not is_round.any():
         return
-    likelihood = np.zeros(n)
+    pooled = 0.0
     for b in range(n):
-        if unclear[b]:
+        if np.isnan(likelihood[b]):
             cells = cells_of(histogram[b], length[b])
             least = _least_angle_cost(histogram[b], cells, face, side)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
+        if likelihood[b] > -np.inf:
             pooled += likelihood[b]
     for b in range(n):
-        if pooled > 0.0 and unclear[b] and likelihood[b] > -LIKELIHOOD_MIN:
+        if is_round[b] or (pooled > 0.0 and likelihood[b] > -LIKELIHOOD_MIN):
             _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], state[b], normal[b])
 
 

@@ -22,8 +22,7 @@ PROFILE = 128
 FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2])
 DEPTH_SCALE_M = 0.03
 OUTLINE_WEIGHT = 0.5
-"""Weight of an edge of the outline against all depths from its direction. `DEPTH_SCALE_M`, this and `TELL_APART_M` were
-chosen with `fusion.proposals.TUBE_M`."""
+"""Weight of an edge of the outline against all depths from its direction."""
 ROUND_DOF = 5
 """Degrees of freedom of a round section: position (2), slope (2), radius. An angle is turned by a search instead."""
 RADIUS_MIN_M, RADIUS_MAX_M = 0.005, 0.15
@@ -83,7 +82,7 @@ def profiles():  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def robust(residual, weight):  # type: ignore[no-untyped-def]
+def _robust(residual, weight):  # type: ignore[no-untyped-def]
     """Cost and weight of a residual under Geman-McClure with the scale `DEPTH_SCALE_M`."""
     square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
     return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
@@ -112,7 +111,7 @@ def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # ty
             else:
                 residual = beside - (low if beside <= low else high)
                 ju, jv = sine, -cosine
-            loss, weight = robust(residual, weight)
+            loss, weight = _robust(residual, weight)
             cost += loss
             uu += weight * ju * ju
             uv += weight * ju * jv
@@ -125,7 +124,7 @@ def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # ty
             middle = -sine * state[0] + cosine * state[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
-                loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+                loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
                 cost += loss
                 uu += weight * sine * sine
                 uv -= weight * sine * cosine
@@ -167,10 +166,8 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
             ju, jv = sine, -cosine
             if is_round:
                 jacobian[4] = -math.copysign(1.0, edge)
-        loss, weight = robust(residual, weight)
-        cost += loss
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
-        _add_residual(normal, jacobian, residual, weight)
+        cost += _add_residual(normal, jacobian, residual, weight)
     for k in range(len(rows)):
         cosine, sine = rows[k, 2], rows[k, 3]
         low, high = 1e9, -1e9
@@ -178,22 +175,21 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
             beside = -sine * (corner[i, 0] + state[0]) + cosine * (corner[i, 1] + state[1])
             low, high = min(low, beside), max(high, beside)
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = sine, -cosine, 0.0, 0.0
-        for side in range(2):
-            residual = rows[k, side] - (low if side == 0 else high)
-            loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
-            cost += loss
-            _add_residual(normal, jacobian, residual, weight)
+        cost += _add_residual(normal, jacobian, rows[k, 0] - low, OUTLINE_WEIGHT * rows[k, 4])
+        cost += _add_residual(normal, jacobian, rows[k, 1] - high, OUTLINE_WEIGHT * rows[k, 4])
     return cost
 
 
 @njit(cache=True)
 def _add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
-    """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``."""
+    """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``; returns its `_robust` cost."""
     size = len(jacobian)
+    loss, weight = _robust(residual, weight)
     for i in range(size):
         for j in range(size):
             normal[i, j] += weight * jacobian[i] * jacobian[j]
         normal[i, size] -= weight * jacobian[i] * residual
+    return loss
 
 
 @njit(cache=True)

@@ -19,14 +19,12 @@ from steelnb.types import Array
 
 VIEWS, CELLS, PARTS = 24, 32, 6
 """Number of bins: directions of 15°, cells of 1 cm beside the line of sight, and parts along a bar."""
+HISTOGRAM = PARTS, VIEWS, CELLS, 4
+"""Shape of the histogram of a bar: of each part, direction and cell, number of points, weight, weighted sums of u and
+v."""
 CELL_M = 0.01
 THICKNESS = 1 / 12
 """Thickness of an angle section as a share of its flange, about that of rolled angles."""
-
-
-def empty_histogram(bars: int) -> Array:
-    """For each bar, part, direction and cell: number of points, weight, and weighted sums of u and v."""
-    return np.zeros((bars, PARTS, VIEWS, CELLS, 4))
 
 
 def frames(direction: Array) -> Array:
@@ -126,10 +124,8 @@ def merged_cells(histogram):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def edges_of(histogram):  # type: ignore[no-untyped-def]
     """Edges of the outline ``(R, 6)`` from each direction with enough points: low and high edge, cosine and sine of the
-    direction, weight, number of the direction.
-
-    An edge is where the number of points falls to half of that inside: there, blur moves as many out as in.
-    """
+    direction, weight, number of the direction. At an edge, where the number of points falls to half of that inside,
+    blur moves as many out as in."""
     found = np.empty((VIEWS, 6))
     n = 0
     for view in range(VIEWS):

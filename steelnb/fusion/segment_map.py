@@ -1,20 +1,73 @@
 """The map of an odometry by segments: segments of all scans so far, associated and merged by their moments; and the
-report's incremental reconstruction from it."""
+report's incremental reconstruction, which ties its bars at joints."""
 
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.fusion.association import associate, pair_distance
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.structure import Structure
 from steelnb.settings import FusionSettings
 from steelnb.types import Array, IntArray, Segments
 
 SIGHTINGS_MIN, FORGET_FRAMES = 5, 50
-"""A bar counts from the fifth sighting on, a second of flight; with fewer it is dropped after ten seconds without one.
-Chosen on seed 11."""
+"""A bar counts from the fifth sighting on, a second of flight; with fewer, it is dropped after ten seconds without."""
+GAP_MAX_M = 0.2
+"""Maximum gap along the axis between a segment and its bar."""
+
+
+def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
+    """The nearest of K known segments for each of M new ones ``(M,)``, −1 if none matches; both in one frame, metres.
+
+    Two segments match if the angle between them and the distance across are within the
+    settings, and the gap along the known axis within `GAP_MAX_M`. The distance across is that in the middle of their
+    overlap, or of the gap between them. The order of the ends of a segment does not matter.
+    """
+    if not len(new) or not len(known):
+        return np.full(len(new), -1, dtype=np.int64)
+    distance = pair_distance(new, known, settings)
+    best = distance.argmin(axis=1)
+    return np.where(np.isfinite(distance[np.arange(len(new)), best]), best, -1)
+
+
+def pair_distance(new: Segments, known: Segments, settings: FusionSettings) -> Array:
+    """Distances across ``(M, K)`` in metres between all pairs; infinite for pairs that do not match."""
+    return _pair_distance(
+        new.start, new.end, new.radius, known.start, known.end, known.radius, math.cos(settings.angle_max_rad),
+        settings.distance_max_m, settings.add_radii,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _pair_distance(start, end, radius, known_start, known_end, known_radius, cosine_min, limit_m, add_radii):  # type: ignore[no-untyped-def]
+    distance = np.full((len(start), len(known_start)), np.inf)
+    for k in range(len(known_start)):
+        x, y, z = known_start[k, 0], known_start[k, 1], known_start[k, 2]
+        ux, uy, uz = known_end[k, 0] - x, known_end[k, 1] - y, known_end[k, 2] - z
+        length = math.sqrt(ux * ux + uy * uy + uz * uz)
+        scale = 1.0 / max(length, 1e-12)
+        ux, uy, uz = ux * scale, uy * scale, uz * scale
+        for m in range(len(start)):
+            rx, ry, rz = end[m, 0] - start[m, 0], end[m, 1] - start[m, 1], end[m, 2] - start[m, 2]
+            run = rx * ux + ry * uy + rz * uz
+            if not abs(run) >= cosine_min * max(math.sqrt(rx * rx + ry * ry + rz * rz), 1e-12):
+                continue
+            ax, ay, az = start[m, 0] - x, start[m, 1] - y, start[m, 2] - z
+            t_start = ax * ux + ay * uy + az * uz
+            low, high = min(t_start, t_start + run), max(t_start, t_start + run)
+            if max(low - length, -high) > GAP_MAX_M:
+                continue
+            t_middle = 0.5 * (min(max(low, 0.0), length) + min(max(high, 0.0), length))
+            share = min(max((t_middle - t_start) / (run if abs(run) > 1e-9 else 1e-9), 0.0), 1.0)
+            ax, ay, az = ax + share * rx, ay + share * ry, az + share * rz
+            t = ax * ux + ay * uy + az * uz
+            ax, ay, az = ax - t * ux, ay - t * uy, az - t * uz
+            across = math.sqrt(ax * ax + ay * ay + az * az)
+            if across <= limit_m + (radius[m] + known_radius[k] if add_radii else 0.0):
+                distance[m, k] = across
+    return distance
 
 
 class SegmentMap:
@@ -22,7 +75,8 @@ class SegmentMap:
 
     A bar is stored as the moments of its points: their number, sum and sum of outer products. A segment counts as a
     uniform bar of its points. Moments add exactly, so the axis of a merged bar does not depend on the order.
-    ``settings`` are the gates of `associate`; ``sightings (B,)``: number of segments merged into each bar.
+    ``settings`` are the gates of `associate`; ``segments``: the B bars, metres; ``sightings (B,)``: number of segments
+    merged into each.
     """
 
     def __init__(self, settings: FusionSettings | None = None) -> None:
@@ -31,28 +85,23 @@ class SegmentMap:
         self.inserts = 0
         self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last observed
         self._moments = np.zeros((0, 14))
-        self._segments = Segments.empty()
+        self.segments = Segments.empty()
 
     def __len__(self) -> int:
-        return len(self._segments)
-
-    @property
-    def segments(self) -> Segments:
-        """The B bars of the map in the world frame, metres."""
-        return self._segments
+        return len(self.segments)
 
     def insert(self, new: Segments) -> IntArray:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
-        into the earlier. Segments returned by `segments` before do not change.
+        into the earlier. Earlier ``segments`` do not change.
         """
-        target = associate(new, self._segments, self.settings)
+        target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
         target[fresh] = len(self) + np.arange(len(fresh))
         self.sightings, self._last = (np.append(each, 0 * fresh) for each in (self.sightings, self._last))
         self._moments = np.concatenate([self._moments, np.zeros((len(fresh), 14))])
-        self._segments = Segments.joined((self._segments, new.take(fresh)))
+        self.segments = Segments.joined((self.segments, new.take(fresh)))
         np.add.at(self._moments, target, _moments(new))
         np.add.at(self.sightings, target, 1)
         self.inserts += 1
@@ -74,13 +123,13 @@ class SegmentMap:
         position = np.full(len(self), -1, dtype=np.int64)
         position[touched] = np.arange(len(touched))
         low, high = np.full(len(touched), np.inf), np.full(len(touched), -np.inf)
-        old = self._segments.take(touched)
+        old = self.segments.take(touched)
         owner = np.concatenate([np.arange(len(touched))] * 2 + [position[target]] * 2)
         ends = np.concatenate([old.start, old.end, new.start, new.end])
         along = ((ends - mean[owner]) * axis[owner]).sum(axis=1)
         np.minimum.at(low, owner, along)
         np.maximum.at(high, owner, along)
-        s = self._segments
+        s = self.segments
         s.start[touched], s.end[touched] = mean + low[:, None] * axis, mean + high[:, None] * axis
         s.count[touched] = np.round(count).astype(np.int64)
         s.radius[touched] = np.sqrt(moments[:, 13] / count)
@@ -89,7 +138,7 @@ class SegmentMap:
         """Merge bars that have grown into each other; returns ``touched`` renumbered."""
         while True:
             some = np.unique(touched)
-            distance = pair_distance(self._segments.take(some), self._segments, self.settings)
+            distance = pair_distance(self.segments.take(some), self.segments, self.settings)
             distance[np.arange(len(some)), some] = np.inf
             pair = np.unravel_index(distance.argmin(), distance.shape) if distance.size else None
             if pair is None or not math.isfinite(distance[pair]):
@@ -98,14 +147,14 @@ class SegmentMap:
             self._moments[a] += self._moments[b]
             self.sightings[a] += self.sightings[b]
             self._last[a] = max(self._last[a], self._last[b])
-            self._refit(np.array([a]), self._segments.take(np.array([b])), np.array([a]))
+            self._refit(np.array([a]), self.segments.take(np.array([b])), np.array([a]))
             self._keep(np.arange(len(self)) != b)
             touched = np.where(touched == b, a, touched)
             touched = np.where(touched > b, touched - 1, touched)
 
     def _keep(self, keep: NDArray[np.bool_]) -> None:
         self._moments, self.sightings, self._last = self._moments[keep], self.sightings[keep], self._last[keep]
-        self._segments = self._segments.take(keep)
+        self.segments = self.segments.take(keep)
 
 
 def structure_of(bars: SegmentMap) -> Structure:

@@ -17,9 +17,8 @@ from steelnb.types import Estimate, Flight, Trajectory
 
 Stages = tuple[tuple[int, int], ...]
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
-"""Of each round, the number of fits of sections, and its stages: one in so many pixels, and the number of steps. Chosen
-on the zigzag of the development seed 11. There, half of the pixels in the last stage makes aligned errors larger by a
-fifth, and one fit of sections in both rounds by half."""
+"""Of each round, the number of fits of sections, and its stages: one in so many pixels, and the number of steps. Half
+of the pixels in the last stage makes aligned errors larger by a fifth, one fit of sections in both rounds by half."""
 BARS_MIN = 3
 """Minimum number of bars with a section."""
 
@@ -71,7 +70,7 @@ def smooth(
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
             state, equations = scans.adjusted(state, voxels, prior, stamp_s, steps, ratio, pixels)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
-    bars = state.bars.sectioned()
+    bars = state.bars.take(state.bars.has_section)
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:
         pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)

@@ -27,46 +27,40 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
     ``stamp_s (K,)``. The range noise is updated from the median of the residuals before the step.
     """
-    rhs, bars = equations.rhs.copy(), problem.bars
-    from_fitted = np.nan_to_num(np.column_stack([bars.turn, bars.flange]) - problem.fitted)  # 0 without a section
-    rhs[:, 4:] -= from_fitted * BAR_SIGMA[4:] ** -2.0
-    (matrix, beside, vector), between = state_equations(problem, equations, prior, stamp_s)
+    (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
     forward = chain.forward(np.concatenate([between, vector[:, :, None]], axis=2))
     flat = forward.reshape(-1, forward.shape[2])
     eliminated = flat.T @ flat
-    bar_step = cho_solve(cho_factor(schur(equations.block, eliminated[:-1, :-1])), rhs.ravel() - eliminated[:-1, -1])
+    bar_step = cho_solve(cho_factor(bars - eliminated[:-1, :-1]), rhs.ravel() - eliminated[:-1, -1])
     state_step = chain.backward((forward[:, :, -1] - forward[:, :, :-1] @ bar_step)[:, :, None])[:, :, 0]
     ratio = noise_ratio(equations.residuals, problem.sigma_ratio)
     return problem.moved(state_step, bar_step.reshape(rhs.shape), ratio)
 
 
-def state_equations(
+def normal_equations(
     problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
-) -> tuple[ChainEquations, Array]:
-    """The normal equations of the states of K scans by points, prior and IMU, and the block ``(K, D, 6 B)`` between
-    states and bars; the arguments are those of `improve`.
+) -> tuple[ChainEquations, Array, Array, Array]:
+    """The normal equations of all factors: of the states of K scans, the block ``(K, D, 6 B)`` between them and the
+    bars, and of the bars, matrix ``(6 B, 6 B)`` and vector ``(B, 6)``; the arguments are those of `improve`.
 
     A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
     """
-    T, inertial = problem.T_world_sensor, problem.inertial
-    matrix, beside, vector = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
-    matrix, vector = matrix + equations.matrix, vector + equations.vector
-    between = np.zeros((*vector.shape, *equations.rhs.shape))
+    T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs.copy()
+    bars = block_diag(*(equations.block + np.diag(BAR_SIGMA**-2.0)))
+    from_fitted = np.column_stack([problem.bars.turn, problem.bars.flange]) - problem.fitted
+    rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN without a section
+    chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
+    matrix, beside, vector = chain.matrix + equations.matrix, chain.beside, chain.vector + equations.vector
+    between = np.zeros((*vector.shape, *rhs.shape))
     between[equations.pair_scan, :, equations.pair_bar] = equations.cross
     between = between.reshape(*vector.shape, -1)
-    if inertial is None:
-        return ChainEquations(matrix, beside, vector), between
-    by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
-    matrix, beside = (np.pad(each, ((0, 0), padding, padding)) for each in (matrix, beside))
-    vector, between = np.pad(vector, ((0, 0), padding)), np.pad(between, ((0, 0), padding, (0, 0)))
-    return ChainEquations(by_imu.matrix + matrix, by_imu.beside + beside, by_imu.vector + vector), between
-
-
-def schur(block: Array, eliminated: Array) -> Array:
-    """The Schur complement ``(6 B, 6 B)`` of the poses: the normal equations of the bars, with their blocks ``(B, 6,
-    6)``, after the elimination of the poses has subtracted ``eliminated (6 B, 6 B)``."""
-    return np.asarray(block_diag(*(block + np.diag(BAR_SIGMA**-2.0))) - eliminated)
+    if inertial is not None:
+        by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
+        matrix, beside = (np.pad(each, ((0, 0), padding, padding)) for each in (matrix, beside))
+        vector, between = np.pad(vector, ((0, 0), padding)), np.pad(between, ((0, 0), padding, (0, 0)))
+        matrix, beside, vector = by_imu.matrix + matrix, by_imu.beside + beside, by_imu.vector + vector
+    return ChainEquations(matrix, beside, vector), between, bars, rhs
 
 
 class Chain(NamedTuple):

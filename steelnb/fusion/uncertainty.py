@@ -8,8 +8,6 @@ the near side. So each scan observes a bar displaced across by an unknown vector
 of a bar in a scan saturates, however many pixels it has. The drift enters by the increments of the prior.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
@@ -18,16 +16,15 @@ from steelnb.fusion.factors import PointEquations, summed
 from steelnb.fusion.poses import UPRIGHT_DOF, pose_size
 from steelnb.fusion.problem import BAR_DOF, Problem
 from steelnb.fusion.sections import frames
-from steelnb.fusion.solver import Chain, schur, state_equations
+from steelnb.fusion.solver import Chain, normal_equations
 from steelnb.types import Array, Segments
 
 SHARED_SIGMA_M = 0.001
 """Standard deviation, per axis, of the displacement that all points of a bar in a scan share, at the range noise of
-`points.ranges`. It grows with the square of that noise, as two sensors show. Calibrated on the seeds 11 to 15."""
+`points.ranges`. It grows with the square of that noise, as two sensors show."""
 END_SIGMA_M = 0.006
 """Standard deviation, per axis, of the model error at either end of a bar, the same for all scans: its section type may
-not be modelled, or be fitted to a part of it. It grows with the range noise, and is added to the covariance of an axis.
-Calibrated with the former."""
+not be modelled, or be fitted to a part of it. It grows with the range noise. Both were calibrated on seeds 11 to 15."""
 ATTITUDE_SIGMA_RAD = 0.01
 """Standard deviation of the prior's roll and pitch if they are fixed: half a degree, as of attitude filters on small
 drones. The position does not contain it."""
@@ -38,41 +35,33 @@ HOLD = 1e-6
 """Information that keeps the matrix of free poses positive definite: a standard deviation of 1 km."""
 
 
-class Marginals(NamedTuple):
-    """Marginal covariances.
-
-    ``pose (K, D, D)``: of the steps of the sensor's poses (`fusion.poses`); that of the first one is zero, since it is
-    held. ``bar (B, 6, 6)``: of the position of a bar's middle (2) and its direction (2) in the frame ``across``, and of
-    its rotation and flange. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions,
-    half a metre per metre.
-    """
-
-    pose: Array
-    bar: Array
-
-
-def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Marginals:
+def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array]:
     """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
-    Raises `InputError` if the equations are not finite, or if nothing holds a pose, with the free direction.
+    Of the steps of the sensor's poses ``(K, D, D)`` (`fusion.poses`), zero for the first one, since it is held; and of
+    the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and flange.
+    What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, half a metre per metre.
+
+    Raises `InputError` if nothing holds a pose, with the free direction.
     """
     equations = _with_displacements(equations, SHARED_SIGMA_M * problem.sigma_ratio**2)
-    n = len(equations.block)
-    (matrix, beside, _), between = state_equations(problem, equations, prior, stamp_s)
+    n, size = len(equations.block), pose_size(problem.tilt_sigma_rad)
+    (matrix, beside, _), between, bars, _ = normal_equations(problem, equations, prior, stamp_s)
     matrix = matrix + HOLD * np.eye(matrix.shape[1])
-    if not (np.isfinite(matrix).all() and np.isfinite(beside).all() and np.isfinite(equations.cross).all()):
-        raise InputError("normal equations that are not finite: expected finite poses, stamps and points")
     chain = Chain.factored(matrix, beside)
     forward = chain.forward(between)
     flat = forward.reshape(-1, forward.shape[2])
-    inverse = cho_solve(cho_factor(schur(equations.block, flat.T @ flat)), np.eye(flat.shape[1]))
-    size = pose_size(problem.tilt_sigma_rad)
+    inverse = cho_solve(cho_factor(bars - flat.T @ flat), np.eye(flat.shape[1]))
     by_bars = chain.backward(forward)[:, :size]
     pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
     pose[0] = 0.0
-    check_poses(pose)
-    bars = np.arange(n)
-    return Marginals(pose, inverse.reshape(n, BAR_DOF, n, BAR_DOF)[bars, :, bars])
+    value, vector = np.linalg.eigh(pose)
+    is_free = value[:, -1] > FREE_SIGMA**2
+    if is_free.any():
+        k = int(np.argmax(is_free))
+        axis = AXES[np.argmax(np.abs(vector[k, :, -1])) - size]
+        raise InputError(f"covariance of pose {k} is singular: nothing holds it, mostly along {axis}")
+    return pose, inverse.reshape(n, BAR_DOF, n, BAR_DOF)[range(n), :, range(n)]
 
 
 def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquations:
@@ -129,18 +118,3 @@ def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
     from their covariances ``(B, 4, 4)``, at the distances ``along_m (B,)`` from their middles."""
     at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
     return np.sqrt(np.linalg.eigvalsh(at @ covariance @ at.transpose(0, 2, 1))[:, -1])
-
-
-def check_poses(covariance: Array) -> None:
-    """Raise `InputError` for the first of K covariances of poses ``(K, D, D)`` after the fixed one that is not finite,
-    not positive definite, or so large that nothing holds it (`FREE_SIGMA`); with its number and the direction."""
-    bad = ~np.isfinite(covariance).all(axis=(1, 2))
-    if bad.any():
-        raise InputError(f"covariance of pose {int(np.argmax(bad))} is not finite")
-    value, vector = np.linalg.eigh(covariance[1:])
-    too_large, too_small = value[:, -1] > FREE_SIGMA**2, value[:, 0] <= 0.0
-    for end, wrong, says in ((-1, too_large, "singular: nothing holds it"), (0, too_small, "not positive definite")):
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            axis = AXES[np.argmax(np.abs(vector[k, :, end])) - vector.shape[1]]
-            raise InputError(f"covariance of pose {k + 1} is {says}, mostly along {axis}")

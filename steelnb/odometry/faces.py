@@ -15,7 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.fusion.keyframes import Keyframes, Readings
+from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD, moved_poses, pose_size, pose_step
 from steelnb.fusion.problem import Problem
@@ -64,7 +64,7 @@ class FaceOdometry:
         bars = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
         if self.inertial:
-            self.keyframes.readings = Readings(self.inertial.imu, self.inertial.noise, self.T_drone_sensor)
+            self.keyframes.readings = self.inertial.imu, self.inertial.noise, self.T_drone_sensor
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # The step from the estimate to the output pose.
@@ -181,7 +181,7 @@ class FaceOdometry:
         T_correction = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
         self._insert_waiting(T_correction)
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
-        self.faces = Locator(state.bars.sectioned(), self._stamp_s, ratio, self.tilt_sigma_rad)
+        self.faces = Locator(state.bars.take(state.bars.has_section), self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[-len(self._lag) :] ** 2
         if self.inertial:
             self.inertial.move(T_correction, REFITTED_SIGMA**2)
