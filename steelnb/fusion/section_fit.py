@@ -90,8 +90,7 @@ def _robust(residual, weight):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # type: ignore[no-untyped-def]
-    """`_settle` without slopes, for a flange of `FLANGES_M` and a whole number of rotations: with faces from the table
-    `profiles`, and scalars."""
+    """`settle` without slopes, for a whole number of rotations, by faces from the table `profiles`, in scalars."""
     cost = 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
