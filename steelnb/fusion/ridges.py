@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.points import VoxelMap
-from steelnb.points.voxel_kernels import find, pack
+from steelnb.points.voxel_kernels import find, hash_table, pack
 from steelnb.types import Array, IntArray
 
 
@@ -20,14 +20,14 @@ def ridge_points(
     least ``share_min`` of the largest weight within ``radius_m``. The means of these voxels move once to the weighted
     mean of those within ``contract_m``. The voxels in ``hidden (V,)`` have no weight.
     """
-    grid, mean, weight = voxels.grid(), voxels.means(), voxels.weights()
+    key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
     if hidden is not None:
         weight[hidden] = 0.0
-    centre = pack(*np.floor(mean / grid.voxel_m).astype(np.int64).T)
-    stay = _ridge(centre, weight, _around(radius_m, grid.voxel_m), share_min, grid.key, grid.slot)
+    table = hash_table(key, len(key))
+    stay = _ridge(key, weight, _around(radius_m, voxel_m), share_min, *table)
     remaining = np.where(stay, weight, 0.0)
-    around = _around(contract_m + math.sqrt(3) * grid.voxel_m, grid.voxel_m)
-    return np.asarray(_contract(centre, mean, remaining, around, contract_m, grid.key, grid.slot)[stay])
+    around = _around(contract_m + math.sqrt(3) * voxel_m, voxel_m)
+    return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[stay])
 
 
 def _around(radius_m: float, voxel_m: float) -> IntArray:

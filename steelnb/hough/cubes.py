@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.points.voxel_kernels import REACH, find, pack, rehash
+from steelnb.points.voxel_kernels import REACH, find, hash_table, pack
 from steelnb.types import Array, IntArray
 
 EDGE = 1.25
@@ -41,11 +41,7 @@ def sort_into_cubes(points: Array, distance: float) -> Cubes:
     number = pack(cube[:, 0], cube[:, 1], cube[:, 2])
     order = np.argsort(number, kind="stable")
     first = np.append(np.flatnonzero(np.diff(number[order], prepend=-1)), len(points))
-    size = 4
-    while size < 2 * len(first):
-        size *= 2
-    key, slot = np.full(size, -1, dtype=np.int64), np.zeros(size, dtype=np.int64)
-    rehash(number[order[first[:-1]]], key, slot)
+    key, slot = hash_table(number[order[first[:-1]]], len(first))
     px, py, pz = np.ascontiguousarray(points[order].T)
     return Cubes(low, high, edge, order, px, py, pz, first, key, slot)
 

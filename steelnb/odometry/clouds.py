@@ -126,7 +126,7 @@ class CloudOdometry(Odometry):
             return Target(tree), None
         if not self.measured:
             return Target.with_planes(tree), regularised(neighbour_covariances(points))
-        shapes = VoxelShapes.of(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
+        shapes = VoxelShapes(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
         return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
 
     def _ray_covariances(self, points: Array) -> Array:
@@ -171,9 +171,7 @@ class CloudOdometry(Odometry):
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
-        touched = self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
-        if self.measured:
-            self.map.update_shapes(touched)
+        self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
 
     @property
     def mapped(self) -> bool:

@@ -1,18 +1,14 @@
 """Point covariances and normals, estimated from the nearest neighbours of each point."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 from steelnb.types import Array, IntArray
 
-UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
-"""Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
 NEIGHBOURS = 20
 """Default number of points of a covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3
@@ -26,13 +22,12 @@ def neighbour_covariances(points: Array, neighbours: int = NEIGHBOURS, tree: KdT
     the result is in the order of the tree. Ties for the last neighbour are broken arbitrarily.
     """
     tree = tree or build_kdtree(points)
-    sorted_ = np.empty((len(tree.point), 6))
-    if len(sorted_):
-        _covariances(tree, min(neighbours, len(sorted_)), sorted_)
+    in_order = np.full((len(tree.point), 6), np.nan)
+    _fill(tree, min(neighbours, len(tree.point)), _leaves(tree), np.arange(len(tree.point)), in_order, False)
     if points is tree.point:
-        return sorted_
-    result = np.empty_like(sorted_)
-    result[tree.order] = sorted_
+        return in_order
+    result = np.empty_like(in_order)
+    result[tree.order] = in_order
     return result
 
 
@@ -43,34 +38,25 @@ def regularised(covariances: Array) -> Array:
 
     Source: Segal, Haehnel, Thrun, "Generalized-ICP" (RSS 2009), section III.
     """
-    normal = normals(covariances)
-    result = (PLANE_THICKNESS - 1.0) * normal[:, UPPER[0]] * normal[:, UPPER[1]]
-    result[:, [0, 3, 5]] += 1.0
+    result = np.array(covariances)
+    _regularise(result)
     return result
 
 
-@dataclass(frozen=True)
 class PlaneCovariances:
     """`regularised` covariances of the points of a tree, computed on demand: a scan matches few points of a map.
 
-    ``value (M, 6)``, in the order of the tree, is NaN until computed.
+    Each is that of the nearest ``neighbours`` points, itself included. ``value (M, 6)``, in the order of the tree, is
+    NaN until computed.
     """
 
-    tree: KdTree
-    neighbours: int
-    value: Array
-    leaf_of: IntArray
-    done: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, tree: KdTree, neighbours: int) -> "PlaneCovariances":
-        """None computed yet; each will be that of the nearest ``neighbours`` points, itself included."""
-        n = len(tree.point)
-        return cls(tree, min(neighbours, n), np.full((n, 6), np.nan), _leaves(tree), np.zeros(len(tree.axis), bool))
+    def __init__(self, tree: KdTree, neighbours: int) -> None:
+        self.tree, self.neighbours = tree, min(neighbours, len(tree.point))
+        self.value, self._leaf_of = np.full((len(tree.point), 6), np.nan), _leaves(tree)
 
     def fill(self, index: IntArray) -> None:
         """Compute the missing covariances of the points ``index (N,)``; −1 entries are ignored."""
-        _fill_regularised(self.tree, self.neighbours, self.leaf_of, index, self.done, self.value)
+        _fill(self.tree, self.neighbours, self._leaf_of, index, self.value, True)
 
 
 def normals(covariances: Array) -> Array:
@@ -81,29 +67,27 @@ def normals(covariances: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _covariances(tree, k, result):
-    scratch = _scratch(len(tree.point), k)
-    for node in range(len(tree.axis)):
-        if tree.axis[node] < 0:
-            _covariances_of_leaf(tree, node, k, result, scratch)
+def _fill(tree, k_most, leaf_of, index, value, plane):
+    """Write the missing covariances, `regularised` if ``plane``, of the points ``index (N,)`` and those in their leaves.
+    """
+    scratch = _scratch(len(tree.point), k_most)
+    for i in index:
+        if i < 0 or not np.isnan(value[i, 0]):
+            continue
+        leaf = leaf_of[i]
+        _covariances_of_leaf(tree, leaf, k_most, value, scratch)
+        if plane:
+            _regularise(value[tree.left[leaf] : tree.right[leaf]])
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_regularised(tree, k, leaf_of, index, done, result):
-    """Write the `regularised` covariances of the points ``index (N,)`` and of all others in their leaves."""
-    scratch = _scratch(len(tree.point), k)
-    for i in index:
-        if i < 0 or done[leaf_of[i]]:
-            continue
-        leaf = leaf_of[i]
-        done[leaf] = True
-        _covariances_of_leaf(tree, leaf, k, result, scratch)
-        for j in range(tree.left[leaf], tree.right[leaf]):
-            _, x, y, z = eigen(result[j, 0], result[j, 1], result[j, 2], result[j, 3], result[j, 4], result[j, 5])[0]
-            scale = PLANE_THICKNESS - 1.0
-            tx, ty, tz = scale * x, scale * y, scale * z
-            result[j, 0], result[j, 1], result[j, 2] = tx * x + 1.0, tx * y, tx * z
-            result[j, 3], result[j, 4], result[j, 5] = ty * y + 1.0, ty * z, tz * z + 1.0
+def _regularise(covariances):
+    for c in covariances:
+        _, x, y, z = eigen(c[0], c[1], c[2], c[3], c[4], c[5])[0]
+        scale = PLANE_THICKNESS - 1.0
+        tx, ty, tz = scale * x, scale * y, scale * z
+        c[0], c[1], c[2] = tx * x + 1.0, tx * y, tx * z
+        c[3], c[4], c[5] = ty * y + 1.0, ty * z, tz * z + 1.0
 
 
 @njit(cache=True)

@@ -36,7 +36,7 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
     """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, as PCL's VoxelGrid.
 
     Metres. Voxels are aligned with the origin, and the centroids are sorted by voxel, so the order of the points only
-    affects rounding. Raises ValueError if the leaf is not positive.
+    affects rounding. Raises ValueError if the leaf is not positive or far too small.
     """
     if not leaf_m > 0:
         raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
@@ -44,13 +44,9 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
         return np.zeros((0, 3))
     points = np.ascontiguousarray(points, dtype=np.float64)
     voxel, low, high = _voxel_indices(points, leaf_m)
-    extent = high - low + 1
-    if np.prod(extent.astype(float)) < 2.0**62:
-        grouped, first = _group_by_voxel(points, voxel, low, extent)
-    else:  # one integer cannot number so many voxels: sort by the three indices
-        order = np.lexsort(voxel.T[::-1])
-        grouped, voxel = points[order], voxel[order]
-        first = np.flatnonzero(np.concatenate([[True], (np.diff(voxel, axis=0) != 0).any(axis=1)]))
+    if np.prod(high - low + 1.0) >= 2.0**62:
+        raise ValueError(f"leaf_m = {leaf_m}: expected a larger leaf, as one integer cannot number so many voxels")
+    grouped, first = _group_by_voxel(points, voxel, low, high - low + 1)
     count = np.diff(np.append(first, len(points)))
     return np.add.reduceat(grouped, first, axis=0) / count[:, None]
 

@@ -57,15 +57,20 @@ def put(key, slot, table_key, table_slot):
 
 
 @njit(cache=True)
-def rehash(keys, table_key, table_slot):
-    """Fill an empty table with the voxels ``keys``, the slot of each being its index."""
+def hash_table(keys, capacity):
+    """Hash table (key, slot) with room for ``capacity`` voxels. It holds ``keys``, the slot of each being its index."""
+    size = 16
+    while size < 2 * capacity:
+        size *= 2
+    table_key, table_slot = np.full(size, EMPTY, np.int64), np.zeros(size, np.int64)
     for slot in range(len(keys)):
         put(keys[slot], slot, table_key, table_slot)
+    return table_key, table_slot
 
 
 @njit(cache=True)
 def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, last_mark, size, mark, accumulate):
-    """Add points to the voxels; returns the slots of the touched voxels and the number of all voxels.
+    """Add points to the voxels; returns the number of all voxels.
 
     ``mark`` numbers the insertion. ``last_mark`` holds the last one that touched each voxel.
     """
@@ -101,7 +106,7 @@ def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, la
         m = moment[slot]
         mean[slot, 0], mean[slot, 1] = i * voxel + m[1] / m[0], j * voxel + m[2] / m[0]
         mean[slot, 2] = k * voxel + m[3] / m[0]
-    return touched[:count], size
+    return size
 
 
 @njit(cache=True)
@@ -134,42 +139,22 @@ def link(first, last, keys, table_key, table_slot, around):
 
 
 @njit(cache=True)
-def outdate(touched, around, outdated):
-    """Mark the shapes of the touched voxels and of their neighbours in ``outdated (V,)``."""
-    for slot in touched:
-        for neighbour in range(27):
-            other = around[slot, neighbour]
-            if other >= 0:
-                outdated[other] = True
+def shapes(index, slots, floor, value, voxel, around, moment):
+    """Write the covariances of all points in the 3×3×3 voxels around the voxels ``slots[index]`` to ``value[index]``.
 
-
-@njit(cache=True)
-def shapes(index, slots, floor, value, voxel, around, moment, shape, outdated):
-    """Write the shapes of the voxels ``slots[index]`` plus ``floor`` on their diagonals to ``value[index]``.
-
-    Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are skipped. Outdated shapes are computed
-    first.
+    ``floor`` is added on their diagonals. Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are
+    skipped.
     """
-    for i in index:
-        if i < 0 or not np.isnan(value[i, 0]):
+    for at in index:
+        if at < 0 or not np.isnan(value[at, 0]):
             continue
-        slot = slots[i]
-        if outdated[slot]:
-            outdated[slot] = False
-            _shape(slot, voxel, around, moment, shape)
-        value[i, :] = shape[slot]
-        value[i, 0] += floor
-        value[i, 3] += floor
-        value[i, 5] += floor
-
-
-@njit(cache=True)
-def _shape(slot, voxel, around, moment, shape):
-    """Covariance of all points in the 3×3×3 voxels around a voxel."""
-    m = NO_MOMENTS
-    for neighbour in range(27):
-        other = around[slot, neighbour]
-        if other >= 0:
-            i, j, k = neighbour // 9 - 1, neighbour // 3 % 3 - 1, neighbour % 3 - 1
-            m = add_moments(m, moment[other], i * voxel, j * voxel, k * voxel)
-    shape[slot, :] = covariance(m)
+        m = NO_MOMENTS
+        for neighbour in range(27):
+            other = around[slots[at], neighbour]
+            if other >= 0:
+                i, j, k = neighbour // 9 - 1, neighbour // 3 % 3 - 1, neighbour % 3 - 1
+                m = add_moments(m, moment[other], i * voxel, j * voxel, k * voxel)
+        value[at, :] = covariance(m)
+        value[at, 0] += floor
+        value[at, 3] += floor
+        value[at, 5] += floor

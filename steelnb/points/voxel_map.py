@@ -1,21 +1,10 @@
 """An incremental voxel map: a hash table of voxels with the moments of their points."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 
 from steelnb.errors import InputError
 from steelnb.points import voxel_kernels as kernels
 from steelnb.types import Array, IntArray
-
-
-class VoxelGrid(NamedTuple):
-    """Hash table of a voxel map: edge of a voxel in metres, and the key and slot in each bucket."""
-
-    voxel_m: float
-    key: IntArray
-    slot: IntArray
 
 
 class VoxelMap:
@@ -30,13 +19,10 @@ class VoxelMap:
         if not 0 < voxel_m < np.inf:
             raise InputError(f"voxel_m = {voxel_m}: expected a positive length in metres")
         self.voxel_m, self.accumulate = float(voxel_m), accumulate
-        self._table_key = np.full(1 << 14, kernels.EMPTY, dtype=np.int64)
-        self._table_slot = np.zeros(1 << 14, dtype=np.int64)
         self._key = np.zeros(1 << 12, dtype=np.int64)
+        self._table = kernels.hash_table(self._key[:0], 1 << 13)
         self._moment = np.zeros((1 << 12, 10))  # see `points.moments`; the origin is the voxel's corner
         self._mean = np.zeros((1 << 12, 3))
-        self._shape = np.zeros((1 << 12, 6))
-        self._outdated = np.zeros(1 << 12, dtype=bool)
         self._last_mark = np.zeros(1 << 12, dtype=np.int64)
         self._around = np.zeros((1 << 12, 27), dtype=np.int32)  # valid for the first `_linked` voxels
         self._size = self._linked = self._mark = 0
@@ -44,8 +30,8 @@ class VoxelMap:
     def __len__(self) -> int:
         return self._size
 
-    def insert(self, points: Array, weight: Array | None = None) -> IntArray:
-        """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1; returns the slots of the touched voxels.
+    def insert(self, points: Array, weight: Array | None = None) -> None:
+        """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1.
 
         Raises `InputError` and leaves the map unchanged if a point is not finite or farther than `voxel_kernels.REACH`
         voxels away, or if a weight is not positive and finite.
@@ -57,26 +43,22 @@ class VoxelMap:
             raise InputError(f"points: a coordinate of {farthest:.3g} m; too far for voxels of {self.voxel_m} m")
         if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
             raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
-        self._reserve(len(points))
-        self._mark += 1
-        touched, self._size = kernels.insert(
-            points, weight, self.voxel_m, self._table_key, self._table_slot, self._key, self._moment, self._mean,
-            self._last_mark, self._size, self._mark, self.accumulate,
-        )  # fmt: skip
-        return touched
-
-    def _reserve(self, more: int) -> None:
-        while self._size + more > len(self._key):
-            for name in ("_key", "_last_mark", "_moment", "_mean", "_shape", "_outdated", "_around"):
+        needed = self._size + len(points)
+        while needed > len(self._key):
+            for name in ("_key", "_last_mark", "_moment", "_mean", "_around"):
                 array = getattr(self, name)
                 setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
-        if 2 * (self._size + more) > len(self._table_key):
-            size = len(self._table_key)
-            while 2 * (self._size + more) > size:
-                size *= 2
-            self._table_key = np.full(size, kernels.EMPTY, dtype=np.int64)
-            self._table_slot = np.zeros(size, dtype=np.int64)
-            kernels.rehash(self._key[: self._size], self._table_key, self._table_slot)
+        if 2 * needed > len(self._table[0]):
+            self._table = kernels.hash_table(self.keys(), needed)
+        self._mark += 1
+        self._size = kernels.insert(
+            points, weight, self.voxel_m, *self._table, self._key, self._moment, self._mean, self._last_mark,
+            self._size, self._mark, self.accumulate,
+        )  # fmt: skip
+
+    def keys(self) -> IntArray:
+        """Keys ``(M,)`` of all voxels (`voxel_kernels.pack`)."""
+        return self._key[: self._size]
 
     def means(self, slots: IntArray | None = None) -> Array:
         """Means ``(M, 3)`` in metres of all voxels, or of the voxels ``slots``."""
@@ -90,42 +72,25 @@ class VoxelMap:
         """Slots of the voxels that overlap the cube of half-width ``radius_m`` about ``centre (3,)``, metres."""
         low, high = (np.floor((np.asarray(centre) + side * radius_m) / self.voxel_m) for side in (-1, 1))
         low, high = (np.clip(side, -kernels.REACH, kernels.REACH).astype(np.int64) for side in (low, high))
-        return kernels.near(self._key[: self._size], low, high)
-
-    def update_shapes(self, touched: IntArray) -> None:
-        """Mark the shapes of the voxels ``touched`` and of their neighbours as outdated; call after `insert`."""
-        kernels.link(self._linked, self._size, self._key, self._table_key, self._table_slot, self._around)
-        self._linked = self._size
-        kernels.outdate(np.asarray(touched, dtype=np.int64), self._around, self._outdated)
+        return kernels.near(self.keys(), low, high)
 
     def fill_shapes(self, index: IntArray, slot: IntArray, floor_m2: float, value: Array) -> None:
         """See `VoxelShapes`."""
-        kernels.shapes(
-            index, slot, floor_m2, value, self.voxel_m, self._around, self._moment, self._shape, self._outdated
-        )
-
-    def grid(self) -> VoxelGrid:
-        """The hash table, not copied: valid until the next `insert`."""
-        return VoxelGrid(self.voxel_m, self._table_key, self._table_slot)
+        kernels.link(self._linked, self._size, self._key, *self._table, self._around)
+        self._linked = self._size
+        kernels.shapes(index, slot, floor_m2, value, self.voxel_m, self._around, self._moment)
 
 
-@dataclass(frozen=True)
 class VoxelShapes:
-    """Covariance of the points in the 3×3×3 voxels around each voxel ``slot (M,)``, as of the last `update_shapes`.
+    """Covariance of the points in the 3×3×3 voxels around each voxel ``slot (M,)``, valid until the next insertion.
 
     ``value (M, 6)``, m², upper triangles xx xy xz yy yz zz, with ``floor_m2`` added to all three variances. It is NaN
-    until computed on demand, since a scan matches few voxels of a map. Valid until the next `VoxelMap.insert`.
+    until computed on demand, since a scan matches few voxels of a map.
     """
 
-    voxels: VoxelMap
-    slot: IntArray
-    floor_m2: float
-    value: Array
-
-    @classmethod
-    def of(cls, voxels: VoxelMap, slot: IntArray, floor_m2: float = 0.0) -> "VoxelShapes":
-        """None computed yet."""
-        return cls(voxels, slot, floor_m2, np.full((len(slot), 6), np.nan))
+    def __init__(self, voxels: VoxelMap, slot: IntArray, floor_m2: float = 0.0) -> None:
+        self.voxels, self.slot, self.floor_m2 = voxels, slot, floor_m2
+        self.value = np.full((len(slot), 6), np.nan)
 
     def fill(self, index: IntArray) -> None:
         """Compute the missing rows ``index (N,)`` of ``value``; −1 entries are ignored."""

@@ -46,7 +46,7 @@ class Target:
     @classmethod
     def with_planes(cls, tree: KdTree) -> "Target":
         """With GICP's covariances, from the nearest neighbours of each point."""
-        planes = PlaneCovariances.of(tree, NEIGHBOURS)
+        planes = PlaneCovariances(tree, NEIGHBOURS)
         return cls(tree, covariance=planes.value, filled=planes)
 
     @property
