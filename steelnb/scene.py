@@ -13,7 +13,7 @@ from steelnb import experiment, plots
 from steelnb.batch import at_level, caption
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import MIN_VOTES, segment_structure
-from steelnb.hough.dx import default_dx
+from steelnb.hough.lines import default_dx
 from steelnb.metrics import position_error_m
 from steelnb.plots import COLOURS, LABELS
 from steelnb.row import paired_clouds

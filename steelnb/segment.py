@@ -10,7 +10,7 @@ import numpy as np
 from steelnb.errors import InputError
 from steelnb.files import new_folder
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
-from steelnb.hough.dx import default_dx, spacing
+from steelnb.hough.lines import default_dx, spacing
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.pictures import figure_bars

@@ -8,7 +8,7 @@ import pytest
 
 from steelnb.errors import InputError, SteelnbError
 from steelnb.hough.blocks import segment_structure, within
-from steelnb.hough.dx import default_dx
+from steelnb.hough.lines import default_dx
 from steelnb.points import voxel_grid
 from steelnb.segment import SegmentReport, segment_file
 from steelnb.types import Segments

@@ -5,8 +5,6 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from steelnb.errors import InputError
-from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.pieces import filter_pieces, merge
 from steelnb.hough.segments import cut_and_sort
 from steelnb.hough.transform import fit_line
@@ -28,17 +26,6 @@ OWN_SHARE_MIN = 0.33
 half of all wrong segments, and one in a hundred of the right ones (seeds 11 to 16)."""
 ROUNDS = 3
 """Rounds of assignment and refit; after three the axes no longer move."""
-
-
-def prepared(points: Array, dx: float | None, points_min: int) -> tuple[Array, float]:
-    """Checked points ``(N, 3)`` and dx in metres, by default `default_dx`. Raises as `detect_lines`."""
-    points, _, _ = distinct_points(points)
-    dx = default_dx(points) if dx is None else dx
-    if not 0 < dx < np.inf:
-        raise InputError(f"dx = {dx}: expected a positive length in metres")
-    if points_min < 2:
-        raise InputError(f"points_min = {points_min}: expected at least 2")
-    return points, dx
 
 
 def bars_of_groups(points: Array, label: IntArray, points_min: int = POINTS_MIN) -> Segments:

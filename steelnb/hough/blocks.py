@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.hough.cubes import sort_into_cubes, walk
-from steelnb.hough.growth import best_interval, grow, points_around, run_along
+from steelnb.hough.growth import grow, run_along, trim
 from steelnb.hough.pieces import span
 from steelnb.hough.segments import detect_segments
 from steelnb.hough.transform import fit_line
@@ -118,10 +118,10 @@ def propose(
 @njit(cache=True)
 def _mark(cubes, start, direction, length, distance):
     hit = np.zeros(len(cubes.px), dtype=np.bool_)
-    visited, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
+    visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, k, near)):
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
@@ -140,10 +140,10 @@ def _pairs(cubes, start, direction, length, dx, first, pair):
     them. The entry for proposal k is 2k + 1 in the tube and 2k in the ring.
     """
     n = 0
-    visited, near = np.full(len(cubes.first) - 1, -1), np.empty(len(cubes.px), np.int64)
+    visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, k, near)):
+        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = x * ux + y * uy + z * uz
@@ -184,7 +184,7 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
     stale, group_max = np.ones(groups, dtype=np.bool_), np.empty(groups)
     free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
-    visited = np.zeros(len(cubes.first), np.int64)  # the last entry counts the walks
+    visited = np.zeros(len(cubes.first), np.int64)
     found = 0
     while len(score) > 0:
         best = _strongest(score, stale, group_max)
@@ -198,7 +198,7 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         )
         if size < min_votes:
             continue
-        low, high, best_score = _trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, visited, near)
+        low, high, best_score = trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, RING_WEIGHT, visited, near)
         size = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, visited, near, along, run)
         kept = 0
         for k in range(size):
@@ -217,7 +217,7 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
+        for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
             i = near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -227,21 +227,3 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
                     score[pair[k] >> 1] -= weight[pair[k] & 1]
                     stale[(pair[k] >> 1) // SCORE_GROUP] = True
     return found
-
-
-@njit(cache=True)
-def _trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, visited, near):
-    """Trim a grown segment, which may have outgrown its bar, to the interval with the best score.
-
-    Returns (low, high, score). The interval is the `best_interval` of slices one dx long.
-    """
-    slices = np.zeros(int((high - low) / dx) + 1)
-    for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
-        i = near[c]
-        x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
-        t = x * ux + y * uy + z * uz
-        distance2 = x * x + y * y + z * z - t * t
-        if free[i] and low <= t <= high and distance2 <= 4.0 * dx * dx:
-            slices[int((t - low) / dx)] += 1.0 if distance2 <= dx * dx else -RING_WEIGHT
-    first, last, best_score = best_interval(slices)
-    return low + first * dx, min(high, low + last * dx), best_score

@@ -47,11 +47,12 @@ def sort_into_cubes(points: Array, distance: float) -> Cubes:
 
 
 @njit(cache=True)
-def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, mark, near):
+def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, near):
     """Write the indices of the points near a line to ``near``, once each; returns their number.
 
     The line is a + t u with t from ``begin`` to ``end``. All points within the distance of `sort_into_cubes` are
-    written, and some that are farther away. ``visited (C,)`` holds the ``mark`` of the last walk through each cube.
+    written, and some that are farther away. ``visited (C + 1,)`` starts with zeros. It holds the number of the last
+    walk through each cube, and the number of walks.
     """
     # Clip the line to the bounding box, so that the time does not depend on its length.
     a, u = (ax, ay, az), (ux, uy, uz)
@@ -65,6 +66,8 @@ def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, mark, near):
     if begin > end:
         return 0
     n = 0
+    visited[-1] += 1
+    mark = visited[-1]
     steps = int((end - begin) / cubes.edge) + 1
     for k in range(steps + 1):
         t = begin + (end - begin) * k / steps

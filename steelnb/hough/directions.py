@@ -33,18 +33,15 @@ def directions(granularity: int) -> Array:
     vertices = [np.array(corner) for corner in _CORNERS]
     triangles = list(_TRIANGLES)
     for _ in range(granularity):
-        middle_of: dict[tuple[int, int], int] = {}
-
-        def middle(i: int, j: int, known: dict[tuple[int, int], int] = middle_of) -> int:
-            edge = (min(i, j), max(i, j))
-            if edge not in known:
-                known[edge] = len(vertices)
-                vertices.append(_unit(vertices[i] + vertices[j]))
-            return known[edge]
-
+        middle: dict[frozenset[int], int] = {}
         finer = []
         for a, b, c in triangles:
-            d, e, f = middle(a, b), middle(b, c), middle(c, a)
+            edges = [frozenset(edge) for edge in ((a, b), (b, c), (c, a))]
+            for edge in (edge for edge in edges if edge not in middle):
+                middle[edge] = len(vertices)
+                x, y, z = total = sum(vertices[i] for i in edge)
+                vertices.append(total / np.sqrt(x * x + y * y + z * z))
+            d, e, f = (middle[edge] for edge in edges)
             finer += [(a, d, f), (d, b, e), (f, e, c), (f, d, e)]
         triangles = finer
     sphere = np.array(vertices)
@@ -53,8 +50,3 @@ def directions(granularity: int) -> Array:
     result = sphere[upper]
     result.setflags(write=False)
     return result
-
-
-def _unit(vector: Array) -> Array:
-    x, y, z = vector
-    return np.asarray(vector / np.sqrt(x * x + y * y + z * z))

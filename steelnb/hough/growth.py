@@ -12,13 +12,6 @@ FITS_MAX = 8
 
 
 @njit(cache=True)
-def points_around(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near):
-    """`walk` with a new mark; the last entry of ``visited`` counts the walks."""
-    visited[-1] += 1
-    return walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, visited[-1], near)
-
-
-@njit(cache=True)
 def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run):
     """Write the indices of a run of free points within ``radius`` of a line to ``run``; returns their number.
 
@@ -28,7 +21,7 @@ def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visit
     beyond = 4.0 * gap
     while True:
         n = 0
-        for c in range(points_around(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, visited, near)):
+        for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -72,14 +65,26 @@ def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes,
 
 
 @njit(cache=True)
-def best_interval(slices):
-    """Kadane's maximum-sum interval: (first slice, one past the last, sum). The sum is 0 if no slice is positive."""
-    total = best_sum = 0.0
+def trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, ring_weight, visited, near):
+    """Trim a grown segment, which may have outgrown its bar, to the interval with the best score.
+
+    Returns (low, high, score). A free point within ``radius`` scores 1, one within twice that −``ring_weight``. The
+    interval consists of slices as long as ``radius``: the maximum-sum interval of Kadane.
+    """
+    slices = np.zeros(int((high - low) / radius) + 1)
+    for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
+        i = near[c]
+        x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
+        t = x * ux + y * uy + z * uz
+        distance2 = x * x + y * y + z * z - t * t
+        if free[i] and low <= t <= high and distance2 <= 4.0 * radius * radius:
+            slices[int((t - low) / radius)] += 1.0 if distance2 <= radius * radius else -ring_weight
+    total = best_score = 0.0
     begin = first = last = 0
     for k in range(len(slices)):
         if total <= 0.0:
             total, begin = 0.0, k
         total += slices[k]
-        if total > best_sum:
-            best_sum, first, last = total, begin, k + 1
-    return first, last, best_sum
+        if total > best_score:
+            best_score, first, last = total, begin, k + 1
+    return low + first * radius, min(high, low + last * radius), best_score

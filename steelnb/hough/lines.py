@@ -3,13 +3,16 @@
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from steelnb.errors import InputError
 from steelnb.hough.directions import directions
-from steelnb.hough.dx import default_dx, distinct_points
 from steelnb.hough.transform import iterate
+from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array, Lines
 
+DX_MIN_M, DX_PER_SPACING, SAMPLE = 0.07, 1.2, 5000
+"""Minimum of the default dx, dx over the spacing of the points, number of points whose spacing is measured."""
 MAX_CELLS = 1 << 26
 """Maximum size of the vote image: 64 million cells of 4 bytes, 256 MiB."""
 
@@ -61,9 +64,7 @@ def detect_lines(
     px, py, pz = np.ascontiguousarray((points - centre).T)
     half = float(max(np.linalg.norm(high - centre), np.linalg.norm(low - centre)))
     if 2 * half / dx >= math.isqrt(MAX_CELLS) + 0.5:
-        dx_min = 2 * half / math.isqrt(MAX_CELLS)
-        unit = 10.0 ** (math.floor(math.log10(dx_min)) - 2)  # of the third digit, which is rounded up
-        dx_min = math.ceil(dx_min / unit) * unit
+        dx_min = 1.005 * 2 * half / math.isqrt(MAX_CELLS)  # more than rounding to three digits may take away
         raise InputError(f"dx = {dx}: the vote image would exceed {MAX_CELLS} cells; expected at least {dx_min:.3g} m")
     columns = int(2 * half / dx + 0.5)
 
@@ -75,3 +76,36 @@ def detect_lines(
         anchor, direction, count, label,
     )  # fmt: skip
     return Lines(anchor[:found] + centre, direction[:found], count[:found], label)
+
+
+def default_dx(points: Array) -> float:
+    """Default ``dx`` of lines and segments for finite ``points (N, 3)``, metres. Raises `InputError`.
+
+    It is 1.2 times the median spacing of the points, at least 7 cm, which holds a bar of a tower with its noise, and at
+    most half the diagonal of the cloud.
+    """
+    points, low, high = distinct_points(points)
+    return min(max(DX_PER_SPACING * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
+
+
+def spacing(points: Array) -> float:
+    """Median distance of the points ``(N, 3)`` to their nearest neighbours, metres, of at most `SAMPLE` points."""
+    sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)]
+    return float(np.median(cKDTree(points).query(sample, k=min(2, len(points)))[0][:, -1]))
+
+
+def distinct_points(points: Array) -> tuple[Array, Array, Array]:
+    """``points (N, 3)`` as float64, and the corners ``(3,)`` of their bounding box.
+
+    Raises `InputError` for another shape, points that are not finite, and fewer than two distinct points.
+    """
+    points = checked_cloud(points)
+    if points.ndim != 2:
+        raise InputError(f"points of shape {points.shape}: expected (N, 3)")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
+    low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
+    if len(points) < 2 or (low == high).all():
+        raise InputError(f"cloud of {len(points)} points, all alike: expected at least two distinct points")
+    return points, low, high

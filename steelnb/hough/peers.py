@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.errors import InputError
-from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, prepared, refine
-from steelnb.hough.lines import detect_lines
+from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, refine
+from steelnb.hough.lines import default_dx, detect_lines, distinct_points
 from steelnb.hough.transform import drop, fit_near_line
 from steelnb.libraries import import_open3d
 from steelnb.rng import stream
@@ -44,7 +44,12 @@ def find_bars(
 
     Raises `InputError` as `steelnb.hough.detect_lines`.
     """
-    points, dx = prepared(points, dx, points_min)
+    points, _, _ = distinct_points(points)
+    dx = default_dx(points) if dx is None else dx
+    if not 0 < dx < np.inf:
+        raise InputError(f"dx = {dx}: expected a positive length in metres")
+    if points_min < 2:
+        raise InputError(f"points_min = {points_min}: expected at least 2")
     return refine(points, METHODS[method](points, seed, dx, points_min, **options), dx, points_min)
 
 
@@ -58,12 +63,6 @@ def _hough(points: Array, seed: int, dx: float, points_min: int) -> Segments:
     return in_passes(find, points, dx, points_min)
 
 
-def _check_trials(trials: int) -> None:
-    """Raise `InputError` for a number of trials below 1."""
-    if trials < 1:
-        raise InputError(f"trials = {trials}: expected at least 1")
-
-
 def _ransac_lines(points: Array, seed: int, dx: float, points_min: int, trials: int = 300) -> Segments:
     """RANSAC lines: of ``trials`` lines through two points, take the one with the most inliers, remove them, repeat.
 
@@ -71,7 +70,6 @@ def _ransac_lines(points: Array, seed: int, dx: float, points_min: int, trials: 
     (1981), 381–395. Compiled here, since a scan needs some 30,000 trials: scikit-learn's RANSAC fits regressions,
     Open3D's only planes, and those of scikit-image and pyRANSAC-3D loop in Python.
     """
-    _check_trials(trials)
     random = stream(seed, "ransac-lines")
 
     def find(subset: Array) -> Segments:
@@ -84,7 +82,6 @@ def _ransac_lines(points: Array, seed: int, dx: float, points_min: int, trials: 
 
 def _ransac_planes(points: Array, seed: int, dx: float, points_min: int, trials: int = 500) -> Segments:
     """RANSAC planes: of ``trials`` planes, take the one with the most points within ``dx``, remove them, repeat."""
-    _check_trials(trials)
     open3d = import_open3d()
     open3d.utility.random.seed(int(stream(seed, "ransac-planes").integers(2**31)))
     label = np.full(len(points), -1, dtype=np.int64)
@@ -125,8 +122,6 @@ def _gmm(
     The bars are the principal axes of the components. The mixtures are fitted to ``sample`` random points and then
     assign all points.
     """
-    if not components or min(components) < 1 or sample < 2:
-        raise InputError(f"components = {components}, sample = {sample}: expected numbers from 1, and at least 2")
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits
 

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from steelnb.hough.dx import default_dx
-from steelnb.hough.lines import detect_lines
+from steelnb.hough.lines import default_dx, detect_lines
 from steelnb.hough.pieces import cut, filter_pieces, merge
 from steelnb.settings import HoughSettings
 from steelnb.types import Array, Lines, Segments

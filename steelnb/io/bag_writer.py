@@ -20,8 +20,8 @@ from steelnb.types import Array, Flight, Trajectory
 WORLD, BODY, SENSOR = "odom", "base_link", "tof"
 """Frame names. The world frame is odom of REP 105, since the poses drift."""
 TOPICS = {"/tf_static": TF[0], "/tf": TF[0], "/odom": ODOMETRY, "/imu": IMU, "/tof/points": CLOUD}
-Entry = tuple[int, int, str, Any]
-"""Stamp in nanoseconds, rank among messages with the same stamp, topic, message."""
+Entry = tuple[int, str, Any]
+"""Stamp in nanoseconds, topic, message."""
 
 
 def check_target(path: Path, overwrite: bool = False) -> None:
@@ -60,7 +60,7 @@ def write_flight(
         with writer:
             topics = {topic: kind for topic, kind in TOPICS.items() if topic != "/imu" or flight.imu}
             connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
-            for stamp_ns, _, topic, message in _entries(flight, Messages(ros), on_progress):
+            for stamp_ns, topic, message in _entries(flight, Messages(ros), on_progress):
                 writer.write(connections[topic], stamp_ns, serialize(message, TOPICS[topic]))
         (bag_file if ros == 1 else bag_folder / "bag.mcap").rename(folder / path.name)
         if truth is not None:
@@ -69,25 +69,22 @@ def write_flight(
 
 def _entries(flight: Flight, make: "Messages", on_progress: Callable[[float], None]) -> Iterator[Entry]:
     """All messages sorted by stamp, created lazily."""
-    prior, stamps = flight.prior, [_ns(stamp_s) for stamp_s in flight.prior.stamp_s.tolist()]
+    stamps = [_ns(stamp_s) for stamp_s in flight.prior.stamp_s.tolist()]
 
-    def poses() -> Iterator[Entry]:
-        yield stamps[0], 0, "/tf_static", make.transform(stamps[0], BODY, SENSOR, flight.T_drone_sensor)
-        for stamp, T_world_drone in zip(stamps, prior.T_world_drone, strict=True):
-            yield stamp, 1, "/tf", make.transform(stamp, WORLD, BODY, T_world_drone)
-            yield stamp, 2, "/odom", make.odometry(stamp, T_world_drone)
+    def poses_and_scans() -> Iterator[Entry]:
+        yield stamps[0], "/tf_static", make.transform(stamps[0], BODY, SENSOR, flight.T_drone_sensor)
+        for k, (stamp, T, scan) in enumerate(zip(stamps, flight.prior.T_world_drone, flight.scans, strict=True), 1):
+            yield stamp, "/tf", make.transform(stamp, WORLD, BODY, T)
+            yield stamp, "/odom", make.odometry(stamp, T)
+            yield stamp, "/tof/points", make.cloud(stamp, scan.points)
+            on_progress(k / len(stamps))
 
     def inertial() -> Iterator[Entry]:
         if (imu := flight.imu) is not None:
             for stamp_s, force, rate in zip(imu.stamp_s.tolist(), imu.specific_force, imu.angular_rate, strict=True):
-                yield _ns(stamp_s), 3, "/imu", make.imu(_ns(stamp_s), force, rate)
+                yield _ns(stamp_s), "/imu", make.imu(_ns(stamp_s), force, rate)
 
-    def scans() -> Iterator[Entry]:
-        for k, (stamp, scan) in enumerate(zip(stamps, flight.scans, strict=True)):
-            yield stamp, 4, "/tof/points", make.cloud(stamp, scan.points)
-            on_progress((k + 1) / len(stamps))
-
-    return heapq.merge(poses(), inertial(), scans(), key=lambda entry: entry[:2])
+    return heapq.merge(inertial(), poses_and_scans(), key=lambda entry: entry[0])
 
 
 class Messages:

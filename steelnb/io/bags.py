@@ -31,6 +31,9 @@ T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 
 WORLDS = ("odom", "world", "map")
 """Parent frames of poses, the preferred first (REP 105): poses in odom drift but do not jump."""
 
+Decoder = tuple[str, Callable[[], Any]]
+"""Topic and decoder of a message."""
+
 
 @functools.cache
 def typestore(ros: int) -> Any:
@@ -82,16 +85,16 @@ class Bag:
         listed = ", ".join(topics) or "none"
         raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {listed}")
 
-    def messages(self, *topics: str) -> Iterator[tuple[str, Callable[[], Any]]]:
-        """Topic and decoder of each message. Both raise `InputError` if the bag is damaged."""
+    def messages(self, *topics: str, convert: Callable[[Any], Any] = lambda message: message) -> Iterator[Decoder]:
+        """Topic and decoder of each message, which also converts it. Both raise `InputError` if the bag is damaged."""
         with reading(self.path, "a bag", folder=self.path.is_dir()), self._reader(self.path) as reader:
             selected = [each for each in reader.connections if each.topic in topics]
             for connection, _, raw in reader.messages(selected) if selected else ():
-                yield connection.topic, partial(self._decoded, raw, connection.msgtype)
+                yield connection.topic, partial(self._decoded, raw, connection.msgtype, convert)
 
-    def _decoded(self, raw: bytes, kind: str) -> Any:
+    def _decoded(self, raw: bytes, kind: str, convert: Callable[[Any], Any]) -> Any:
         with damaged(self.path, f"a bag of readable {kind.rpartition('/')[2]} messages"):
-            return self._decode(raw, kind)
+            return convert(self._decode(raw, kind))
 
     def read(self, *topics: str) -> None:
         """Store all messages of some topics. Raises `InputError` if one cannot be decoded."""
@@ -168,27 +171,23 @@ class Bag:
 
         Depth images have optical axes, and clouds in a frame with an optical name. Raises `InputError`.
         """
-        if self.types[scans] == CLOUD:
-            optical = _axes(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
-            return (lambda message: from_optical(cloud_points(message))) if optical else cloud_points, optical
-        folder = scans.rpartition("/")[0]
-        nearby = [topic for topic in self._cameras if topic.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
-        K = self._cameras[self.choose(f"CameraInfo of {scans}", None, nearby or list(self._cameras))]
-        return lambda message: from_optical(depth_points(message, K)), True
+        read: Callable[[Any], Array] = cloud_points
+        optical = _axes(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
+        if self.types[scans] != CLOUD:
+            folder = scans.rpartition("/")[0]
+            near = [name for name in self._cameras if name.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
+            K = self._cameras[self.choose(f"CameraInfo of {scans}", None, near or list(self._cameras))]
+            read, optical = partial(depth_points, K=K), True
+        return (lambda message: read(message) @ T_OPTICAL_SENSOR[:3, :3]) if optical else read, optical
 
     def walk(self, topic: str, to_points: Callable[[Any], Array], number: IntArray) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers."""
         selected, last = set(number.tolist()), int(number.max(initial=-1))
-        for k, (_, decode) in enumerate(self.messages(topic)):
+        for k, (_, decode) in enumerate(self.messages(topic, convert=to_points)):
             if k in selected:
-                yield partial(self._points, decode, to_points)
+                yield decode
             if k >= last:
                 return
-
-    def _points(self, decode: Callable[[], Any], to_points: Callable[[Any], Array]) -> Array:
-        message = decode()
-        with damaged(self.path, "a bag of scans with consistent sizes"):
-            return to_points(message)
 
     def depth_images(self) -> list[str]:
         """Image topics whose first message is a depth image."""
@@ -228,11 +227,6 @@ def depth_points(image: Any, K: Array) -> Array:
     right = (np.arange(image.width) - K[0, 2]) / K[0, 0]
     down = (np.arange(image.height) - K[1, 2]) / K[1, 1]
     return np.stack([depth * right, depth * down[:, None], depth], axis=-1)
-
-
-def from_optical(points: Array) -> Array:
-    """Points ``(..., 3)`` of optical axes in axes x forward, y left, z up."""
-    return np.stack([points[..., 2], -points[..., 0], -points[..., 1]], axis=-1)
 
 
 def _axes(frame: str) -> Array:

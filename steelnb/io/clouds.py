@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import KDTree
 
 from steelnb.errors import InputError
 from steelnb.files import reading
+from steelnb.hough.lines import spacing
 from steelnb.libraries import import_open3d
 from steelnb.types import Array
 
@@ -53,7 +53,7 @@ def read_cloud(path: Path | str) -> Cloud:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
     extent_m = float(np.ptp(distinct, axis=0).max())
     if extent_m > EXTENT_MAX_M:
-        spacing_m = float(np.median(KDTree(distinct).query(distinct[:: 1 + len(distinct) // 1000], k=2)[0][:, 1]))
+        spacing_m = spacing(distinct)
         if spacing_m > SPACING_MAX_M:
             raise InputError(
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"

@@ -48,16 +48,6 @@ def test_the_corner_of_two_walls_is_an_edge_and_the_walls_are_planes():
     assert SMOOTH == 5e-3
 
 
-def test_an_occluded_boundary_gives_no_edge():
-    _, flat = camera(rows=3)
-    image = 4.0 * flat
-    near = np.abs(flat[..., 1]) < 0.15
-    image[near] = 2.0 * flat[near]
-    edge = loam_features(image).point[loam_features(image).plane == 0]
-    assert len(edge) >= 6
-    assert (edge[:, 0] < 2.5).all()  # edges of the front surface only, not of its shadow on the wall
-
-
 def test_scan_lines_has_one_row_a_laser_sorted_by_azimuth():
     noise = np.random.default_rng(1)
     elevation = np.radians([-15.0, -13.0, -0.5, 1.2, 15.0])

@@ -15,7 +15,7 @@ def directions(rows, columns):
 def naive_sigma_filter(points, radius):
     distance = np.linalg.norm(points, axis=-1)
     smooth = points.copy()
-    for i, j in np.argwhere(distance > 0):
+    for i, j in np.argwhere((distance > 0) & (distance < np.inf)):
         near = distance[max(i - radius, 0) : i + radius + 1, max(j - radius, 0) : j + radius + 1]
         alike = near[np.abs(near - distance[i, j]) <= GATE_SIGMAS * max(SIGMA_M, SIGMA_SHARE * distance[i, j])]
         smooth[i, j] *= alike.mean() / distance[i, j]
@@ -28,6 +28,7 @@ def test_smooth_ranges_equals_its_slow_twin(radius):
     rng = np.random.default_rng(3)
     distance = rng.choice([1.0, 1.02, 1.07, 3.0, 3.1, np.nan], (12, 17)) + 0.005 * rng.normal(size=(12, 17))
     points = distance[..., None] * directions(12, 17)
+    points[3, 5:7], points[8, 2] = np.inf, 0.0
     np.testing.assert_allclose(smooth_ranges(points, radius), naive_sigma_filter(points, radius), atol=1e-12)
 
 
@@ -41,14 +42,6 @@ def test_noise_falls_threefold_on_a_surface_and_an_edge_stays_sharp():
     assert np.std((smooth - truth)[inside]) < 0.4 * np.std((noisy - truth)[inside])
     assert np.abs(smooth - truth).max() < 0.15
     assert abs((smooth - truth).mean()) < 0.002
-
-
-def test_missing_returns_stay_and_do_not_enter_the_mean():
-    points = 2.0 * directions(5, 5)
-    points[2, 2] = np.nan
-    points[0, 0], points[4, 4] = np.inf, 0.0
-    smooth = smooth_ranges(points)
-    np.testing.assert_allclose(smooth, points, atol=1e-12)
 
 
 def test_an_unorganised_cloud_is_returned_unchanged():

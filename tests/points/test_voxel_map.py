@@ -19,13 +19,6 @@ def frames(count=5, n=400):
         yield np.stack([x, y, 0.3 * np.sin(3 * x) + 0.02 * rng.normal(size=n)], axis=1)
 
 
-def all_shapes(voxels):
-    """Covariances (M, 6) of all voxels."""
-    shapes = VoxelShapes.of(voxels, np.arange(len(voxels)))
-    shapes.fill(shapes.slot)
-    return shapes.value
-
-
 def sorted_by_voxel(points):
     return points[np.lexsort(np.floor(points / VOXEL).T[::-1])]
 
@@ -36,37 +29,29 @@ def sorted_by_voxel(points):
     seed=st.integers(0, 10_000),
     voxel_m=st.sampled_from([0.1, 0.25, 1.0]),
     count=st.integers(1, 4),
-    n=st.integers(1, 60),
+    n=st.integers(0, 60),
 )
 def test_moments_and_shapes_equal_their_slow_twin_after_every_scan(seed, voxel_m, count, n):
     voxels, points, weights = VoxelMap(voxel_m), np.zeros((0, 3)), np.zeros(0)
     rng = np.random.default_rng(seed)
     for _ in range(count):
         frame, weight = rng.normal(size=(n, 3)) * [1, 0.5, 0.1], rng.uniform(0.5, 2, n)
-        voxels.update_shapes(voxels.insert(frame, weight))
+        voxels.insert(frame, weight)
         points, weights = np.vstack([points, frame]), np.append(weights, weight)
         expected = naive.voxel_moments(points, weights, voxel_m)
-        means, mass, shapes = voxels.means(), voxels.weights(), naive.full(all_shapes(voxels))
+        means, mass = voxels.means(), voxels.weights()
         assert len(voxels) == len(expected) == len(means)
-        for slot, cell in enumerate(map(tuple, np.floor(means / voxel_m).astype(int))):
-            weight_, mean, covariance = expected[cell]
+        slots = rng.permutation(len(voxels))
+        shapes = VoxelShapes(voxels, slots, floor_m2=0.25)
+        asked = rng.integers(-1, len(voxels), 5)
+        shapes.fill(asked)
+        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(shapes.value[:, 0])), np.unique(asked[asked >= 0]))
+        shapes.fill(np.arange(len(voxels)))
+        for slot, shape in zip(slots, naive.full(shapes.value), strict=True):
+            weight_, mean, covariance = expected[tuple(np.floor(means[slot] / voxel_m).astype(int))]
             assert mass[slot] == pytest.approx(weight_)
             np.testing.assert_allclose(means[slot], mean, atol=1e-12)
-            np.testing.assert_allclose(shapes[slot], covariance, atol=1e-12)
-
-
-def test_insert_returns_the_touched_slots_and_keeps_all_others():
-    voxels = VoxelMap(VOXEL)
-    first, second = list(frames(2))
-    voxels.insert(first)
-    before = voxels.means()
-    touched = voxels.insert(second)
-    cells = {tuple(c) for c in np.floor(second / VOXEL).astype(int)}
-    assert len(touched) == len(set(touched)) == len(cells)
-    assert {tuple(c) for c in np.floor(voxels.means(touched) / VOXEL).astype(int)} == cells
-    untouched = np.setdiff1d(np.arange(len(before)), touched)
-    assert len(untouched) > 10
-    np.testing.assert_array_equal(voxels.means(untouched), before[untouched])
+            np.testing.assert_allclose(shape, covariance + 0.25 * np.eye(3), atol=1e-12)
 
 
 def test_without_accumulate_the_map_is_the_voxel_grid_of_old_means_and_new_points():
@@ -81,19 +66,20 @@ def test_without_accumulate_the_map_is_the_voxel_grid_of_old_means_and_new_point
     assert np.abs(sorted_by_voxel(accumulated.means()) - sorted_by_voxel(cloud)).max() > 0.01
 
 
-@pytest.mark.parametrize("accumulate", [True, False])
-def test_many_insertions_equal_one(accumulate):
+def test_many_insertions_equal_one():
     # 60,000 voxels exceed the initial capacity of the arrays and the table several times.
     rng = np.random.default_rng(1)
     points = rng.uniform(-5, 5, (70_000, 3))
-    grown, at_once = VoxelMap(0.2, accumulate), VoxelMap(0.2, accumulate)
-    at_once.update_shapes(at_once.insert(points))
+    grown, at_once = VoxelMap(0.2), VoxelMap(0.2)
+    at_once.insert(points)
     for part in np.array_split(points, 40):
-        grown.update_shapes(grown.insert(part))
-    assert len(grown) == len(at_once) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
-    if accumulate:
-        np.testing.assert_allclose(grown.means(), at_once.means(), atol=1e-12)
-        np.testing.assert_allclose(all_shapes(grown), all_shapes(at_once), atol=1e-12)
+        grown.insert(part)
+    assert len(grown) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
+    np.testing.assert_allclose(grown.means(), at_once.means(), atol=1e-12)
+    shapes = [VoxelShapes(voxels, np.arange(len(voxels))) for voxels in (grown, at_once)]
+    for each in shapes:
+        each.fill(each.slot)
+    np.testing.assert_allclose(shapes[0].value, shapes[1].value, atol=1e-12)
     assert sum(array.nbytes for array in vars(grown).values() if isinstance(array, np.ndarray)) < 100e6
 
 
@@ -115,12 +101,12 @@ def test_points_on_voxel_faces_belong_to_the_upper_voxel():
     np.testing.assert_allclose(np.sort(voxels.means()[:, 0]), [-0.75, -0.25, 0.0, 0.5], atol=1e-8)
 
 
-def test_shapes_and_means_keep_their_precision_far_from_the_origin():
+def test_means_keep_their_precision_far_from_the_origin():
     offset = np.array([9e4, -8e4, 1e3])
     near, far = VoxelMap(0.1), VoxelMap(0.1)
     points = next(frames(1)) + 0.05
-    near.update_shapes(near.insert(points))
-    far.update_shapes(far.insert(points + offset))
+    near.insert(points)
+    far.insert(points + offset)
     np.testing.assert_allclose(sorted_by_voxel(far.means() - offset), sorted_by_voxel(near.means()), atol=1e-9)
 
 
@@ -150,30 +136,8 @@ def test_a_voxel_size_that_is_not_positive_is_refused(voxel_m):
         VoxelMap(voxel_m)
 
 
-def test_an_empty_scan_changes_nothing():
-    voxels = VoxelMap(0.1)
-    assert len(voxels.insert(np.zeros((0, 3)))) == 0
-    voxels.update_shapes(np.zeros(0, dtype=np.int64))
-    assert len(voxels) == 0
-    assert voxels.means().shape == (0, 3)
-
-
 @pytest.mark.parametrize("step", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (512, 0, 0), (0, 512, 0), (0, 0, 512), (1, 1, 1)])
 def test_voxels_in_a_row_have_different_buckets(step):
     keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
     buckets = {kernels.bucket_of(key, (1 << 12) - 1) for key in keys}
     assert len(buckets) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # at most a tenth fewer than at random
-
-
-def test_shapes_are_computed_on_demand():
-    voxels = VoxelMap(VOXEL)
-    for frame in frames():
-        voxels.update_shapes(voxels.insert(frame))
-        slot = np.arange(len(voxels))[::-1].copy()
-        shapes = VoxelShapes.of(voxels, slot, floor_m2=0.25)
-        shapes.fill(np.array([3, -1, 0, 3]))
-        missing = np.ones(len(slot), dtype=bool)
-        missing[[0, 3]] = False
-        assert np.isnan(shapes.value[missing]).all()
-        expected = naive.full(all_shapes(voxels)[slot]) + 0.25 * np.eye(3)
-        np.testing.assert_array_equal(naive.full(shapes.value[[0, 3]]), expected[[0, 3]])
