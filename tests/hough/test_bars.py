@@ -36,6 +36,7 @@ def test_nearest_bar_equals_its_slow_twin(seed, end_margin):
         assert found == (-1 if np.isinf(across).all() else across.argmin())
 
 
+@pytest.mark.kernels
 def test_groups_are_cut_at_gaps_and_merged(monkeypatch):
     along = strip([0, 0, 0], [1, 0, 0], 0.0, seed=1)
     points = np.concatenate([along, along + np.array([1.5, 0, 0]), along + np.array([0, 0.06, 0])])
@@ -67,13 +68,12 @@ def test_refine_merges_the_parts_of_a_bar(monkeypatch):
 
 
 def test_a_chord_across_a_bar_is_dropped(monkeypatch):
-    points = strip([0, 0, 0], [2, 0, 0], 0.08, n=3000)
-    real = ([0, 0, 0], [2, 0, 0])
-    chord = ([0.7, -0.09, 0], [1.3, 0.09, 0])
     monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
-    found = refine(points, bars(real, chord), 0.05)
+    points = strip([0, 0, 0], [2, 0, 0], 0.08, n=3000)
+    found = refine(points, bars(([0, 0, 0], [2, 0, 0]), ([0.7, -0.09, 0], [1.3, 0.09, 0])), 0.05)
     assert len(found) == 1
     np.testing.assert_allclose(found.length, 2, atol=0.05)
+    assert len(refine(points, Segments.empty(), 0.05)) == 0
 
 
 def test_the_second_pass_gets_the_points_that_the_first_left():
@@ -86,7 +86,3 @@ def test_the_second_pass_gets_the_points_that_the_first_left():
 
     assert len(in_passes(find, points, 0.05)) == 2
     assert passed == [180, 80]
-
-
-def test_refine_of_no_bars_gives_none():
-    assert len(refine(strip([0, 0, 0], [1, 0, 0], 0.02), Segments.empty(), 0.05)) == 0

@@ -12,8 +12,8 @@ AHEAD = np.array([1.0, 2.0, -2.0]) / 3
 
 def points_on_walk(cubes: Cubes, at: np.ndarray, along: np.ndarray, begin: float, end: float) -> np.ndarray:
     """Indices of the points that a walk visits, once per visit."""
-    visited, near = np.full(len(cubes.first) - 1, -1), np.empty(2 * len(cubes.px), np.int64)
-    return cubes.order[near[: walk(cubes, *at, *along, begin, end, visited, 0, near)]]
+    visited, near = np.zeros(len(cubes.first), np.int64), np.empty(2 * len(cubes.px), np.int64)
+    return cubes.order[near[: walk(cubes, *at, *along, begin, end, visited, near)]]
 
 
 def distances(points: np.ndarray, at: np.ndarray, along: np.ndarray, begin: float, end: float) -> np.ndarray:
