@@ -6,7 +6,9 @@ REFERENCE_EXE is hough3dlines, built with its own Makefile from https://github.c
 its point clouds (*.dat), and may be left out. Seconds belong to the machine named in the table, ratios less so.
 """
 
-# ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
+from shared import command  # first, as it pins the core
+
+# isort: split
 import argparse
 import os
 import subprocess
@@ -14,13 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
-os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import numpy as np
 
-from shared import command
 from steelnb import rng
 from steelnb.hough import detect_lines
 from steelnb.pins import machine

@@ -5,20 +5,16 @@
 The plain form votes for the points in their order, searches all bounds for the largest, and has no heap.
 """
 
-# ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
-import os
+from shared import command  # first, as it pins the core
+
+# isort: split
 import time
 from typing import Any
-
-os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[name] = "1"
 
 import numpy as np
 from numba import njit
 
 from hough import frames, some
-from shared import command
 from steelnb import rng
 from steelnb.hough import detect_lines, lines
 from steelnb.hough.transform import BLOCK, drop, fit_near_line, iterate

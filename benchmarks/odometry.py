@@ -6,19 +6,15 @@ KISS-ICP and small_gicp come with `pip install 'steelnb[peers]'`. Their voxel is
 left at its default, so all that were tried are rows. Seconds belong to the machine named in the table, ratios less so.
 """
 
-# ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
+from shared import command  # first, as it pins the core
+
+# isort: split
 import argparse
 import importlib.metadata
-import os
 import time
-
-os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[name] = "1"
 
 import numpy as np
 
-from shared import command
 from steelnb import experiment
 from steelnb.metrics import position_error_m
 from steelnb.odometry import make_odometry

@@ -7,25 +7,21 @@ https://github.com/koide3/small_gicp; without --pair only the simulated flight i
 the machine named in the table, ratios less so.
 """
 
-# ruff: noqa: E402 - libraries count their threads when they are imported, so the core is pinned before
+from shared import command  # first, as it pins the core
+
+# isort: split
 import argparse
 import importlib.metadata
 import math
-import os
 import time
 from pathlib import Path
 from typing import NamedTuple
-
-os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[name] = "1"
 
 import numpy as np
 import open3d as o3d
 import small_gicp
 from scipy.spatial.transform import Rotation
 
-from shared import command
 from steelnb import experiment, rng
 from steelnb.pins import machine
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid

@@ -38,8 +38,6 @@ EXCLUDE_DX = 1.25
 """Points within this many dx of a chosen segment are removed, or wide bars would be found twice."""
 SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
 """Shifts of the grids of blocks, in half blocks."""
-SCORE_GROUP = 256
-"""Number of proposals whose maximum score is cached together, to find the strongest faster."""
 
 
 def segment_structure(
@@ -158,20 +156,6 @@ def _pairs(cubes, start, direction, length, dx, first, pair):
     return n
 
 
-@njit(cache=True)
-def _strongest(score, stale, group_max):
-    """Index of the largest score, the first of equals.
-
-    ``group_max`` caches the largest score of each group of `SCORE_GROUP`; ``stale`` groups are computed again.
-    """
-    for g in range(len(group_max)):
-        if stale[g]:
-            group_max[g] = score[g * SCORE_GROUP : (g + 1) * SCORE_GROUP].max()
-            stale[g] = False
-    first = np.argmax(group_max) * SCORE_GROUP
-    return first + np.argmax(score[first : first + SCORE_GROUP])
-
-
 @njit(cache=True, nogil=True)
 def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
     """Grow the best proposal, remove its points, repeat. Fills ``ends``, ``count``, ``radius``; returns how many."""
@@ -180,18 +164,15 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
     score = np.zeros(len(length))
     for k in range(len(pair)):
         score[pair[k] >> 1] += weight[pair[k] & 1]
-    groups = (len(length) + SCORE_GROUP - 1) // SCORE_GROUP
-    stale, group_max = np.ones(groups, dtype=np.bool_), np.empty(groups)
     free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
     visited = np.zeros(len(cubes.first), np.int64)
     found = 0
     while len(score) > 0:
-        best = _strongest(score, stale, group_max)
+        best = np.argmax(score)
         if score[best] < min_votes:
             break
         score[best] = -np.inf
-        stale[best // SCORE_GROUP] = True
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
         size, ax, ay, az, ux, uy, uz, low, high = grow(
             cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, visited, near, along, run
@@ -225,5 +206,4 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
                 free[i] = False
                 for k in range(first_pair[i], first_pair[i + 1]):
                     score[pair[k] >> 1] -= weight[pair[k] & 1]
-                    stale[(pair[k] >> 1) // SCORE_GROUP] = True
     return found
