@@ -40,7 +40,12 @@ def read_flight(
     mount, and ``skipped`` counts dropped scans and poses. Raises `InputError`.
     """
     path = Path(path)
-    stamp_s, walk, prior, mount, facts, imu, skipped = _opener(path)(path, scans, poses)
+    if not path.exists():
+        raise InputError(f"{path}: does not exist; expected a recording")
+    if not path.is_dir() and not is_bag(path):
+        raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
+    opened = (_open_bag if is_bag(path) else _open_clouds)(path, scans, poses)
+    stamp_s, walk, prior, mount, facts, imu, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
     number = np.flatnonzero(np.diff(np.maximum.accumulate(stamp_s), prepend=-np.inf) > 0)
@@ -112,14 +117,6 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
 
 _Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Counter[str]]
 """Stamps of all scans, the scans, poses of the drone, mount, facts, IMU, and counts of what was skipped."""
-
-
-def _opener(path: Path) -> Callable[[Path, str | None, str | None], _Parts]:
-    if not path.exists():
-        raise InputError(f"{path}: does not exist; expected a recording")
-    if not path.is_dir() and not is_bag(path):
-        raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
-    return _open_bag if is_bag(path) else _open_clouds
 
 
 def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:

@@ -79,12 +79,12 @@ class Bagged:
             self.rows.append((topic, IMAGE, float(stamp), message))
         return self
 
-    def camera(self, topic="/depth/camera_info", fx=2.0, distortion=0.0) -> "Bagged":
+    def camera(self) -> "Bagged":
         roi = self.make.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-        K = np.array([fx, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1])
-        arrays = (np.full(5, distortion), K, np.eye(3).ravel(), np.zeros(12))
+        K = np.array([2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1])
+        arrays = (np.zeros(5), K, np.eye(3).ravel(), np.zeros(12))
         message = self.make.make(CAMERA, self.make.header(0, "c"), 2, 3, "plumb_bob", *arrays, 0, 0, roi)
-        self.rows.append((topic, CAMERA, 0.0, message))
+        self.rows.append(("/depth/camera_info", CAMERA, 0.0, message))
         return self
 
     def write(self, in_order: bool = True, little_endian: bool = True) -> Path:

@@ -8,7 +8,7 @@ from steelnb.io import read_flight, write_tum
 from steelnb.io.bags import ODOMETRY, POSE, T_OPTICAL_SENSOR
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses
 
-MOUNT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3))
+MOUNT, SHIFT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3)), T_of((1, 2, 3))
 
 
 @pytest.fixture(params=KINDS)
@@ -73,50 +73,36 @@ def test_poses_are_read_from_a_given_file(bag, tmp_path):
     np.testing.assert_allclose(flight.prior.T_world_drone, poses(5, seed=7).T_world_drone, atol=1e-12)
 
 
-def test_poses_are_interpolated_and_scans_in_gaps_are_dropped(tmp_path):
-    trajectory = poses(3, step_s=0.4)
-    flight = read_flight(Bagged(tmp_path / "a.bag").clouds().odometry(trajectory=trajectory).write())
-    np.testing.assert_allclose(flight.prior.position[1], trajectory.position[:2].mean(axis=0))
-    unrelated = poses(2, step_s=0.8)
-    unrelated.stamp_s[1] = 2.5
-    flight = read_flight(Bagged(tmp_path / "b.bag").clouds().odometry(trajectory=unrelated).write())
-    assert len(flight) == 1
-    assert flight.skipped == {"scan without a pose near": 4}
+@pytest.mark.parametrize(("period_s", "covered"), [(0.4, True), (1.9, True), (2.1, False)])
+def test_poses_are_interpolated_up_to_a_maximum_gap(tmp_path, period_s, covered):
+    slow = poses(5, step_s=period_s)
+    bag = Bagged(tmp_path / "a.bag").clouds(stamps=np.array([0.0, period_s / 2])).odometry(trajectory=slow)
+    flight = read_flight(bag.write())
+    assert len(flight) == 1 + covered
+    assert flight.skipped == ({} if covered else {"scan without a pose near": 1})
+    if covered:
+        np.testing.assert_allclose(flight.prior.position[1], slow.position[:2].mean(axis=0))
 
 
-@pytest.mark.parametrize(("period_s", "scans"), [(0.5, 5), (1.9, 5), (2.1, 0)])
-def test_slow_poses_are_interpolated_up_to_the_maximum_gap(tmp_path, period_s, scans):
-    trajectory = poses(5, step_s=period_s, begin_s=-0.1)
-    path = (
-        Bagged(tmp_path / "a.mcap")
-        .clouds(stamps=STAMPS + 1.0)
-        .odometry(trajectory=type(trajectory)(trajectory.stamp_s + 0.5, trajectory.T_world_drone))
-    )
-    if scans:
-        assert len(read_flight(path.write())) == scans
-    else:
-        with pytest.raises(InputError, match=r"no scan has a pose"):
-            read_flight(path.write())
-
-
-def test_the_mount_is_read_from_tf_static_unless_given(bag):
-    arm = T_of((1, 0, 0), (0, 0, 1))
-    path = bag.clouds().odometry().tf("base_link", "arm", arm).tf("arm", "tof", MOUNT).write()
-    flight = read_flight(path)
-    np.testing.assert_allclose(flight.T_drone_sensor, arm @ MOUNT, atol=1e-12)
-    assert flight.facts["mount"] == "tf_static base_link → tof"
-    given = read_flight(path, T_drone_sensor=np.eye(4))
-    np.testing.assert_array_equal(given.T_drone_sensor, np.eye(4))
+@pytest.mark.parametrize(
+    ("child", "transforms", "T_drone_sensor"),
+    [
+        ("base_link", [("base_link", "arm", T_of((1, 0, 0))), ("arm", "tof", MOUNT)], T_of((1, 0, 0)) @ MOUNT),
+        ("camera", [("base_link", "camera", MOUNT), ("base_link", "tof", SHIFT)], np.linalg.inv(MOUNT) @ SHIFT),
+        ("base_link", [("map", "tof", MOUNT)], np.eye(4)),
+    ],
+)
+def test_the_mount_is_read_from_tf_static_unless_given(bag, child, transforms, T_drone_sensor):
+    bag.clouds().odometry(child=child)
+    for parent, frame, T in transforms:
+        bag.tf(parent, frame, T)
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.T_drone_sensor, T_drone_sensor, atol=1e-12)
+    unknown, known = "no tf_static from base_link to tof: identity assumed", f"tf_static {child} → tof"
+    assert flight.facts["mount"] == (unknown if len(transforms) == 1 else known)
+    given = read_flight(bag.path, T_drone_sensor=SHIFT)
+    np.testing.assert_array_equal(given.T_drone_sensor, SHIFT)
     assert given.facts["mount"] == "as given"
-
-
-def test_the_mount_is_found_across_branches_of_tf_static(tmp_path):
-    bag = Bagged(tmp_path / "a.mcap").clouds().odometry(child="camera").tf("base_link", "camera", MOUNT)
-    joined = read_flight(bag.tf("base_link", "tof", T_of((1, 2, 3))).write())
-    np.testing.assert_allclose(joined.T_drone_sensor, np.linalg.inv(MOUNT) @ T_of((1, 2, 3)), atol=1e-12)
-    unrelated = read_flight(Bagged(tmp_path / "b.mcap").clouds().odometry().tf("map", "tof", MOUNT).write())
-    np.testing.assert_array_equal(unrelated.T_drone_sensor, np.eye(4))
-    assert "identity assumed" in unrelated.facts["mount"]
 
 
 def test_poses_are_read_from_tf_if_there_is_no_topic(bag):
@@ -140,7 +126,7 @@ def test_optical_axes_are_converted_to_those_of_the_drone(bag):
 @pytest.mark.parametrize(("encoding", "kind", "unit"), [("16UC1", "<u2", 1000), ("32FC1", "<f4", 1)])
 def test_depth_images_are_scans_if_there_are_no_clouds(bag, encoding, kind, unit):
     depth_m = np.array([[1.0, 2.0, 0.0], [3.0, 4.0, 5.0]])
-    path = bag.images("/depth/image", (depth_m * unit).astype(kind), encoding).camera(fx=2.0).odometry().write()
+    path = bag.images("/depth/image", (depth_m * unit).astype(kind), encoding).camera().odometry().write()
     points = read_flight(path).scans[0].points
     assert points.shape == (2, 3, 3)
     assert np.isnan(points[0, 2]).all()

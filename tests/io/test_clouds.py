@@ -71,14 +71,6 @@ def test_invalid_files_are_named_in_the_error(tmp_path: Path, name: str, content
     assert "\n" not in str(refused.value)
 
 
-def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "folder.ply").mkdir()
-    with pytest.raises(InputError, match=r"nothing.ply: does not exist; expected a PLY file of points"):
-        read_cloud(tmp_path / "nothing.ply")
-    with pytest.raises(InputError, match=r"folder.ply: a folder; expected a PLY file of points"):
-        read_cloud(tmp_path / "folder.ply")
-
-
 def test_invalid_and_duplicate_points_are_dropped_and_map_coordinates_shifted(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.concatenate([POINTS, POINTS[:5], [[np.nan, 0, 0], [0, np.inf, 0]]]))
     cloud = read_cloud(tmp_path / "a.npy")
