@@ -67,10 +67,12 @@ def vote(px, py, pz, direction, box, half, inverse_dx, columns, image, index):  
 
 @njit
 def plain(  # type: ignore[no-untyped-def]
-    px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
+    px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak
 ):
     """As `steelnb.hough.transform.iterate`, which it stands in for."""
     n, found, weak_lines = len(px), 0, 0
+    anchor, direction, counts = np.zeros((n // 2, 3)), np.zeros((n // 2, 3)), np.zeros(n // 2, np.int64)
+    label = np.full(n, -1, np.int64)
     image, index = np.zeros((columns + 4) * (columns + 4) + BLOCK, np.int32), np.empty(n, np.int32)
     original, chosen, gone = np.arange(n), np.empty(n, np.int64), np.zeros(n, np.uint8)
     bound, cells = np.empty(len(sphere), np.int64), np.empty(len(sphere), np.int64)
@@ -111,7 +113,7 @@ def plain(  # type: ignore[no-untyped-def]
             found += 1
         else:
             weak_lines += 1
-    return found
+    return anchor[:found], direction[:found], counts[:found], label
 
 
 def timed(loop: Any, points: Array, dx: float) -> tuple[float, Lines]:

@@ -9,7 +9,6 @@ left at its default, so all that were tried are rows. Seconds belong to the mach
 from shared import command  # first, as it pins the core
 
 # isort: split
-import argparse
 import importlib.metadata
 import time
 
@@ -28,6 +27,7 @@ OURS = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best",
 PEERS = {"kiss-icp": "kiss-icp", "small-gicp": "small_gicp"}
 """Method → the name of its wheel."""
 VOXELS_M = (0.1, 0.2, 0.4)
+SEED, DURATION_S = 11, 30.0
 BESIDE = "small-gicp, voxel 0.2 m"
 NOTES = """{}, one thread, each scan's motion predicted by the prior.
 Flights of {:g} s under the random walk with a Starling 2's sensor, seed {}: time of one scan on the core, how many
@@ -61,18 +61,14 @@ def measured(settings: OdometrySettings, flight: Flight, truth: Truth) -> tuple[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--duration", type=float, default=30.0, help="seconds of flight")
-    asked = parser.parse_args()
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PEERS.values())
     print(f"# Odometry scan by scan on one core\n\n{machine()}. `{command(__doc__)}`\n")
-    print(NOTES.format(versions, asked.duration, asked.seed, BESIDE))
+    print(NOTES.format(versions, DURATION_S, SEED, BESIDE))
     warm = experiment.simulate(ExperimentSettings.preset(duration_s=3.0))
     for settings in cases().values():
         measured(settings, *warm)
     for trajectory in FLIGHTS:
-        given = ExperimentSettings.preset(trajectory, "random-walk", seed=asked.seed, duration_s=asked.duration)
+        given = ExperimentSettings.preset(trajectory, "random-walk", seed=SEED, duration_s=DURATION_S)
         flown = experiment.simulate(given)
         found = {name: measured(settings, *flown) for name, settings in cases().items()}
         beside = np.median(found[BESIDE][0])

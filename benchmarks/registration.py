@@ -31,6 +31,7 @@ from steelnb.settings import ExperimentSettings, PreprocessSettings
 from steelnb.types import Array
 
 ITERATIONS, TURN_RAD, MOVE_M = 50, np.radians(0.1), 1e-3
+DURATION_S, EVERY = 200.0, 40
 ERROR = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 OURS = "steelnb"
 NOTES = """The programs take turns in one process on one core, with the same points, {} neighbours and at most {} steps,
@@ -156,17 +157,17 @@ def pair(folder: Path) -> Problem:
     return Problem(source, target, np.eye(4), np.loadtxt(folder / "T_target_source.txt"), 1.0)
 
 
-def flight(duration_s: float, every: int) -> list[Problem]:
+def flight() -> list[Problem]:
     """Frames of a simulated flight, each against the map of all before it at their true poses, from starts off by about
     5 cm and 1°."""
-    settings = ExperimentSettings.preset(duration_s=duration_s)
+    settings = ExperimentSettings.preset(duration_s=DURATION_S)
     recording, truth = experiment.simulate(settings)
     true = truth.trajectory.at(recording.prior.stamp_s).T_world_drone
     crop = PreprocessSettings(crop_m=6.0, voxel_leaf_m=0.033)
     voxels, problems = VoxelMap(0.1), []
     for k, (scan, T) in enumerate(zip(recording.scans, true, strict=True)):
         points = preprocess_scan(scan, T, recording.T_drone_sensor, crop)
-        if k % every == every - 1 and len(points) > 500:
+        if k % EVERY == EVERY - 1 and len(points) > 500:
             off = rng.stream(1, "benchmark", k)
             start = T.copy()
             start[:3, :3] = Rotation.from_rotvec(0.01 * off.standard_normal(3)).as_matrix() @ T[:3, :3]
@@ -182,7 +183,6 @@ def flight(duration_s: float, every: int) -> list[Problem]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pair", type=Path, help="folder with source.ply, target.ply and T_target_source.txt")
-    parser.add_argument("--duration", type=float, default=200.0, help="seconds of flight")
     given = parser.parse_args()
     programs = f"small_gicp {importlib.metadata.version('small_gicp')}, Open3D {o3d.__version__}"
     print(f"# Registration on one core\n\n{machine()}. `{command(__doc__)}`\n\n{programs}.\n")
@@ -191,9 +191,9 @@ def main() -> None:
         p = pair(given.pair)
         print(f"## The pair: {len(p.source)} to {len(p.target)} points, {p.distance_m} m\n")
         measure([p], 31)
-    problems = flight(given.duration, max(1, int(given.duration / 5)))
+    problems = flight()
     sizes = [int(np.median([len(getattr(p, name)) for p in problems])) for name in ("source", "target")]
-    print(f"## {len(problems)} frames over a flight of {given.duration:.0f} s, each to the map so far\n")
+    print(f"## {len(problems)} frames over a flight of {DURATION_S:.0f} s, each to the map so far\n")
     print(f"Zigzag, starling2; {sizes[0]} to {sizes[1]} points (medians), {problems[0].distance_m} m; ", end="")
     print("starts off by about 5 cm and 1°. Numbers are medians over the frames.\n")
     measure(problems, 5)

@@ -50,12 +50,6 @@ def as_reported(plot: ReportPlot, curve: str) -> tuple[Array, Array]:
     return own.step.to_numpy(), own.error_m.to_numpy()
 
 
-def simulated(plot: ReportPlot, section: str) -> tuple[Flight, Truth]:
-    """The flight of a plot."""
-    named = (plot.figure, plot.trajectory, plot.method)
-    return experiment.simulate(ExperimentSettings.report(*named, overrides={"tower.section": section}))
-
-
 def corrected(method: str, flight: Flight, truth: Truth, plot: ReportPlot) -> Trajectory:
     """The poses of a method on a plot's flight."""
     settings = ExperimentSettings.report(plot.figure, plot.trajectory, plot.method, method)
@@ -64,7 +58,10 @@ def corrected(method: str, flight: Flight, truth: Truth, plot: ReportPlot) -> Tr
 
 def plot_rows(plot: ReportPlot, section: str) -> Iterator[tuple[str, str, Array, Array]]:
     """For each curve of ours of a plot: what it is, its row of the table, the samples and the errors."""
-    flight, truth = simulated(plot, section)
+    settings = ExperimentSettings.report(
+        plot.figure, plot.trajectory, plot.method, overrides={"tower.section": section}
+    )  # fmt: skip
+    flight, truth = experiment.simulate(settings)
     sample = plot.earlier_samples + np.arange(len(flight), dtype=np.float64)
     program, method = PROGRAMS[plot.method], SHOULD_BE.get(plot.method, plot.method)
     names = ("drift", program, *((plot.method,) if method != plot.method else ()), method)

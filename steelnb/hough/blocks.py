@@ -61,16 +61,9 @@ def segment_structure(
     proposed = propose(points, dx, min_votes, length_min, SHIFTS[:grids])
     start, direction, length = proposed.start, proposed.direction, proposed.length
     cubes = sort_into_cubes(points, 2 * dx)
-    first_pair = np.zeros(len(points) + 2, dtype=np.int64)
-    pair = np.empty(_pairs(cubes, start, direction, length, dx, first_pair, np.zeros(0, dtype=np.int32)), np.int32)
-    first_pair = np.cumsum(first_pair)
-    _pairs(cubes, start, direction, length, dx, first_pair, pair)
-    ends, count = np.zeros((len(proposed), 6)), np.zeros(len(proposed), dtype=np.int64)
-    radius = np.zeros(len(proposed))
-    found = _select(
-        cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius,
-    )  # fmt: skip
-    return Segments(ends[:found, :3], ends[:found, 3:], count[:found], radius[:found])
+    first_pair, pair = _pairs(cubes, start, direction, length, dx)
+    ends, count, radius = _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair)
+    return Segments(ends[:, :3], ends[:, 3:], count, radius)
 
 
 def within(points: Array, segments: Segments, distance: float) -> NDArray[np.bool_]:
@@ -130,35 +123,38 @@ def _mark(cubes, start, direction, length, distance):
 
 
 @njit(cache=True)
-def _pairs(cubes, start, direction, length, dx, first, pair):
-    """Find the points within 2 dx of each proposal; returns the number of pairs of a point and a proposal.
+def _pairs(cubes, start, direction, length, dx):
+    """Find the points within 2 dx of each proposal: (first, pair).
 
-    Called twice. With ``pair`` empty it counts the pairs of point i in ``first[i + 2]``. Then ``first`` holds their
-    cumulative sum, and the pairs of point i are written to ``pair`` from ``first[i + 1]`` on, which is advanced past
-    them. The entry for proposal k is 2k + 1 in the tube and 2k in the ring.
+    The pairs of point i are ``pair[first[i] : first[i + 1]]``. The entry for proposal k is 2k + 1 in the tube and 2k in
+    the ring. The first pass counts the pairs of point i in ``first[i + 2]``. The second one writes them from
+    ``first[i + 1]`` on, which is advanced past them.
     """
-    n = 0
     visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
-    for k in range(len(length)):
-        (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
-            i = near[c]
-            x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
-            t = x * ux + y * uy + z * uz
-            distance2 = x * x + y * y + z * z - t * t
-            if 0.0 <= t <= length[k] and distance2 <= 4.0 * dx * dx:
-                n += 1
-                if len(pair) == 0:
-                    first[i + 2] += 1
-                else:
-                    pair[first[i + 1]] = 2 * k + (distance2 <= dx * dx)
-                    first[i + 1] += 1
-    return n
+    first, pair = np.zeros(len(cubes.px) + 2, np.int64), np.empty(0, np.int32)
+    for write in (False, True):
+        if write:
+            first = np.cumsum(first)
+            pair = np.empty(first[-1], np.int32)
+        for k in range(len(length)):
+            (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
+            for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
+                i = near[c]
+                x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
+                t = x * ux + y * uy + z * uz
+                distance2 = x * x + y * y + z * z - t * t
+                if 0.0 <= t <= length[k] and distance2 <= 4.0 * dx * dx:
+                    if write:
+                        pair[first[i + 1]] = 2 * k + (distance2 <= dx * dx)
+                        first[i + 1] += 1
+                    else:
+                        first[i + 2] += 1
+    return first, pair
 
 
 @njit(cache=True, nogil=True)
-def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair, ends, count, radius):
-    """Grow the best proposal, remove its points, repeat. Fills ``ends``, ``count``, ``radius``; returns how many."""
+def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, first_pair):
+    """Grow the best proposal, remove its points, repeat: ends ``(M, 6)``, counts and radii of the segments."""
     px, py, pz = cubes.px, cubes.py, cubes.pz
     weight = np.array([-RING_WEIGHT, 1.0])
     score = np.zeros(len(length))
@@ -167,6 +163,7 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
     free = np.ones(len(px), dtype=np.bool_)
     near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
     visited = np.zeros(len(cubes.first), np.int64)
+    ends, count, radius = np.zeros((len(length), 6)), np.zeros(len(length), np.int64), np.zeros(len(length))
     found = 0
     while len(score) > 0:
         best = np.argmax(score)
@@ -206,4 +203,4 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
                 free[i] = False
                 for k in range(first_pair[i], first_pair[i + 1]):
                     score[pair[k] >> 1] -= weight[pair[k] & 1]
-    return found
+    return ends[:found], count[:found], radius[:found]

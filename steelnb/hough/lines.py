@@ -68,14 +68,11 @@ def detect_lines(
         raise InputError(f"dx = {dx}: the vote image would exceed {MAX_CELLS} cells; expected at least {dx_min:.3g} m")
     columns = int(2 * half / dx + 0.5)
 
-    lines_max = min(len(points) // 2, max_lines or len(points))
-    anchor, direction, count = np.zeros((lines_max, 3)), np.zeros((lines_max, 3)), np.zeros(lines_max, np.int64)
-    label = np.full(len(points), -1, np.int64)
-    found = iterate(
-        px, py, pz, directions(granularity), high - centre, half, dx, columns, min_votes, lines_max, skip_weak,
-        anchor, direction, count, label,
+    anchor, direction, count, label = iterate(
+        px, py, pz, directions(granularity), high - centre, half, dx, columns, min_votes, max_lines or len(points),
+        skip_weak,
     )  # fmt: skip
-    return Lines(anchor[:found] + centre, direction[:found], count[:found], label)
+    return Lines(anchor + centre, direction, count, label)
 
 
 def default_dx(points: Array) -> float:

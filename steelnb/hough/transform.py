@@ -136,15 +136,15 @@ def drop(removed, px, py, pz, original):
 
 
 @njit(cache=True, nogil=True)
-def iterate(
-    px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak, anchor, direction, counts, label
-):
-    """Algorithm 1: find the strongest line, fit it, remove its points, repeat. Returns the number of lines.
+def iterate(px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak):
+    """Algorithm 1: find the strongest line, fit it, remove its points, repeat: the fields of `Lines`.
 
-    ``px, py, pz`` are overwritten. The lines are written to ``anchor``, ``direction`` and ``counts``. ``label (N,)``,
-    −1 on entry, becomes the index of the line of each point.
+    ``px, py, pz`` are overwritten.
     """
     n = len(px)
+    max_lines = min(n // 2, max_lines)
+    anchor, direction, counts = np.zeros((max_lines, 3)), np.zeros((max_lines, 3)), np.zeros(max_lines, np.int64)
+    label = np.full(n, -1, np.int64)
     image = np.zeros((columns + 4) * (columns + 4) + BLOCK, np.int32)
     index = np.empty(n, np.int32)
     inverse_dx = 1.0 / dx
@@ -196,4 +196,4 @@ def iterate(
         n = drop(removed, px[:n], py[:n], pz[:n], original)
         found += 0 if weak else 1
         round_number += 1
-    return found
+    return anchor[:found], direction[:found], counts[:found], label

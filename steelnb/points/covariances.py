@@ -68,7 +68,7 @@ def normals(covariances: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _fill(tree, k_most, leaf_of, index, value, plane):
-    """Write the missing covariances, `regularised` if ``plane``, of the points ``index (N,)`` and those in their leaves."""
+    """Write the missing covariances of the leaves of the points ``index (N,)``, `regularised` if ``plane``."""
     scratch = _scratch(len(tree.point), k_most)
     for i in index:
         if i < 0 or not np.isnan(value[i, 0]):
