@@ -118,10 +118,9 @@ def run_recording(
 
     with new_folder(output, FILES) as folder:
         on_stage("warming up, which compiles what was not compiled yet")
-        first = near.first(WARM_UP_SCANS)
-        odometry.correct(first, settings.odometry, odometry=own and odometry.own_odometry(own, first))
+        odometry.correct(near.first(WARM_UP_SCANS), settings.odometry, own=own)
         on_stage("correcting the poses")
-        found = odometry.correct(near, settings.odometry, observe, own and odometry.own_odometry(own, near))
+        found = odometry.correct(near, settings.odometry, observe, own)
         on_stage("reconstructing the bars")
         built = _reconstructed(near, found, structure).moved(origin)
         estimate = replace(

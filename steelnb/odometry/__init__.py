@@ -1,13 +1,12 @@
 """Scans and a drifting trajectory → the corrected trajectory and a map."""
 
-from steelnb.odometry.base import Odometry
+from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.loam import LoamOdometry
-from steelnb.odometry.methods import correct, make_odometry
+from steelnb.odometry.methods import correct, load_odometry, make_odometry
 from steelnb.odometry.orb import OrbOdometry
-from steelnb.odometry.own import load_odometry, own_odometry
 from steelnb.odometry.peers import PeerOdometry
 from steelnb.odometry.report_clouds import ReportCloudOdometry
 from steelnb.odometry.report_segments import ReportSegmentOdometry
@@ -15,7 +14,7 @@ from steelnb.odometry.run import run
 from steelnb.odometry.segments import SegmentOdometry, shared_segments
 
 __all__ = [
-    "CloudOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry", "PeerOdometry",
-    "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "correct", "load_odometry", "make_odometry",
-    "own_odometry", "run", "shared_segments",
+    "BaseOdometry", "CloudOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",
+    "PeerOdometry", "ReportCloudOdometry", "ReportSegmentOdometry", "SegmentOdometry", "correct", "load_odometry",
+    "make_odometry", "run", "shared_segments",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
-"""The interface of every odometry."""
+"""The interface of every odometry, and what those of this package share."""
 
 import time
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -11,19 +11,75 @@ from steelnb.settings import OdometrySettings
 from steelnb.types import Array, OdometryStep, Scan, Segments
 
 SPACING_M = 0.05
-S = TypeVar("S", bound=OdometrySettings)
+Outcome = tuple[Array, str, int, int]
+"""Pose ``T_world_drone (4, 4)``, why the scan was not used (else empty), number of matches, and number of directions in
+which the scan does not determine the pose."""
 
 
 class Odometry(Protocol):
-    """Corrects a drifting pose, scan by scan, and may build a map. A class needs `update` alone, and no base class."""
+    """Corrects a drifting pose, scan by scan. A class needs `update` alone, and no base class."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Correct the pose at one scan, and add the scan to the map.
+        """Correct the pose at one scan.
 
         ``scan``: a `Scan`, or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return.
         ``T_world_drone_prior (4, 4)``: the absolute drifting pose. Raises `InputError` for arrays of other shapes,
         and for a prior that is not rigid.
         """
+
+
+class Stopwatch:
+    """``seconds`` of each stage of an update, zero for a stage that was skipped."""
+
+    def __init__(self, stages: tuple[str, ...]) -> None:
+        self.seconds = dict.fromkeys(stages, 0.0)
+        self._last_s = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now_s = time.perf_counter()
+        self.seconds[stage] += now_s - self._last_s
+        self._last_s = now_s
+
+
+class BaseOdometry:
+    """An odometry of this package, which may build a map.
+
+    Parameters
+    ----------
+    settings : of the family ``kind``, default ``OdometrySettings.preset(method)``.
+    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+
+    Raises `InputError` for settings of another family, and for a mount that is not rigid.
+    """
+
+    kind: ClassVar[type[OdometrySettings]]
+    method: ClassVar[str]
+    stages: ClassVar[tuple[str, ...]]
+    """Names of the ``seconds`` of a step."""
+
+    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
+        self.settings = settings or OdometrySettings.preset(self.method)
+        if not isinstance(self.settings, self.kind):
+            raise InputError(
+                f"method {self.settings.method!r} is of the family {self.settings.family!r}; expected one such as"
+                f" {self.method!r}"
+            )
+        self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
+
+    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
+        """Correct the pose at one scan, and add the scan to the map; see `Odometry.update`."""
+        if not isinstance(scan, Scan):
+            scan = Scan(0.0, scan)
+        scan = Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
+        prior, watch = checked_pose(T_world_drone_prior, "T_world_drone_prior"), Stopwatch(self.stages)
+        T_world_drone, reason, matches, unobserved = self._update(scan, prior, watch)
+        if reason in ("too few points", "no segment seen"):
+            reason = nothing_near(scan, self.settings.preprocess.crop_m) or reason
+        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds, unobserved)
+
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        raise NotImplementedError
 
     def map_points(self) -> Array:
         """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""
@@ -38,43 +94,8 @@ class Odometry(Protocol):
         return Segments.empty()
 
 
-def settings_of(given: OdometrySettings | None, kind: type[S], method: str) -> S:
-    """The settings of an odometry, by default the preset of a ``method``. Raises `InputError` for those of another
-    family."""
-    found = given or OdometrySettings.preset(method)
-    if not isinstance(found, kind):
-        raise InputError(f"method {found.method!r} is of the family {found.family!r}; expected one such as {method!r}")
-    return found
-
-
-def mount_of(T_drone_sensor: Array | None) -> Array:
-    """The mount of a sensor ``(4, 4)``, by default the identity. Raises `InputError` if it is not rigid."""
-    return checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
-
-
-class Stopwatch:
-    """``seconds`` of each stage of an update, zero for a stage that was skipped."""
-
-    def __init__(self, *stages: str) -> None:
-        self.seconds = dict.fromkeys(stages, 0.0)
-        self._last_s = time.perf_counter()
-
-    def lap(self, stage: str) -> None:
-        """Add the time since the last lap to a stage."""
-        now_s = time.perf_counter()
-        self.seconds[stage] += now_s - self._last_s
-        self._last_s = now_s
-
-
-def scan_of(scan: Scan | Array) -> Scan:
-    """A scan from an odometry's input: points in float64, their shape checked. Raises `InputError`."""
-    if isinstance(scan, Scan):
-        return Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
-    return Scan(0.0, checked_cloud(scan, "scan"))
-
-
-def nothing_left(scan: Scan, crop_m: float) -> str:
-    """Why preprocessing left no point of a scan; empty if the scan had none."""
+def nothing_near(scan: Scan, crop_m: float) -> str:
+    """Why preprocessing left no point of a scan with returns; empty if some are near."""
     distance = np.linalg.norm(scan.points.reshape(-1, 3), axis=1)
     distance = distance[np.isfinite(distance) & (distance > 0)]
     if not len(distance) or distance.min() <= crop_m:

@@ -1,20 +1,19 @@
 """Odometry by clouds: the report's section 3.3, one loop for every method."""
 
-from typing import NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, nothing_left, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.prediction import PosePredictor
+from steelnb.odometry.prediction import make_prediction
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import FREE, AnyTarget, Target, align
+from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
-from steelnb.types import Array, Imu, OdometryStep, Scan
+from steelnb.types import Array, Imu, IntArray, Scan
 
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
@@ -35,74 +34,57 @@ EPSILONS = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 """Whether the map is ``measured`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
 
 
-class Registered(NamedTuple):
-    """Result of a registration. ``T_world_drone (4, 4)`` is the predicted pose if there is a ``reason``. ``unobserved
-    (u, 3)`` are unit vectors along which the pose is the prediction's. ``information (6, 6)`` about rotation and
-    position of the drone is that of scan and prediction together."""
-
-    T_world_drone: Array
-    reason: str
-    inliers: int = 0
-    unobserved: Array = np.zeros((0, 3))
-    information: Array = np.zeros((6, 6))
-
-
-class CloudOdometry(Odometry):
+class CloudOdometry(BaseOdometry):
     """Registers each scan to the map of the scans before it.
 
     The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, they
     are those of the points accumulated around each voxel and of the sensor's noise along each ray. Points are then
     moved by the near-side bias (`near_side`), and the solver extrapolates its steps and stops earlier (`EPSILONS`).
 
-    Parameters
-    ----------
-    settings : of the family of clouds or faces, default ``OdometrySettings.preset("best")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-    imu : readings in the drone frame, used up to the current scan if the settings have ``inertial``.
+    Settings are of the family of clouds or faces. ``imu``: readings in the drone frame, used up to the current scan if
+    the settings have ``inertial``.
     """
 
-    BY_FEATURES = False
+    kind: ClassVar[type[OdometrySettings]] = RegistrationSettings
+    method = "best"
+    stages = "preprocess", "prepare", "register", "map"
+    inliers_min = INLIER_SHARE_MIN
     settings: RegistrationSettings | LoamSettings
 
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
-        self.settings = s = self._own(settings)
-        self.T_drone_sensor, self.measured = mount_of(T_drone_sensor), s.map == "measured"
+        super().__init__(settings, T_drone_sensor)
+        s = self.settings
+        self.measured = s.map == "measured"
         iterations_max = ITERATIONS_MEASURED if self.measured else ITERATIONS_MAX[s.dof]
         self.stop = iterations_max, *EPSILONS[self.measured]
         self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
-        self.predictor = PosePredictor(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = FREE["se3" if self.predictor.tilted else s.dof]
+        self.prediction = make_prediction(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
+        self.free = FREE["se3" if self.prediction.tilted else s.dof]
         self.near_side = NearSide()
 
-    def _own(self, settings: OdometrySettings | None) -> RegistrationSettings | LoamSettings:
-        return settings_of(settings, RegistrationSettings, "best")
-
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
-        scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        s, watch = self.settings, Stopwatch("preprocess", "prepare", "register", "map")
-        T_init = self.predictor.pose(scan.stamp_s, T_world_drone_prior)
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        T_init = self.prediction.pose(prior, scan.stamp_s)
         if self.measured:
             self.near_side.update(scan.points)
         points = self.preprocessed(scan, T_init)
         watch.lap("preprocess")
         target, covariance = self._prepare(points, T_init)
         watch.lap("prepare")
-        T_world_drone, reason, inliers, unobserved, information = self._register(points, covariance, target, T_init)
-        used = reason == ""
-        if not len(points):
-            reason = nothing_left(scan, s.preprocess.crop_m) or reason
+        result, reason = self._register(points, covariance, target, T_init)
         watch.lap("register")
-        if (used or reason == "first scan") and len(points):
-            self.insert(points, T_world_drone)
-        if used:
-            self.predictor.correct(T_world_drone, T_world_drone_prior, unobserved, information)
+        T_world_drone, unobserved = T_init, 0
+        if result and not reason:
+            T_world_drone, unobserved = result.T_target_source, len(result.unobserved)
+            arm = T_world_drone[:3, 3] - result.centre
+            self.prediction.correct(T_world_drone, prior, result.unobserved, result.H, arm)
         else:
-            self.predictor.lose()
+            self.prediction.lose()
+        if reason in ("", "first scan") and len(points):
+            self.insert(points, T_world_drone)
         watch.lap("map")
-        return OdometryStep(scan.stamp_s, T_world_drone, used, reason, inliers, watch.seconds, len(unobserved))
+        return T_world_drone, reason, result.inliers if result else 0, unobserved
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
@@ -113,21 +95,26 @@ class CloudOdometry(Odometry):
         return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.measured else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
-        s = self.settings
-        if not len(points) or not len(self.map):
-            return None, None
-        world = points @ T_init[:3, :3].T + T_init[:3, 3]
-        low, high = world.min(axis=0), world.max(axis=0)
-        chosen = self.map.near((low + high) / 2, float((high - low).max() / 2 + 2 * s.max_correspondence_m))
+        """The part of the map that a scan may see, None without any, and covariances of its points."""
+        chosen = self._in_sight(self.map, points, T_init)
         if not len(chosen):
             return None, None
         tree = build_kdtree(self.map.means(chosen))
-        if s.error != "gicp":
+        if self.settings.error != "gicp":
             return Target(tree), None
         if not self.measured:
             return Target.with_planes(tree), regularised(neighbour_covariances(points))
         shapes = VoxelShapes(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
         return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
+
+    def _in_sight(self, voxels: VoxelMap, points: Array, T_init: Array) -> IntArray:
+        """Slots of the voxels near the points ``(N, 3)``, drone frame, of a scan."""
+        if not len(points) or not len(voxels):
+            return np.zeros(0, dtype=np.int64)
+        world = points @ T_init[:3, :3].T + T_init[:3, 3]
+        low, high = world.min(axis=0), world.max(axis=0)
+        reach_m = float((high - low).max() / 2 + 2 * self.settings.max_correspondence_m)
+        return voxels.near((low + high) / 2, reach_m)
 
     def _ray_covariances(self, points: Array) -> Array:
         """Covariances of points, drone frame: range noise along each ray, half of its floor across. Upper triangles
@@ -135,39 +122,33 @@ class CloudOdometry(Odometry):
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
-        along = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2
         across = (0.5 * SIGMA_M) ** 2
-        extra = along - across
-        x, y, z = ray.T
-        return np.stack(
-            [extra * x * x + across, extra * x * y, extra * x * z, extra * y * y + across, extra * y * z,
-             extra * z * z + across], axis=1,
-        )  # fmt: skip
+        extra = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2 - across
+        full = (extra[:, None] * ray)[:, :, None] * ray[:, None] + across * np.eye(3)
+        return full[:, *np.triu_indices(3)]
 
-    def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        s, known = self.settings, self.predictor.known and not self.BY_FEATURES
-        inliers_min = 0.0 if self.BY_FEATURES else INLIER_SHARE_MIN * len(points)
+    def _register(
+        self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
+    ) -> tuple[RegistrationResult | None, str]:
+        """The registration of a scan, and why it is not used."""
+        s, known = self.settings, self.prediction.known
         if len(points) < POINTS_MIN[known]:
-            return Registered(T_init, "too few points")
+            return None, "too few points"
         if not self.mapped:
-            return Registered(T_init, "first scan")
+            return None, "first scan"
         if target is None:
-            return Registered(T_init, "no map in sight")
+            return None, "no map in sight"
         result = align(
             points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
             s.robust_scale or np.inf, *self.stop, self.measured,
-            self.predictor.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
+            self.prediction.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
         )  # fmt: skip
-        jump = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
-        if result.inliers < inliers_min:
-            return Registered(T_init, "too little overlap", result.inliers)
+        jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
+        if result.inliers < self.inliers_min * len(points):
+            return result, "too little overlap"
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
-            return Registered(T_init, result.reason, result.inliers)
-        if jump > JUMP_MAX_VOXELS * s.map_voxel_m:
-            return Registered(T_init, f"jump of {jump:.2f} m", result.inliers)
-        T = result.T_target_source
-        information = self.predictor.information_of(result.H, T, result.centre)
-        return Registered(T, "", result.inliers, result.unobserved, information)
+            return result, result.reason
+        return result, f"jump of {jump_m:.2f} m" if jump_m > JUMP_MAX_VOXELS * s.map_voxel_m else ""
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""

@@ -1,10 +1,8 @@
 """Corrections of a pose that align the segments of a scan with the bars of the map."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry.prediction import PRIOR_SIGMA
@@ -29,18 +27,14 @@ TURN_ARM_M = 3.0
 """The distance at which a yaw is compared with a shift, metres."""
 
 
-@dataclass(frozen=True)
-class Correction:
-    """Shift ``offset (3,)`` in metres and rotation ``yaw_rad`` of a pose, world frame, from ``matches`` pairs."""
-
-    offset: Array
-    matches: int
-    yaw_rad: float = 0.0
+Correction = tuple[Array, int]
+"""Yaw (rad) and shift (m) of a pose, ``(4,)``, world frame, and the number of pairs that they are from."""
+NO_CORRECTION: Correction = np.zeros(4), 0
 
 
 def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """No correction: the map that drift makes (the report's Figure 3.4a)."""
-    return Correction(np.zeros(3), 0)
+    return NO_CORRECTION
 
 
 def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
@@ -50,9 +44,7 @@ def average(observed: Segments, known: SegmentMap, robust_scale_m: float, positi
     little if the bars have different directions.
     """
     across, _, _ = _pairs(observed, known)
-    if not len(across):
-        return Correction(np.zeros(3), 0)
-    return Correction(-GAIN * across.mean(axis=0), len(across))
+    return (np.append(0.0, -GAIN * across.mean(axis=0)), len(across)) if len(across) else NO_CORRECTION
 
 
 def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
@@ -68,7 +60,7 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
         across, direction, count = _pairs(shifted(observed, np.append(0.0, offset), position), known)
         matches = len(across)
         if not matches:
-            return Correction(np.zeros(3), 0)
+            return NO_CORRECTION
         robust = 1.0 / (1.0 + (across**2).sum(axis=1) / robust_scale_m**2) ** 2
         weight = robust * count / count.mean()
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
@@ -78,7 +70,7 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
         offset = offset + step
         if np.linalg.norm(step) < TOLERANCE_M:
             break
-    return Correction(offset, matches)
+    return np.append(0.0, offset), matches
 
 
 def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
@@ -92,12 +84,12 @@ def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: flo
     for _ in range(ITERATIONS_MAX):
         H, b, matches = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
         if not matches:
-            return Correction(np.zeros(3), 0)
+            return NO_CORRECTION
         step = -np.linalg.solve(H + np.diag(PRIOR), b + PRIOR * state)
         state = state + step
         if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < TOLERANCE_M:
             break
-    return Correction(state[1:], matches, float(state[0]))
+    return state, matches
 
 
 def bar_equations(
@@ -112,43 +104,23 @@ def bar_equations(
     """
     segments, bars = _paired(observed, known, SIGHTINGS_MIN)
     count = np.minimum(segments.count, POINTS_MAX)
-    information = 0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2)
-    H, b = _bar_equations(
-        shared_ends(segments, bars), bars.start, bars.direction, information, position, robust_scale_m
-    )
+    information = np.repeat(0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2), 2)
+    end, direction = shared_ends(segments, bars).reshape(-1, 3), np.repeat(bars.direction, 2, axis=0)
+    across = _across(end - np.repeat(bars.start, 2, axis=0), direction)
+    robust = 1.0 / (1.0 + (across**2).sum(axis=1) / (robust_scale_m * robust_scale_m))
+    weight = information * robust * robust
+    # Derivatives of an end by yaw, x, y and z, then their part perpendicular to the bar.
+    J = np.tile(np.vstack([np.zeros(3), np.eye(3)]), (len(end), 1, 1))
+    J[:, 0, 0], J[:, 0, 1] = position[1] - end[:, 1], end[:, 0] - position[0]
+    J = _across(J, direction[:, None])
+    H = (weight[:, None, None] * (J[:, :, None] * J[:, None]).sum(axis=3)).sum(axis=0)
+    b = (weight[:, None] * (J * across[:, None]).sum(axis=2)).sum(axis=0)
     return H, b, len(bars)
 
 
-@njit(cache=True)
-def _bar_equations(ends, start, direction, information, centre, scale_m):  # type: ignore[no-untyped-def]
-    """Normal equations ``(4, 4)`` and ``(4,)`` of ends ``(P, 2, 3)`` beside bars."""
-    H, b, J = np.zeros((4, 4)), np.zeros(4), np.zeros((4, 3))
-    for pair in range(len(ends)):
-        ux, uy, uz = direction[pair, 0], direction[pair, 1], direction[pair, 2]
-        for end in range(2):
-            px, py, pz = ends[pair, end, 0], ends[pair, end, 1], ends[pair, end, 2]
-            x, y, z = px - start[pair, 0], py - start[pair, 1], pz - start[pair, 2]
-            t = x * ux + y * uy + z * uz
-            x, y, z = x - t * ux, y - t * uy, z - t * uz
-            square = x * x + y * y + z * z
-            robust = 1.0 / (1.0 + square / (scale_m * scale_m))
-            weight = information[pair] * robust * robust
-            px, py = px - centre[0], py - centre[1]
-            # Derivatives of the end by yaw, x, y and z, then their part perpendicular to the bar.
-            J[0, 0], J[0, 1], J[0, 2] = -py, px, 0.0
-            J[1, 0], J[1, 1], J[1, 2] = 1.0, 0.0, 0.0
-            J[2, 0], J[2, 1], J[2, 2] = 0.0, 1.0, 0.0
-            J[3, 0], J[3, 1], J[3, 2] = 0.0, 0.0, 1.0
-            for r in range(4):
-                t = J[r, 0] * ux + J[r, 1] * uy + J[r, 2] * uz
-                J[r, 0], J[r, 1], J[r, 2] = J[r, 0] - t * ux, J[r, 1] - t * uy, J[r, 2] - t * uz
-                b[r] += weight * (J[r, 0] * x + J[r, 1] * y + J[r, 2] * z)
-                for c in range(r + 1):
-                    H[r, c] += weight * (J[r, 0] * J[c, 0] + J[r, 1] * J[c, 1] + J[r, 2] * J[c, 2])
-    for r in range(4):
-        for c in range(r):
-            H[c, r] = H[r, c]
-    return H, b
+def _across(vectors: Array, direction: Array) -> Array:
+    """The parts of vectors ``(…, 3)`` perpendicular to unit ``direction (…, 3)``."""
+    return np.asarray(vectors - (vectors * direction).sum(axis=-1, keepdims=True) * direction)
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:
@@ -183,9 +155,7 @@ def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
     of points ``(P,)`` of the segments."""
     segments, bars = _paired(observed, known)
     direction = bars.direction
-    offset = segments.middle - bars.start
-    across = offset - (offset * direction).sum(axis=1)[:, None] * direction
-    return across, direction, segments.count.astype(np.float64)
+    return _across(segments.middle - bars.start, direction), direction, segments.count.astype(np.float64)
 
 
 def _paired(observed: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:

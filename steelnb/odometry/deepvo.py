@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.network import Network, read_network
-from steelnb.points.inputs import checked_pose
 from steelnb.settings import DeepVoSettings, OdometrySettings
 from steelnb.settings.presets import PRESETS
-from steelnb.types import Array, OdometryStep, Scan
+from steelnb.types import Array, Scan
 
 COLUMNS, ROWS = 48, 64
 TAN_HALF_WIDTH, TAN_HALF_HEIGHT = 0.9325, 1.327
@@ -90,34 +89,27 @@ def motions(network: Network, images: np.ndarray) -> tuple[Array, Array]:
     return UNIT_M * translation, UNIT_M * np.exp(log_sigma.astype(np.float64))
 
 
-class DeepVoOdometry(Odometry):
+class DeepVoOdometry(BaseOdometry):
     """Integrates the translations that a network estimates from the derotated range images of two scans.
 
     It uses the prior's first pose and its attitudes, but not its further positions. There is no map, so the errors
-    accumulate.
-
-    Parameters
-    ----------
-    settings : of the family ``deepvo``, default ``OdometrySettings.preset("deepvo")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-
-    Raises `InputError` for weights that cannot be used.
+    accumulate. The ``matches`` of a step are the pixels with returns in both images; ``sigma_m (3,)``: standard
+    deviations of the last motion, ahead, left and up. Raises `InputError` for weights that cannot be used.
     """
 
+    kind, method = DeepVoSettings, "deepvo"
+    stages = "image", "network"
+    settings: DeepVoSettings
+
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings_of(settings, DeepVoSettings, "deepvo")
+        super().__init__(settings, T_drone_sensor)
         packaged = PRESETS / self.settings.weights
         self.network = read_network(packaged if packaged.is_file() else Path(self.settings.weights))
-        self.T_drone_sensor = mount_of(T_drone_sensor)
         self.sigma_m = np.zeros(3)
         self._last: tuple[float, Array, Array] | None = None  # stamp, points and attitude of the last scan with returns
         self._position: Array | None = None  # position of the sensor, world frame
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Add the motion since the last scan; see `Odometry.update`. ``matches``: number of pixels with returns in both
-        images; the attribute ``sigma_m (3,)``: standard deviations of the last motion, ahead, left and up."""
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        watch = Stopwatch("image", "network")
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         T_world_sensor = prior @ self.T_drone_sensor
         R, lever = T_world_sensor[:3, :3], prior[:3, :3] @ self.T_drone_sensor[:3, 3]
         if self._position is None:
@@ -142,4 +134,4 @@ class DeepVoOdometry(Odometry):
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] = self._position - lever
         watch.lap("network")
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds)
+        return T_world_drone, reason, matches, 0

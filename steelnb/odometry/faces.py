@@ -10,7 +10,6 @@ which the scan sees them. A bar whose section is known has no such bias.
 4. Odometry by clouds takes over where the bars do not determine the pose: at the beginning, and in new views.
 """
 
-import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -19,12 +18,11 @@ from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD, moved_poses, pose_size, pose_step
 from steelnb.fusion.problem import Problem
-from steelnb.odometry.base import scan_of, settings_of
+from steelnb.odometry.base import Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.inertial_prediction import NONE, information_at
-from steelnb.points.inputs import checked_pose
+from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
-from steelnb.types import Array, Imu, OdometryStep, Scan, Segments
+from steelnb.types import Array, Imu, Scan, Segments
 
 KEYFRAME_S = 1.0
 ADOPT_S = 2.0
@@ -37,30 +35,27 @@ REFITTED_SIGMA = np.array([0.001, 0.001, 0.001, 0.003, 0.003, 0.003])
 GATE = {4: 18.5, 6: 22.5}
 """Degrees of freedom → gate on the squared Mahalanobis distance of a registration from its prediction: the 99.9 %
 quantile of chi-squared. A larger distance means that wrongly fitted bars led the registration astray."""
-STAGES = ("preprocess", "prepare", "register", "map", "refit")
 
 
-class FaceOdometry:
+class FaceOdometry(CloudOdometry):
     """Corrects a drifting pose by the front faces of bars, with odometry by clouds as the fallback.
 
-    After an adjustment the output pose catches up gradually, by at most `DRIFT_SIGMA` a scan, so it never jumps.
-
-    Parameters
-    ----------
-    settings : of the family of faces, default ``OdometrySettings.preset("faces")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
-    imu : readings in the axes of the drone, as for `CloudOdometry`; they take part in the adjustments, too.
+    After an adjustment the output pose catches up gradually, by at most `DRIFT_SIGMA` a scan, so it never jumps. The
+    readings of an ``imu`` take part in the adjustments, too.
     """
+
+    kind, method = FaceSettings, "faces"
+    stages = (*CloudOdometry.stages, "refit")
+    settings: FaceSettings
 
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
-        self.settings = settings_of(settings, FaceSettings, "faces")
-        self.clouds = CloudOdometry(self.settings, T_drone_sensor, imu)
-        self.T_drone_sensor = self.clouds.T_drone_sensor
-        preprocess, self.predictor = self.settings.preprocess, self.clouds.predictor
-        self.inertial = self.predictor.inertial
+        super().__init__(settings, T_drone_sensor, imu)
+        self.T_sensor_drone = np.linalg.inv(self.T_drone_sensor)
+        self.inertial = self.prediction if isinstance(self.prediction, InertialPrediction) else None
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
+        preprocess = self.settings.preprocess
         bars = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
         self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
         if self.inertial:
@@ -73,36 +68,26 @@ class FaceOdometry:
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
         self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan, correct the pose, add the scan to the map; see `SegmentOdometry.update`."""
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         if not scan.stamp_s > self._stamp_s:  # scans without stamps are taken to come at the usual rate
             scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
         self._stamp_s = scan.stamp_s
-        begin = time.perf_counter()
         fit = self._located(scan, prior)
         if fit is None:
-            step = self.clouds.update(scan, prior)
-            T_world_drone, seconds, registered = step.T_world_drone, {**step.seconds, "refit": 0.0}, step.reason == ""
+            T_world_drone, reason, matches, unobserved = super()._update(scan, prior, watch)
         else:
-            T_world_drone, registered = fit.T_world_sensor @ np.linalg.inv(self.T_drone_sensor), True
-            self.predictor.correct(T_world_drone, prior, NONE, self._at_drone(fit))
-            step = OdometryStep(scan.stamp_s, T_world_drone, True, "", fit.bars, {})
-            seconds = dict.fromkeys(STAGES, 0.0) | {"register": time.perf_counter() - begin}
+            T_world_drone, reason, matches, unobserved = fit.T_world_sensor @ self.T_sensor_drone, "", fit.bars, 0
+            arm = fit.T_world_sensor[:3, :3] @ self.T_sensor_drone[:3, 3]
+            self.prediction.correct(T_world_drone, prior, NONE, fit.information, arm)
+            watch.lap("register")
         output = self._output_pose(T_world_drone)
-        if (registered or step.reason == "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
-            begin = time.perf_counter()
+        if reason in ("", "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
-            seconds["map"] += time.perf_counter() - begin
+            watch.lap("map")
         if scan.stamp_s >= self._adopt_s - 1e-6:
-            begin = time.perf_counter()
             self._adopt(T_world_drone, output, prior)
-            seconds["refit"] = time.perf_counter() - begin
-        return OdometryStep(step.stamp_s, output, step.used, step.reason, step.matches, seconds, step.unobserved)
-
-    def map_points(self) -> Array:
-        """Means of the voxels of the keyframes, ``(N, 3)`` in the world frame."""
-        return self.clouds.map_points()
+            watch.lap("refit")
+        return output, reason, matches, unobserved
 
     def map_segments(self) -> Segments:
         """The bars with sections of the last adjustment; none before the first one."""
@@ -113,14 +98,13 @@ class FaceOdometry:
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
-        s, T_sensor = self.settings.preprocess, self.predictor.pose(scan.stamp_s, prior) @ self.T_drone_sensor
+        s, T_sensor = self.settings.preprocess, self.prediction.pose(prior, scan.stamp_s) @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < POINTS_MIN:
             return None
         known, size = None, len(self._lag)
         if self.inertial:
-            arm = T_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
-            known = information_at(self.inertial.information, -arm)
+            known = information_at(self.inertial.information, -(T_sensor[:3, :3] @ self.T_sensor_drone[:3, 3]))
         fit = self.faces.fit(points, T_sensor, known=known)
         error = pose_step(T_sensor, fit.T_world_sensor, size)
         square = (error**2 / self.faces.variance).sum() if known is None else error @ known @ error
@@ -128,14 +112,6 @@ class FaceOdometry:
             return None
         self.faces.accept(fit)
         return fit
-
-    def _at_drone(self, fit: Fit) -> Array:
-        """Information ``(6, 6)`` of a registration about rotation and position of the drone; zero if only four degrees
-        of freedom were free."""
-        if not self.inertial:
-            return np.zeros((6, 6))
-        arm = fit.T_world_sensor[:3, :3] @ np.linalg.inv(self.T_drone_sensor)[:3, 3]
-        return information_at(fit.information, arm)
 
     def _add_keyframe(self, scan: Scan, T_world_drone: Array, prior: Array, mapped: bool) -> None:
         """Add a scan to the keyframes, and to the map of points unless it is ``mapped`` already."""
@@ -148,9 +124,9 @@ class FaceOdometry:
             self._start_adjustment()
         if mapped:
             return
-        cloud = self.clouds.preprocessed(scan, T_world_drone)
+        cloud = self.preprocessed(scan, T_world_drone)
         if len(cloud):
-            self.clouds.insert(cloud, T_world_drone)
+            self.insert(cloud, T_world_drone)
 
     def _insert_waiting(self, T_correction: Array) -> None:
         """Add the keyframes that came during an adjustment, moved by its correction ``T_correction (4, 4)``, world."""
@@ -183,11 +159,7 @@ class FaceOdometry:
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = Locator(state.bars.take(state.bars.has_section), self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[-len(self._lag) :] ** 2
-        if self.inertial:
-            self.inertial.move(T_correction, REFITTED_SIGMA**2)
-        else:
-            self.predictor.drift.lose()  # an adjustment is no motion
-            self.predictor.drift.correct(T_correction @ T_world_drone, prior)
+        self.prediction.adjust(T_correction, T_world_drone, prior, REFITTED_SIGMA**2)
         self._lag = pose_step(T_correction @ T_world_drone, output, len(self._lag))
 
     def _output_pose(self, T_world_drone: Array) -> Array:

@@ -1,15 +1,14 @@
 """ORB features of an image, and their depths from the Time-of-Flight scan of the same moment."""
 
 import functools
-import math
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from steelnb.images import GreyImage
+from steelnb.images import GreyImage, project
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.types import Array, IntArray
 
@@ -24,6 +23,8 @@ POINTS_MIN = 6
 SMOOTH, FLAT = 3.0, 0.25
 """Maximum deviation of a depth from a smooth surface, in standard deviations; and maximum relative change of the depth
 from the centre of the neighbourhood to its border: steeper surfaces count as edges."""
+BITS = 257
+"""More than the Hamming distance of any two descriptors."""
 
 
 class Features(NamedTuple):
@@ -37,7 +38,7 @@ class Features(NamedTuple):
 
     def take(self, index: IntArray) -> "Features":
         """The features selected by an index."""
-        return Features(self.pixel[index], self.octave[index], self.descriptor[index], self.depth[index])
+        return Features(*(each[index] for each in self))
 
 
 @functools.cache
@@ -87,7 +88,7 @@ def features_with_depth(image: GreyImage, points: Array, T_camera_sensor: Array,
 
 
 class DepthImage:
-    """Points of a scan, projected into a camera's image.
+    """Points of a scan, projected into a camera's image: ``pixel (N, 2)``, ``depth (N,)`` along the optical axis.
 
     Parameters
     ----------
@@ -97,27 +98,19 @@ class DepthImage:
     """
 
     def __init__(self, points: Array, T_camera_sensor: Array, K: Array, shape: tuple[int, int]) -> None:
-        self._shape = shape
-        flat = np.ascontiguousarray(points.reshape(-1, 3))
-        self._pixel, self._depth = np.empty((len(flat), 2)), np.empty(len(flat))
-        count = _project(flat, T_camera_sensor, K, *shape, self._pixel, self._depth)
-        self._pixel, self._depth = self._pixel[:count], self._depth[:count]
+        in_camera = (points.reshape(-1, 1, 3) * T_camera_sensor[:3, :3]).sum(axis=2) + T_camera_sensor[:3, 3]
+        pixel, self._shape = project(in_camera, K), shape
+        inside = ((pixel >= 0) & (pixel <= np.array(shape[::-1]) - 1.0)).all(axis=1)
+        self.pixel, self.depth = pixel[inside], in_camera[inside, 0]
         self.spacing_px = 1.0
-        if count > 1:  # scans are in row order, so consecutive points are neighbours
-            spacing = np.abs(self._pixel[1::SAMPLE_STEP] - self._pixel[:-1:SAMPLE_STEP]).sum(axis=1)
+        if len(self.pixel) > 1:  # scans are in row order, so consecutive points are neighbours
+            spacing = np.abs(self.pixel[1::SAMPLE_STEP] - self.pixel[:-1:SAMPLE_STEP]).sum(axis=1)
             self.spacing_px = max(float(np.median(spacing)), 0.5)
-        self._radius_px = WINDOW * self.spacing_px
-        rows, self._columns = (int(side / self._radius_px) + 1 for side in shape)
-        self._first = np.zeros(rows * self._columns + 1, dtype=np.int64)
-        self._order = np.empty(count, dtype=np.int64)
-        _bin_pixels(self._pixel, self._radius_px, self._columns, self._first, self._order)
-
-    def __len__(self) -> int:
-        return len(self._depth)
+        self.radius_px = WINDOW * self.spacing_px
 
     def mask(self) -> GreyImage:
         """Mask ``(H, W)``: 255 near a return, else 0."""
-        result, pixel = np.zeros(self._shape, np.uint8), np.rint(self._pixel).astype(np.int64)
+        result, pixel = np.zeros(self._shape, np.uint8), np.rint(self.pixel).astype(np.int64)
         result[pixel[:, 1], pixel[:, 0]] = 255
         size = 2 * int(np.ceil(0.7 * self.spacing_px)) + 1
         return np.asarray(import_opencv().dilate(result, np.ones((size, size), np.uint8)))
@@ -128,132 +121,64 @@ class DepthImage:
         A surface is smooth if a plane fits, whose inverse depth is linear in the pixel. There must be returns in all
         four quadrants around the pixel, which excludes the edges of surfaces.
         """
-        result = np.full(len(pixel), np.nan)
-        _fit_planes(self._pixel, self._depth, self._order, self._first, self._columns, self._radius_px, pixel, result)
-        return result
+        at, near = _pairs(pixel, self.pixel, self.radius_px)
+        # Sums depend on their order: that of a grid's cells, row by row.
+        column, row = (self.pixel / self.radius_px).astype(np.int64).T
+        order = np.lexsort((near, column[near], row[near], at))
+        at, near = at[order], near[order]
+        (du, dv), depth = (self.pixel[near] - pixel[at]).T, self.depth[near]
 
+        def total(values: Array) -> Array:
+            return np.bincount(at, values, len(pixel))
 
-@njit(cache=True)
-def _project(points, T, K, rows, columns, pixel, depth):
-    """Fill in the pixels and depths of the points inside the image; returns their number."""
-    count = 0
-    for n in range(len(points)):
-        x = T[0, 0] * points[n, 0] + T[0, 1] * points[n, 1] + T[0, 2] * points[n, 2] + T[0, 3]
-        if not x > 0.0:  # also true for NaN
-            continue
-        y = T[1, 0] * points[n, 0] + T[1, 1] * points[n, 1] + T[1, 2] * points[n, 2] + T[1, 3]
-        z = T[2, 0] * points[n, 0] + T[2, 1] * points[n, 1] + T[2, 2] * points[n, 2] + T[2, 3]
-        u, v = K[0, 2] - K[0, 0] * y / x, K[1, 2] - K[1, 1] * z / x
-        if 0.0 <= u <= columns - 1 and 0.0 <= v <= rows - 1:
-            pixel[count, 0], pixel[count, 1], depth[count] = u, v, x
-            count += 1
-    return count
-
-
-@njit(cache=True)
-def _bin_pixels(pixel, side, columns, first, order):
-    """Sort the pixels into the cells of a grid: those of cell c are ``order[first[c]:first[c + 1]]``."""
-    cell = np.empty(len(pixel), dtype=np.int64)
-    for n in range(len(pixel)):
-        cell[n] = int(pixel[n, 1] / side) * columns + int(pixel[n, 0] / side)
-        first[cell[n] + 1] += 1
-    for c in range(len(first) - 1):
-        first[c + 1] += first[c]
-    next_free = first[:-1].copy()
-    for n in range(len(pixel)):
-        order[next_free[cell[n]]] = n
-        next_free[cell[n]] += 1
-
-
-@njit(cache=True)
-def _fit_planes(samples, depth, order, first, columns, radius, pixel, result):
-    """Fill in `DepthImage.depth_at`, by a plane through the ``samples (S, 2)`` around each ``pixel (N, 2)``."""
-    rows = (len(first) - 1) // columns
-    near = np.empty(256, dtype=np.int64)
-    for n in range(len(pixel)):
-        u, v = pixel[n]
-        column, row, count = int(max(u, 0.0) / radius), int(max(v, 0.0) / radius), 0
-        quadrant = 0
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            for c in range(max(column - 1, 0), min(column + 2, columns)):
-                for at in range(first[r * columns + c], first[r * columns + c + 1]):
-                    k = order[at]
-                    du, dv = samples[k, 0] - u, samples[k, 1] - v
-                    if du * du + dv * dv <= radius * radius and count < len(near):
-                        near[count] = k
-                        count += 1
-                        quadrant |= 1 << ((1 if du > 0 else 0) + (2 if dv > 0 else 0))
-        if count < POINTS_MIN or quadrant != 15:
-            continue
-        s = su = sv = suu = suv = svv = sw = suw = svw = 0.0
-        for at in range(count):
-            du, dv, w = samples[near[at], 0] - u, samples[near[at], 1] - v, 1.0 / depth[near[at]]
-            s, su, sv, suu, suv, svv = s + 1.0, su + du, sv + dv, suu + du * du, suv + du * dv, svv + dv * dv
-            sw, suw, svw = sw + w, suw + du * w, svw + dv * w
+        w = 1.0 / depth
+        s, su, sv, suu, suv, svv = map(total, (np.ones(len(at)), du, dv, du * du, du * dv, dv * dv))
+        sw, suw, svw = map(total, (w, du * w, dv * w))
         # Cramer's rule for the plane w = value + by_u·du + by_v·dv.
         m0, m1, m2 = suu * svv - suv * suv, su * svv - suv * sv, su * suv - suu * sv
-        determinant = s * m0 - su * m1 + sv * m2
-        if abs(determinant) < 1e-9:
-            continue
-        value = (sw * m0 - su * (suw * svv - suv * svw) + sv * (suw * suv - suu * svw)) / determinant
-        by_u = (s * (suw * svv - svw * suv) - sw * m1 + sv * (su * svw - suw * sv)) / determinant
-        by_v = (s * (suu * svw - suv * suw) - su * (su * svw - suw * sv) + sw * m2) / determinant
-        if value <= 0:
-            continue
-        sigma = max(SIGMA_M, SIGMA_SHARE / value)
-        smooth = True
-        for at in range(count):
-            k = near[at]
-            expected = value + by_u * (samples[k, 0] - u) + by_v * (samples[k, 1] - v)
-            if expected <= 0 or abs(depth[k] - 1.0 / expected) > SMOOTH * sigma:
-                smooth = False
-                break
-        if smooth and math.hypot(by_u, by_v) * radius < FLAT * value:
-            result[n] = 1.0 / value
+        with np.errstate(divide="ignore", invalid="ignore"):
+            determinant = s * m0 - su * m1 + sv * m2
+            value = (sw * m0 - su * (suw * svv - suv * svw) + sv * (suw * suv - suu * svw)) / determinant
+            by_u = (s * (suw * svv - svw * suv) - sw * m1 + sv * (su * svw - suw * sv)) / determinant
+            by_v = (s * (suu * svw - suv * suw) - su * (su * svw - suw * sv) + sw * m2) / determinant
+            expected = value[at] + by_u[at] * du + by_v[at] * dv
+            sigma = np.maximum(SIGMA_M, SIGMA_SHARE / value)[at]
+            rough = ~(expected > 0) | (np.abs(depth - 1.0 / expected) > SMOOTH * sigma)
+            is_flat = np.hypot(by_u, by_v) * self.radius_px < FLAT * value
+            quadrants = np.bincount(4 * at + (du > 0) + 2 * (dv > 0), minlength=4 * len(pixel)).reshape(-1, 4)
+            known = (s >= POINTS_MIN) & quadrants.all(axis=1) & (np.abs(determinant) >= 1e-9) & (value > 0)
+            return np.where(known & is_flat & (total(rough) == 0), 1.0 / value, np.nan)
 
 
-@njit(cache=True)
-def match(pixel, octave, descriptor, depth, expected, expected_octave, expected_depth, reference, search_px,
-          hamming_max, ratio):  # fmt: skip
+def _pairs(one: Array, other: Array, radius: float) -> tuple[IntArray, IntArray]:
+    """Indices of all pairs of places ``(M, 2)`` and ``(N, 2)`` at most a radius apart."""
+    found = cKDTree(one).sparse_distance_matrix(cKDTree(other), radius, output_type="ndarray")
+    return found["i"], found["j"]
+
+
+def match(
+    pixel: Array, octave: IntArray, descriptor: NDArray[np.uint64], depth: Array, expected: Array,
+    expected_octave: IntArray, expected_depth: Array, reference: NDArray[np.uint64], search_px: float,
+    hamming_max: int, ratio: float,
+) -> IntArray:  # fmt: skip
     """Index ``(M,)`` of the feature that matches each expected landmark, −1 for none.
 
     Candidates are near the pixel ``expected (M, 2)``, of a similar octave and, if both are known, of a similar depth.
     The match has the smallest Hamming distance from the ``reference (M, 4)`` descriptor, and passes the ratio test
     against the second best. Each feature matches at most one landmark.
     """
-    found = np.full(len(expected), -1, dtype=np.int64)
-    difference = np.full(len(expected), 257, dtype=np.int64)
-    owner = np.full(len(pixel), -1, dtype=np.int64)
-    for m in range(len(expected)):
-        best, second, chosen = 257, 257, -1
-        for n in range(len(pixel)):
-            du, dv = pixel[n, 0] - expected[m, 0], pixel[n, 1] - expected[m, 1]
-            if not du * du + dv * dv <= search_px * search_px or abs(octave[n] - expected_octave[m]) > 1:
-                continue
-            if abs(depth[n] - expected_depth[m]) > 5 * max(SIGMA_M, SIGMA_SHARE * depth[n]):
-                continue  # false for an unknown depth
-            bits = 0
-            for word in range(4):
-                bits += _popcount(descriptor[n, word] ^ reference[m, word])
-            if bits < best:
-                best, second, chosen = bits, best, n
-            elif bits < second:
-                second = bits
-        if chosen < 0 or best > hamming_max or best > ratio * second:
-            continue
-        rival = owner[chosen]
-        if rival >= 0:
-            if difference[rival] <= best:
-                continue
-            found[rival] = -1
-        owner[chosen], found[m], difference[m] = m, chosen, best
+    m, n = _pairs(expected, pixel, search_px)
+    apart = np.abs(depth[n] - expected_depth[m]) > 5 * np.maximum(SIGMA_M, SIGMA_SHARE * depth[n])  # not if unknown
+    similar = (np.abs(octave[n] - expected_octave[m]) <= 1) & ~apart
+    m, n = m[similar], n[similar]
+    bits = np.bitwise_count(descriptor[n] ^ reference[m]).sum(axis=1, dtype=np.int64)
+    order = np.lexsort((n, bits, m))
+    m, n, bits = m[order], n[order], bits[order]
+    second = np.where(np.diff(m, append=-1) == 0, np.append(bits, BITS)[1:], BITS)
+    good = (np.diff(m, prepend=-1) != 0) & (bits <= hamming_max) & (bits <= ratio * second)
+    m, n, bits = m[good], n[good], bits[good]
+    order = np.lexsort((m, bits, n))
+    chosen = order[np.diff(n[order], prepend=-1) != 0]
+    found = np.full(len(expected), -1)
+    found[m[chosen]] = n[chosen]
     return found
-
-
-@njit(cache=True)
-def _popcount(x):
-    """Number of set bits of 64."""
-    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))

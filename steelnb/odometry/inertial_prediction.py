@@ -45,8 +45,10 @@ class State(NamedTuple):
 class InertialPrediction:
     """Predicts the pose of each scan from the readings of an ``imu``; ``noise`` is that of its data sheet.
 
-    `pose` may be called repeatedly; `correct` or `lose` ends the scan.
+    It stands in the place of a `prediction.Prediction`.
     """
+
+    known = tilted = True
 
     def __init__(self, imu: Imu, noise: ImuSettings) -> None:
         self.imu, self.noise = imu, noise
@@ -56,9 +58,8 @@ class InertialPrediction:
     def pose(self, prior: Array, stamp_s: float) -> Array:
         """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior``; at the first scan, the
         prior itself."""
-        self.predicted = (
-            self._started(prior, stamp_s) if self.state is None else self._propagated(self.state, prior, stamp_s)
-        )
+        old = self.state
+        self.predicted = self._propagated(old, prior, stamp_s) if old else self._started(prior, stamp_s)
         return self.predicted.T_world_drone
 
     @property
@@ -67,34 +68,34 @@ class InertialPrediction:
         assert self.predicted is not None
         return np.asarray(np.linalg.inv(self.predicted.covariance[POSE, POSE]))
 
-    def term(self) -> Term:
+    def terms(self, T_predicted: Array, points: Array) -> list[Term]:
         """½ ‖rotation and shift of the drone from the predicted pose‖² in the metric of its information."""
-        assert self.predicted is not None
-        T_init, information = self.predicted.T_world_drone, self.information
+        information = self.information
 
         def cost(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            error, by_twist = _difference(T_init, T), _by_twist(T[:3, 3] - centre)
+            error, by_twist = _difference(T_predicted, T), _by_twist(T[:3, 3] - centre)
             weighted = information @ error
             return by_twist.T @ information @ by_twist, by_twist.T @ weighted, 0.5 * float(error @ weighted)
 
-        return cost
+        return [cost]
 
-    def correct(self, T_world_drone: Array, information: Array, unobserved: Array = NONE) -> None:
+    def correct(self, T_world_drone: Array, prior: Array, unobserved: Array, H: Array, arm: Array) -> None:
         """Update with the maximum a posteriori pose of a registered scan.
 
-        ``information (6, 6)`` about its rotation and position is that of prediction and registration together. Along
-        ``unobserved (u, 3)``, unit vectors, the pose is the prediction's.
+        ``H (6, 6)`` is the information of prediction and registration together about the rotation and the shift of a
+        point, from which the drone lies ``arm (3,)``. Along ``unobserved (u, 3)``, unit vectors, the pose is the
+        prediction's.
         """
-        observed, prior = np.eye(6), self.information
+        observed, predicted = np.eye(6), self.information
         observed[3:, 3:] -= unobserved.T @ unobserved
-        registered = observed @ (information - prior) @ observed
+        registered = observed @ (information_at(H, arm) - predicted) @ observed
         self.lose()
         assert self.state is not None
         P = self.state.covariance
         before = P[POSE, POSE]
         gain = np.linalg.solve(before, P[POSE]).T  # of all errors, given those of the pose
         step = gain @ _difference(self.state.T_world_drone, T_world_drone)
-        P = P + gain @ (np.linalg.inv(prior + registered) - before) @ gain.T
+        P = P + gain @ (np.linalg.inv(predicted + registered) - before) @ gain.T
         self.state = self.state._replace(
             T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
             bias=self.state.bias + step[BIAS], covariance=0.5 * (P + P.T),
@@ -104,7 +105,7 @@ class InertialPrediction:
         """Update with a scan that was not registered: continue from its prediction."""
         self.state = self.predicted
 
-    def move(self, T_correction: Array, variance: Array) -> None:
+    def adjust(self, T_correction: Array, T_world_drone: Array, prior: Array, variance: Array) -> None:
         """Move the state by ``T_correction (4, 4)``, world frame, which adds a ``variance (6,)`` of rotation and
         position of the drone."""
         assert self.state is not None

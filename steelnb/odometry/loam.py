@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from steelnb.odometry.base import settings_of
-from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry, Registered
+from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.features import Features, loam_features, scan_lines
-from steelnb.registration import AnyTarget, FeatureTarget, align
+from steelnb.registration import AnyTarget, FeatureTarget, RegistrationResult, align
 from steelnb.settings import LoamSettings, OdometrySettings
 from steelnb.types import Array, IntArray, Scan
 
@@ -25,14 +24,11 @@ class LoamOdometry(CloudOdometry):
     every scan. Geman-McClure weights replace the bisquare ones.
 
     Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are first sorted into scan lines.
-
-    Parameters
-    ----------
-    settings : of the family ``loam``, default ``OdometrySettings.preset("loam")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
     """
 
-    BY_FEATURES = True
+    kind, method = LoamSettings, "loam"
+    inliers_min = 0.0
+    settings: LoamSettings
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings, T_drone_sensor)
@@ -42,9 +38,6 @@ class LoamOdometry(CloudOdometry):
         self._features = Features(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
         self._plane: IntArray = none  # kinds of the points that `preprocessed` returned
         self._last = self._features.point, none  # points and kinds of the last scan's features, world frame
-
-    def _own(self, settings: OdometrySettings | None) -> LoamSettings:
-        return settings_of(settings, LoamSettings, "loam")
 
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, downsampled and without the floor."""
@@ -59,20 +52,16 @@ class LoamOdometry(CloudOdometry):
         return np.concatenate(kinds)
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
-        if not len(points) or not self.mapped:
-            return None, None
-        world = points @ T_init[:3, :3].T + T_init[:3, 3]
-        low, high = world.min(axis=0), world.max(axis=0)
-        reach = float((high - low).max() / 2 + 2 * self.settings.max_correspondence_m)
-        chosen = [voxels.near((low + high) / 2, reach) for voxels in (self.map, self.planes)]
+        chosen = [self._in_sight(voxels, points, T_init) for voxels in (self.map, self.planes)]
         if not any(map(len, chosen)):
             return None, None
         edges, planes = (voxels.means(slots) for voxels, slots in zip((self.map, self.planes), chosen, strict=True))
         return FeatureTarget.of(edges, planes, self._plane, SIGMA_M), np.zeros((len(points), 6))
 
-    def _register(self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array) -> Registered:
-        registered = super()._register(points, covariance, target, self._scan_to_scan(T_init))
-        return registered if registered.reason == "" else registered._replace(T_world_drone=T_init)
+    def _register(
+        self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
+    ) -> tuple[RegistrationResult | None, str]:
+        return super()._register(points, covariance, target, self._scan_to_scan(T_init))
 
     def _scan_to_scan(self, T_init: Array) -> Array:
         """The pose ``(4, 4)`` of this scan by registration to the last one, or ``T_init`` if that fails."""

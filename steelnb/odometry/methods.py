@@ -1,16 +1,22 @@
 """Settings → odometry, and flight → estimate."""
 
+import importlib
 import inspect
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from steelnb.errors import InputError
 from steelnb.fusion.inertial import check_imu
 from steelnb.fusion.smooth import smooth
 from steelnb.images import CameraImages
-from steelnb.odometry.base import Odometry
+from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
 from steelnb.odometry.faces import FaceOdometry
@@ -21,59 +27,56 @@ from steelnb.odometry.report_clouds import ReportCloudOdometry
 from steelnb.odometry.report_segments import ReportSegmentOdometry
 from steelnb.odometry.run import OnStep, run
 from steelnb.odometry.segments import SegmentOdometry
-from steelnb.settings import (
-    CloudSettings,
-    DeepVoSettings,
-    FaceSettings,
-    LibrarySettings,
-    LoamSettings,
-    OdometrySettings,
-    OrbSettings,
-    ReportCloudSettings,
-    ReportSegmentSettings,
-    SegmentSettings,
-    StructureSettings,
-)
+from steelnb.settings import OdometrySettings, StructureSettings
+from steelnb.settings.base import guess
 from steelnb.types import Array, Estimate, Flight, Imu
 
-ODOMETRIES: dict[type[OdometrySettings], Callable[..., Odometry]] = {
-    SegmentSettings: SegmentOdometry,
-    CloudSettings: CloudOdometry,
-    FaceSettings: FaceOdometry,
-    LoamSettings: LoamOdometry,
-    OrbSettings: OrbOdometry,
-    DeepVoSettings: DeepVoOdometry,
-    LibrarySettings: PeerOdometry,
-    ReportCloudSettings: ReportCloudOdometry,
-    ReportSegmentSettings: ReportSegmentOdometry,
+ODOMETRIES: dict[str, type[BaseOdometry]] = {
+    "segments": SegmentOdometry,
+    "clouds": CloudOdometry,
+    "faces": FaceOdometry,
+    "loam": LoamOdometry,
+    "orb": OrbOdometry,
+    "deepvo": DeepVoOdometry,
+    "library": PeerOdometry,
+    "report_clouds": ReportCloudOdometry,
+    "report_segments": ReportSegmentOdometry,
 }
-"""Settings of a family → its odometry."""
+"""Family of settings → its odometry."""
 
 
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
-) -> Odometry:
+) -> BaseOdometry:
     """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. ``imu`` and
     ``images`` are passed to the odometries whose constructors take them."""
-    make, given = ODOMETRIES[type(settings)], {"imu": imu, "images": images}
-    parameters = inspect.signature(make).parameters
-    return make(settings, T_drone_sensor, **{name: value for name, value in given.items() if name in parameters})
+    make = partial(ODOMETRIES[settings.family], settings)
+    return make(**_wanted(make, {"T_drone_sensor": T_drone_sensor, "imu": imu, "images": images}))
+
+
+def _wanted(make: Callable[..., Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Those of the ``given`` arguments that a constructor asks for by name."""
+    return {name: given[name] for name in inspect.signature(make).parameters if name in given}
 
 
 def correct(
-    flight: Flight, settings: OdometrySettings, on_step: OnStep | None = None, odometry: Odometry | None = None
+    flight: Flight,
+    settings: OdometrySettings,
+    on_step: OnStep | None = None,
+    own: Callable[..., Odometry] | None = None,
 ) -> Estimate:
-    """Correct a flight with the method of the settings, scan by scan, or with a new ``odometry`` in its place.
+    """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
-    evenly over the scans. ``on_step`` as for `run`. Raises `InputError` as `run` does, and before the first scan if the
-    readings of an IMU have other units or axes.
+    evenly over the scans. ``on_step`` as for `run`. ``own`` is a class in place of the settings' odometry
+    (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU have other
+    units or axes.
     """
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
-    if odometry is None:
-        odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
+    make = own or partial(make_odometry, settings)
+    odometry = make(**_wanted(make, {name: getattr(flight, name) for name in GIVEN}))
     estimate = run(flight, odometry, on_step)
     if not settings.smooth:
         return estimate
@@ -82,3 +85,34 @@ def correct(
     estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise)
     smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})
+
+
+GIVEN = ("T_drone_sensor", "imu", "images")
+"""Parts of a flight that the constructor of a user's class may ask for by these names."""
+
+
+def load_odometry(name: str) -> Callable[..., Odometry]:
+    """The class that ``MODULE:CLASS`` names, of a module that is installed or lies in the working directory.
+
+    Raises `InputError` if module, class or its method `update` is missing, or if its constructor needs anything but
+    `GIVEN`.
+    """
+    module_name, _, class_name = name.partition(":")
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as fault:
+        raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault}") from None
+    finally:
+        sys.path.pop(0)
+    classes: dict[str, Any] = dict(inspect.getmembers(module, inspect.isclass))
+    if class_name not in classes:
+        raise InputError(f"{name}: no class {class_name!r} in {module.__file__}{guess(class_name, list(classes))}")
+    kind = classes[class_name]
+    if not callable(getattr(kind, "update", None)):
+        raise InputError(f"{name}: no method 'update'; expected update(scan, T_world_drone_prior) -> OdometryStep")
+    parameters = inspect.signature(kind).parameters.values()
+    needed = {each.name for each in parameters if each.default is each.empty and "VAR" not in each.kind.name}
+    if unknown := needed - set(GIVEN):
+        raise InputError(f"{name}: its constructor needs {', '.join(sorted(unknown))}; expected {', '.join(GIVEN)}")
+    return kind  # type: ignore[no-any-return]

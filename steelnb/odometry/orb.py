@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from steelnb.images import CameraImages, GreyImage, unproject
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.features import SCALE, Features, features_with_depth, match
 from steelnb.odometry.landmarks import Expected, LandmarkMap
-from steelnb.odometry.prediction import PRIOR_SIGMA, PosePredictor
+from steelnb.odometry.inertial_prediction import NONE
+from steelnb.odometry.prediction import PRIOR_SIGMA, make_prediction
 from steelnb.odometry.reprojection import Sighting, solve_pose
-from steelnb.points.inputs import checked_pose
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
-from steelnb.types import Array, Imu, IntArray, OdometryStep, Scan
+from steelnb.types import Array, Imu, IntArray, Scan
 
 SPACING_PX = 4.0
 """Minimum distance of new landmarks, along u or v, from those already expected in the image."""
@@ -68,18 +68,21 @@ class Tracked(NamedTuple):
         return int(np.count_nonzero(self.inlier))
 
 
-class OrbOdometry(Odometry):
+class OrbOdometry(BaseOdometry):
     """Corrects a drifting pose by the image features at each scan, matched to a map of landmarks.
+
+    Landmarks farther away than ``preprocess.crop_m`` are ignored. Reading or rendering an image is not measured.
 
     Parameters
     ----------
-    settings : of the family ``orb``, default ``OdometrySettings.preset("orb")``. Landmarks farther away than
-        ``preprocess.crop_m`` are ignored.
-    T_drone_sensor : (4, 4), the mount of the Time-of-Flight sensor, default identity.
     imu : readings in the drone frame; used, up to the current scan, if the settings have ``inertial``.
     images : images of a camera on the drone; each scan uses the last one before or at its stamp. A scan without one
         follows the prior.
     """
+
+    kind, method = OrbSettings, "orb"
+    stages = "features", "track", "map"
+    settings: OrbSettings
 
     def __init__(
         self,
@@ -88,27 +91,21 @@ class OrbOdometry(Odometry):
         imu: Imu | None = None,
         images: CameraImages | None = None,
     ) -> None:
-        self.settings = settings_of(settings, OrbSettings, "orb")
+        super().__init__(settings, T_drone_sensor)
         self.images = NO_IMAGES if images is None else images
-        self.T_camera_sensor = np.linalg.inv(self.images.T_drone_camera) @ mount_of(T_drone_sensor)
+        self.T_camera_sensor = np.linalg.inv(self.images.T_drone_camera) @ self.T_drone_sensor
         self.map, self.count = LandmarkMap(LANDMARKS_MAX), 0
         self.T_keyframe: Array | None = None
-        self.predictor = PosePredictor(PRIOR_SIGMA, noise=self.settings.inertial, imu=imu)
-        self.free = FREE["se3" if self.predictor.tilted else "xyz_yaw"]
+        self.prediction = make_prediction(PRIOR_SIGMA, 0.0, self.settings.inertial, imu)
+        self.free = FREE["se3" if self.prediction.tilted else "xyz_yaw"]
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Correct the pose at one scan by its image, and add new features to the map; see `Odometry.update`.
-
-        The stages of ``seconds`` are ``features``, ``track`` and ``map``, without reading or rendering the image.
-        """
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         number = self.images.at(scan.stamp_s)
         image = None if number is None else self.images.images[number]
-        watch = Stopwatch("features", "track", "map")
-        T_predicted = self.predictor.pose(scan.stamp_s, prior)
+        T_predicted = self.prediction.pose(prior, scan.stamp_s)
         if image is None:
-            self.predictor.lose()
-            return OdometryStep(scan.stamp_s, T_predicted, False, "no image", 0, watch.seconds)
+            self.prediction.lose()
+            return T_predicted, "no image", 0, 0
         features = features_with_depth(image, scan.points, self.T_camera_sensor, self.images.K, FEATURES)
         watch.lap("features")
         tracked = self._solve(features, image, T_predicted, T_predicted, SEARCH_PX, HAMMING)
@@ -118,10 +115,9 @@ class OrbOdometry(Odometry):
         watch.lap("track")
         T_world_drone, reason = tracked.T_world_drone, tracked.reason
         if reason:
-            self.predictor.lose()
+            self.prediction.lose()
         else:
-            information = self.predictor.information_of(tracked.H, T_world_drone, tracked.centre)
-            self.predictor.correct(T_world_drone, prior, information=information)
+            self.prediction.correct(T_world_drone, prior, NONE, tracked.H, T_world_drone[:3, 3] - tracked.centre)
             inlier, landmark = tracked.inlier, tracked.expected.number
             observed = features.take(tracked.found[inlier])
             points = self._world(observed, T_world_drone)
@@ -130,11 +126,12 @@ class OrbOdometry(Odometry):
             self._extend(features, image, T_world_drone)
         self.count += 1
         watch.lap("map")
-        return OdometryStep(scan.stamp_s, T_world_drone, not reason, reason, tracked.matches, watch.seconds)
+        return T_world_drone, reason, tracked.matches, 0
 
     def map_points(self) -> Array:
         """Landmarks with at least two observations, ``(N, 3)`` in the world frame."""
-        return self.map.point[self.map.found > 1]
+        table = self.map.table
+        return table["point"][table["found"] > 1]
 
     def _solve(
         self, features: Features, image: GreyImage, T_predicted: Array, T_init: Array, search_px: float,
@@ -143,8 +140,8 @@ class OrbOdometry(Odometry):
         """The pose from the landmarks that are expected at ``T_init`` and match features."""
         expected = self._expected(T_init, image)
         found = match(
-            *features, expected.pixel, self.map.octave[expected.number], expected.depth,
-            self.map.descriptor[expected.number], search_px, hamming_max, RATIO,
+            *features, expected.pixel, self.map.table["octave"][expected.number], expected.depth,
+            self.map.table["descriptor"][expected.number], search_px, hamming_max, RATIO,
         )  # fmt: skip
         inlier = found >= 0
         failed = Tracked(T_predicted, "", expected, found, inlier)
@@ -154,14 +151,14 @@ class OrbOdometry(Odometry):
             return failed._replace(reason="first scan")
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches")
-        matched, landmark = features.take(found[inlier]), self.map.point[expected.number[inlier]]
+        matched, landmark = features.take(found[inlier]), self.map.table["point"][expected.number[inlier]]
         sigma_px = PIXEL_SIGMA * SCALE ** matched.octave.astype(np.float64)
         sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * matched.depth)
         sighting = Sighting(landmark, matched.pixel, sigma_px, matched.depth, sigma_m)
         in_drone = (landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3]
         solved = solve_pose(
             sighting, self.images.K, self.images.T_drone_camera, T_init, self.free,
-            self.predictor.terms(T_predicted, in_drone), in_drone.mean(axis=0), ROBUST_SCALE,
+            self.prediction.terms(T_predicted, in_drone), in_drone.mean(axis=0), ROBUST_SCALE,
         )  # fmt: skip
         inlier[inlier] = solved.weight >= INLIER_WEIGHT
         if not solved.determined:

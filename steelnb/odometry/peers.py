@@ -9,10 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
-from steelnb.points.inputs import checked_pose
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.settings import LibrarySettings, OdometrySettings
-from steelnb.types import Array, OdometryStep, Scan
+from steelnb.types import Array, Scan
 
 POINTS_MIN = 10
 """Scans with fewer returns are not registered."""
@@ -26,31 +25,22 @@ points registered."""
 MapPoints = Callable[[], Array]
 
 
-class PeerOdometry(Odometry):
-    """Corrects a drifting pose by a ``library``. The prior's motion replaces the library's own prediction.
+class PeerOdometry(BaseOdometry):
+    """Corrects a drifting pose by a library. The prior's motion replaces the library's own prediction.
 
-    Parameters
-    ----------
-    settings : of the family ``library``, default ``OdometrySettings.preset("kiss-icp")``; its voxel is
-        ``preprocess.voxel_leaf_m``, and points beyond ``preprocess.crop_m`` are ignored.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    The voxel is ``preprocess.voxel_leaf_m``; points beyond ``preprocess.crop_m`` are ignored.
     """
 
-    def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings_of(settings, LibrarySettings, "kiss-icp")
-        self.T_drone_sensor = mount_of(T_drone_sensor)
-        self._make = LIBRARIES[self.settings.method]
-        self._register: Register | None = None
-        self._map_points: MapPoints = lambda: np.zeros((0, 3))
-        self._last_prior: Array | None = None  # T_world_sensor of the last scan by the prior
-        self._T_world_sensor = np.eye(4)  # the same, corrected
+    kind, method = LibrarySettings, "kiss-icp"
+    stages = ("register",)
+    settings: LibrarySettings
+    _register: Register | None = None
+    _last_prior: Array | None = None  # T_world_sensor of the last scan by the prior
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan; see `Odometry.update`. The only stage of ``seconds`` is ``register``."""
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior") @ self.T_drone_sensor
-        points = scan.points.reshape(-1, 3)
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        prior, points = prior @ self.T_drone_sensor, scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
-        watch, matches, reason = Stopwatch("register"), 0, ""
+        matches, reason = 0, ""
         if self._last_prior is None:
             self._last_prior = self._T_world_sensor = prior
         self._T_world_sensor = self._T_world_sensor @ (np.linalg.inv(self._last_prior) @ prior)
@@ -59,16 +49,16 @@ class PeerOdometry(Odometry):
             reason = "too few points"
         else:
             if self._register is None:
-                preprocess, reason = self.settings.preprocess, "first scan"
-                self._register, self._map_points = self._make(preprocess.voxel_leaf_m, prior, preprocess.crop_m)
+                s, reason = self.settings, "first scan"
+                make = LIBRARIES[s.method]
+                self._register, self._map_points = make(s.preprocess.voxel_leaf_m, prior, s.preprocess.crop_m)
             self._T_world_sensor, matches = self._register(points, self._T_world_sensor)
-        T_world_drone = self._T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
         watch.lap("register")
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds)
+        return self._T_world_sensor @ np.linalg.inv(self.T_drone_sensor), reason, matches, 0
 
     def map_points(self) -> Array:
         """The points of the library's map, ``(N, 3)`` in the world frame."""
-        return self._map_points()
+        return self._map_points() if self._register else np.zeros((0, 3))
 
 
 def kiss_icp(voxel_m: float, first: Array, range_max_m: float) -> tuple[Register, MapPoints]:

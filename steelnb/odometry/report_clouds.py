@@ -12,14 +12,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.points.inputs import checked_pose
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import FREE, Aligned, Target, align, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
-from steelnb.types import Array, OdometryStep, Scan
+from steelnb.types import Array, Scan
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
 """Corners of the crop box; sensor frame, metres."""
@@ -49,52 +48,48 @@ PROGRAMS = {
 }
 
 
-class ReportCloudOdometry(Odometry):
+class ReportCloudOdometry(BaseOdometry):
     """Corrects a drifting pose by registering each scan to the map, as the report's program does.
 
     ``correction (4, 4)`` is E; a corrected pose is E times the drifting one. Traits in ``switched`` are replaced.
-
-    Parameters
-    ----------
-    settings : of the family ``report_clouds``, default ``OdometrySettings.preset("report-gicp")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, used if ``mount`` is switched; default identity.
     """
 
+    kind, method = ReportCloudSettings, "report-gicp"
+    stages = "preprocess", "prepare", "register", "map"
+    settings: ReportCloudSettings
+
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings_of(settings, ReportCloudSettings, "report-gicp")
+        super().__init__(settings, T_drone_sensor)
         self.program, self.switched = PROGRAMS[self.settings.method], self.settings.switched
-        mount = mount_of(T_drone_sensor)
-        self.T_drone_sensor = mount if "mount" in self.switched else np.eye(4)
+        if "mount" not in self.switched:
+            self.T_drone_sensor = np.eye(4)
         self.map = VoxelMap(VOXEL_M, accumulate=False)
         self.first = np.zeros((0, 3))  # the first scan is downsampled together with the second one
         self.correction = np.eye(4)
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Register one scan, correct the pose, and add the aligned scan to the map; see `Odometry.update`."""
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        watch = Stopwatch("preprocess", "prepare", "register", "map")
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         points = self.placed(scan, prior)
         watch.lap("preprocess")
-        reason, matches = "too few points" if not len(points) else "", 0
-        if not reason and not len(self.map_points()):
-            self.first, reason = points, "first scan"
+        if not len(points):
+            return self.correction @ prior, "too few points", 0, 0
+        if not len(self.map_points()):
+            self.first = points
+            return self.correction @ prior, "first scan", 0, 0
         watch.lap("prepare")
+        result = self.registered(points)
+        step = result.T_target_source.copy()
+        if self.program.drop_rotation:
+            step[:3, :3] = np.eye(3)
+        reason = "" if "gates" in self.switched else rejection(step)
+        reason = reason if result.converged else "too few pairs"
+        watch.lap("register")
         if not reason:
-            result = self.registered(points)
-            step, matches = result.T_target_source, result.inliers
-            if self.program.drop_rotation:
-                step = np.eye(4)
-                step[:3, 3] = result.T_target_source[:3, 3]
-            reason = "" if "gates" in self.switched else rejection(step)
-            reason = reason if result.converged else "too few pairs"
-            watch.lap("register")
-            if not reason:
-                aligned = points @ result.T_target_source[:3, :3].T + result.T_target_source[:3, 3]
-                self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
-                from_left = "order" in self.switched
-                self.correction = step @ self.correction if from_left else self.correction @ step
-            watch.lap("map")
-        return OdometryStep(scan.stamp_s, self.correction @ prior, reason == "", reason, matches, watch.seconds)
+            aligned = points @ result.T_target_source[:3, :3].T + result.T_target_source[:3, 3]
+            self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
+            from_left = "order" in self.switched
+            self.correction = step @ self.correction if from_left else self.correction @ step
+        watch.lap("map")
+        return self.correction @ prior, reason, result.inliers, 0
 
     def placed(self, scan: Scan, T_world_drone_prior: Array) -> Array:
         """The scan's points inside the box ``(N, 3)``, transformed to the world frame by the correction so far."""

@@ -10,13 +10,12 @@ import math
 
 import numpy as np
 
-from steelnb.odometry.base import Odometry, Stopwatch, nothing_left, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.corrections import GAIN
 from steelnb.odometry.segments import timed_segments
 from steelnb.points import preprocess_scan
-from steelnb.points.inputs import checked_pose
 from steelnb.settings import OdometrySettings, ReportSegmentSettings
-from steelnb.types import Array, IntArray, OdometryStep, Scan, Segments
+from steelnb.types import Array, Scan, Segments
 
 NO_FLOOR_M = -1e6
 """No floor filter: the points of the floor take part in the Hough transform."""
@@ -30,28 +29,22 @@ WEIGHT = 0.01
 """Weight of a segment when it is fused with its bar."""
 
 
-class ReportSegmentOdometry(Odometry):
+class ReportSegmentOdometry(BaseOdometry):
     """Corrects a drifting position by bars, as the report's program does. The attitude is the prior's.
 
-    ``error (3,)``: position error so far, metres, world frame.
-
-    Parameters
-    ----------
-    settings : of the family ``report_segments``, default ``OdometrySettings.preset("report-segments", "report")``.
-    T_drone_sensor : the mount of the sensor, which the original ignores.
+    The default settings are those of the report's sensor. ``error (3,)``: position error so far, metres, world frame.
     """
 
+    kind, method = ReportSegmentSettings, "report-segments"
+    stages = "preprocess", "hough", "match", "map"
+    settings: ReportSegmentSettings
+
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        settings = settings or OdometrySettings.preset("report-segments", "report")
-        self.settings = settings_of(settings, ReportSegmentSettings, "report-segments")
+        super().__init__(settings or OdometrySettings.preset(self.method, "report"), T_drone_sensor)
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
         self.bars, self.error = ReportBars(), np.zeros(3)
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Match a scan's segments, correct the position for the next scan, and map the segments; see
-        `Odometry.update`."""
-        scan, prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        watch = Stopwatch("preprocess", "hough", "match", "map")
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
         watch.lap("preprocess")
         found, hough_s = timed_segments(points, self.settings.hough)
@@ -60,17 +53,15 @@ class ReportSegmentOdometry(Odometry):
         segments = found.transformed(T_world_drone)
         segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
         watch.lap("hough")
+        watch.seconds["hough"] = hough_s
         offsets = self.bars.offsets(segments)
         if len(offsets):
             self.error = self.error + GAIN * offsets.mean(axis=0)
         watch.lap("match")
         reason = "" if len(offsets) else "no segment of the map seen" if len(self.bars) else "first scan"
-        reason = reason if len(segments) else "no segment seen"
-        reason = (nothing_left(scan, self.preprocess.crop_m) if not len(points) else "") or reason
         self.bars.insert(segments)
         watch.lap("map")
-        seconds = watch.seconds | {"hough": hough_s}
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, len(offsets), seconds)
+        return T_world_drone, reason if len(segments) else "no segment seen", len(offsets), 0
 
     def map_segments(self) -> Segments:
         """The bars of the map."""
@@ -131,27 +122,22 @@ class ReportBars:
         bar = int(first[0])
         return bar, anchor[bar], vector[bar], np.array([t[:, bar].min(), t[:, bar].max()])
 
-    def insert(self, segments: Segments) -> IntArray:
-        """Fuse each segment with its bar, or start a new bar. Returns the bar of each segment ``(M,)``.
+    def insert(self, segments: Segments) -> None:
+        """Fuse each segment with its bar, or start a new bar.
 
         All segments are matched to the bars before this call. If two match the same bar, the later one counts.
         """
         matches = [self.match(segments, k) for k in range(len(segments))]
-        new = np.array([match is None for match in matches], dtype=bool)
-        bar = np.array([0 if match is None else match[0] for match in matches], dtype=np.int64)
-        bar[new] = len(self) + np.arange(np.count_nonzero(new))
-        added = segments.take(new)
+        for k, match in enumerate(matches):
+            if match is not None:
+                bar, self.anchor[match[0]], self.vector[match[0]], self.reach[match[0]] = match
+                self.count[bar] += segments.count[k]
+        added = segments.take(np.array([match is None for match in matches], dtype=bool))
         half_length = 0.5 * added.length
         self.anchor = np.concatenate([self.anchor, added.middle])
         self.vector = np.concatenate([self.vector, added.direction])
         self.reach = np.concatenate([self.reach, np.stack([-half_length, half_length], axis=1)])
         self.count = np.concatenate([self.count, added.count])
-        for k, match in enumerate(matches):
-            if match is not None:
-                b, anchor, vector, reach = match
-                self.anchor[b], self.vector[b], self.reach[b] = anchor, vector, reach
-                self.count[b] += segments.count[k]
-        return bar
 
     def _foot(self, point: Array) -> Array:
         """The closest point on each bar's line to ``point (3,)``, ``(B, 3)``."""

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from steelnb.registration import Term
 from steelnb.registration.solve import exp_about
@@ -54,14 +53,17 @@ def solve_pose(
     (Mur-Artal, Tardós, IEEE Transactions on Robotics 33, 2017, section III.B). Steps are twists in the columns of
     ``free (6, k)``, about the world position of ``middle (3,)``, a point in the drone frame.
     """
-    T, weight = T_init, np.ones(len(sighting.landmark))
+    T = T_init
     for _ in range(ITERATIONS_MAX):
         centre = T[:3, :3] @ middle + T[:3, 3]
         H, b = np.zeros((6, 6)), np.zeros(6)
         for term in terms:
             H_term, b_term, _ = term(T, centre)
             H, b = H + H_term, b + b_term
-        linearise(*sighting, K, T @ T_drone_camera, centre, scale, H, b, weight)
+        error, J, weight = linearise(sighting, K, T @ T_drone_camera, centre, scale)
+        weighted = weight[:, None, None] * J
+        H = np.vstack([H[None], (weighted[..., None] * J[:, :, None]).reshape(-1, 6, 6)]).sum(axis=0)
+        b = np.vstack([b, (weighted * error[..., None]).reshape(-1, 6)]).sum(axis=0)
         try:
             step = -free @ np.linalg.solve(free.T @ H @ free, free.T @ b)
         except np.linalg.LinAlgError:
@@ -72,42 +74,25 @@ def solve_pose(
     return Solved(T, weight, bool(np.isfinite(T).all()), H, centre)
 
 
-@njit(cache=True)
-def linearise(landmark, pixel, sigma_px, depth, sigma_m, K, T_world_camera, centre, scale, H, b, weight):
-    """Add the normal equations of the observations to ``H (6, 6)`` and ``b (6,)``, for a twist (ω, v) of the pose about
-    ``centre (3,)``, world frame. Fill ``weight (N,)`` with the robust weights."""
-    R, point, arm = T_world_camera[:3, :3], np.empty(3), np.empty(3)
-    error, gradient, J = np.empty(3), np.zeros((3, 3)), np.empty(6)
-    for n in range(len(landmark)):
-        for i in range(3):
-            point[i], arm[i] = 0.0, landmark[n, i] - centre[i]
-            for j in range(3):
-                point[i] += R[j, i] * (landmark[n, j] - T_world_camera[j, 3])
-        weight[n] = 0.0
-        if point[0] < FRONT_M:
-            continue
-        # Residuals in standard deviations, and their derivatives by the point: u = c − f·y/x, v = c − f·z/x, 1/x.
-        x, rows = point[0], 2
-        for k in range(2):
-            f = K[k, k] / (x * sigma_px[n])
-            error[k] = (K[k, 2] - pixel[n, k]) / sigma_px[n] - f * point[k + 1]
-            gradient[k, 0], gradient[k, 1], gradient[k, 2] = f * point[k + 1] / x, 0.0, 0.0
-            gradient[k, k + 1] = -f
-        if np.isfinite(depth[n]):
-            sigma = sigma_m[n] / depth[n] ** 2
-            error[2], gradient[2, 0], rows = (1 / x - 1 / depth[n]) / sigma, -1 / (x * x * sigma), 3
-        square = 0.0
-        for k in range(rows):
-            square += error[k] * error[k]
-        weight[n] = 1.0 / (1.0 + square / scale**2) ** 2
-        for k in range(rows):
-            # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
-            for i in range(3):
-                J[3 + i] = -(gradient[k, 0] * R[i, 0] + gradient[k, 1] * R[i, 1] + gradient[k, 2] * R[i, 2])
-            for i in range(3):
-                j, m = (i + 1) % 3, (i + 2) % 3
-                J[i] = arm[j] * J[3 + m] - arm[m] * J[3 + j]
-            for i in range(6):
-                b[i] += weight[n] * J[i] * error[k]
-                for j in range(6):
-                    H[i, j] += weight[n] * J[i] * J[j]
+def linearise(
+    sighting: Sighting, K: Array, T_world_camera: Array, centre: Array, scale: float
+) -> tuple[Array, Array, Array]:
+    """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` by a twist (ω, v) of the pose about
+    ``centre (3,)``, world frame, and the robust weights ``(N,)``."""
+    R, sigma_px, depth = T_world_camera[:3, :3], sighting.sigma_px, sighting.depth
+    point = ((sighting.landmark - T_world_camera[:3, 3])[:, :, None] * R).sum(axis=1)
+    x = np.where(point[:, 0] < FRONT_M, np.nan, point[:, 0])
+    # Residuals u = c − f·y/x, v = c − f·z/x and 1/x, and their derivatives by the point.
+    error, gradient = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
+    for k in range(2):
+        f = K[k, k] / (x * sigma_px)
+        error[:, k] = (K[k, 2] - sighting.pixel[:, k]) / sigma_px - f * point[:, k + 1]
+        gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
+    sigma = sighting.sigma_m / depth**2
+    error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
+    error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
+    weight = np.where(np.isnan(x), 0.0, 1.0 / (1.0 + (error**2).sum(axis=1) / scale**2) ** 2)
+    # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
+    by_shift = -(gradient[:, :, None] * R).sum(axis=3)
+    by_turn = np.cross((sighting.landmark - centre)[:, None], by_shift)
+    return error, np.concatenate([by_turn, by_shift], axis=2), weight

@@ -11,51 +11,39 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
-from steelnb.odometry.base import Odometry, Stopwatch, mount_of, nothing_left, scan_of, settings_of
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.corrections import CORRECTIONS, shifted
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.prediction import Prediction
+from steelnb.odometry.prediction import PRIOR_SIGMA, Prediction
 from steelnb.points import preprocess_scan
-from steelnb.points.inputs import checked_pose
 from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
-from steelnb.types import Array, OdometryStep, Scan, Segments
+from steelnb.types import Array, Scan, Segments
 
 Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
-_shared: ContextVar[Found | None] = ContextVar("shared", default=None)
+_shared: ContextVar[Found] = ContextVar("shared")
 
 
-class SegmentOdometry(Odometry):
+class SegmentOdometry(BaseOdometry):
     """Corrects a drifting pose by the bars of its map.
 
     The report's rules correct the position only, at points on the surfaces seen, and assume a constant drift.
     ``least_squares_yaw`` also corrects the yaw, moves points by the near-side bias (`near_side`), and follows the rate
-    of the drift. Roll and pitch are the prior's.
-
-    Parameters
-    ----------
-    settings : of the family of segments, default ``OdometrySettings.preset("least_squares_yaw")``.
-    T_drone_sensor : (4, 4), the mount of the sensor, default identity.
+    of the drift. Roll and pitch are the prior's. If a scan shows no bar of the map, the correction stays.
     """
 
+    kind, method = SegmentSettings, "least_squares_yaw"
+    stages = "preprocess", "hough", "match", "map"
+    settings: SegmentSettings
+
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings_of(settings, SegmentSettings, "least_squares_yaw")
+        super().__init__(settings, T_drone_sensor)
         self.with_yaw = self.settings.method == "least_squares_yaw"
-        self.T_drone_sensor = mount_of(T_drone_sensor)
         self.map = SegmentMap(self.settings.fusion)
-        self.prediction = Prediction(self.with_yaw)
+        self.prediction = Prediction(PRIOR_SIGMA if self.with_yaw else None)
         self.near_side = NearSide()
 
-    def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
-        """Correct the pose at one scan and add the scan's segments to the map.
-
-        ``scan`` is a `Scan` or points ``(N, 3)`` or ``(H, W, 3)`` in the sensor frame, metres, NaN for no return;
-        ``T_world_drone_prior (4, 4)`` the absolute drifting pose. If a scan shows no bar of the map, the correction
-        stays, and ``reason`` says so. Raises `InputError` for arrays of other shapes, and for a prior that is not
-        rigid.
-        """
-        scan, T_world_drone_prior = scan_of(scan), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        s, watch = self.settings, Stopwatch("preprocess", "hough", "match", "map")
-        T_world_drone = self.prediction.pose(T_world_drone_prior)
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        s, T_world_drone = self.settings, self.prediction.pose(prior, scan.stamp_s)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s.preprocess)
         if self.with_yaw:
             self.near_side.update(scan.points)
@@ -64,26 +52,27 @@ class SegmentOdometry(Odometry):
         found, hough_s = timed_segments(points, s.hough)
         observed = found.transformed(T_world_drone)
         watch.lap("hough")
+        watch.seconds["hough"] = hough_s
         position = T_world_drone[:3, 3].copy()
-        correction = CORRECTIONS[s.method](observed, self.map, s.robust_scale_m, position)
-        T_world_drone[:3, :3] = Rotation.from_euler("z", correction.yaw_rad).as_matrix() @ T_world_drone[:3, :3]
-        T_world_drone[:3, 3] += correction.offset
-        if correction.matches:
-            self.prediction.correct(T_world_drone, T_world_drone_prior)
+        state, matches = CORRECTIONS[s.method](observed, self.map, s.robust_scale_m, position)
+        T_world_drone[:3, :3] = Rotation.from_euler("z", state[0]).as_matrix() @ T_world_drone[:3, :3]
+        T_world_drone[:3, 3] += state[1:]
+        if matches:
+            self.prediction.correct(T_world_drone, prior)
         else:
             self.prediction.lose()
         watch.lap("match")
         reason = ""
-        if not correction.matches:
-            reason = "no segment seen" if not len(observed) else "no segment of the map seen"
-            reason = "first scan" if not len(self.map) and len(observed) else reason
-            reason = (nothing_left(scan, s.preprocess.crop_m) if not len(points) else "") or reason
-            reason = "no correction asked for" if s.method == "none" else reason
+        if s.method == "none":
+            reason = "no correction asked for"
+        elif not len(observed):
+            reason = "no segment seen"
+        elif not matches:
+            reason = "no segment of the map seen" if len(self.map) else "first scan"
         if len(observed):
-            self.map.insert(shifted(observed, np.append(correction.yaw_rad, correction.offset), position))
+            self.map.insert(shifted(observed, state, position))
         watch.lap("map")
-        seconds = watch.seconds | {"hough": hough_s}
-        return OdometryStep(scan.stamp_s, T_world_drone, correction.matches > 0, reason, correction.matches, seconds)
+        return T_world_drone, reason, matches, 0
 
     def map_segments(self) -> Segments:
         """The bars of the map."""
@@ -110,10 +99,7 @@ def shared_segments() -> Iterator[None]:
 
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
     """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
-    begin, shared = time.perf_counter(), _shared.get()
-    if shared is None:
-        return segments_in(points, settings), time.perf_counter() - begin
-    key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
+    shared, key = _shared.get({}), (hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings)
     if key not in shared:
         begin = time.perf_counter()
         shared[key] = segments_in(points, settings), time.perf_counter() - begin
