@@ -47,7 +47,7 @@ class CloudOdometry(BaseOdometry):
 
     kind: ClassVar[type[OdometrySettings]] = RegistrationSettings
     method = "best"
-    stages = "preprocess", "prepare", "register", "map"
+    stages: ClassVar[tuple[str, ...]] = ("preprocess", "prepare", "register", "map")
     inliers_min = INLIER_SHARE_MIN
     settings: RegistrationSettings | LoamSettings
 

@@ -38,7 +38,7 @@ class Features(NamedTuple):
 
     def take(self, index: IntArray) -> "Features":
         """The features selected by an index."""
-        return Features(*(each[index] for each in self))
+        return Features(self.pixel[index], self.octave[index], self.descriptor[index], self.depth[index])
 
 
 @functools.cache
@@ -98,7 +98,9 @@ class DepthImage:
     """
 
     def __init__(self, points: Array, T_camera_sensor: Array, K: Array, shape: tuple[int, int]) -> None:
-        in_camera = (points.reshape(-1, 1, 3) * T_camera_sensor[:3, :3]).sum(axis=2) + T_camera_sensor[:3, 3]
+        points = points.reshape(-1, 3)
+        points = points[np.isfinite(points[:, 0])]
+        in_camera = (points[:, None] * T_camera_sensor[:3, :3]).sum(axis=2) + T_camera_sensor[:3, 3]
         pixel, self._shape = project(in_camera, K), shape
         inside = ((pixel >= 0) & (pixel <= np.array(shape[::-1]) - 1.0)).all(axis=1)
         self.pixel, self.depth = pixel[inside], in_camera[inside, 0]
@@ -129,7 +131,7 @@ class DepthImage:
         (du, dv), depth = (self.pixel[near] - pixel[at]).T, self.depth[near]
 
         def total(values: Array) -> Array:
-            return np.bincount(at, values, len(pixel))
+            return np.asarray(np.bincount(at, values, len(pixel)), dtype=np.float64)
 
         w = 1.0 / depth
         s, su, sv, suu, suv, svv = map(total, (np.ones(len(at)), du, dv, du * du, du * dv, dv * dv))

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from steelnb.images import CameraImages, GreyImage, unproject
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.features import SCALE, Features, features_with_depth, match
-from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.inertial_prediction import NONE
+from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.prediction import PRIOR_SIGMA, make_prediction
 from steelnb.odometry.reprojection import Sighting, solve_pose
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.settings import LibrarySettings, OdometrySettings
+from steelnb.settings import LibrarySettings
 from steelnb.types import Array, Scan
 
 POINTS_MIN = 10

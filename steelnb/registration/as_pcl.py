@@ -47,22 +47,20 @@ def icp_as_pcl(
     ``mse_change_min``. Exhausted iterations count as converged.
     """
     T, previous_mse_m2 = np.eye(4), 0.0
-    pairs = target.pairs(source, max_correspondence_m)
+    search = target.search(source, max_correspondence_m)
     for iteration in range(1, iterations_max + 1):
-        pairs.update(T)
-        paired = pairs.match >= 0
+        match = search(T)
+        paired = match >= 0
         inliers = int(np.count_nonzero(paired))
         if inliers < PAIRS_MIN["point"]:
             return Aligned(T, False, iteration - 1, inliers)
-        source_points, target_points = source[paired] @ T[:3, :3].T + T[:3, 3], target.point[pairs.match[paired]]
+        source_points, target_points = source[paired] @ T[:3, :3].T + T[:3, 3], target.point[match[paired]]
         step = least_squares_motion(source_points, target_points)
         T = step @ T
         mse_m2 = float(((source_points - target_points) ** 2).sum() / inliers)
         is_small_step = step[:3, 3] @ step[:3, 3] <= epsilon and 0.5 * (np.trace(step[:3, :3]) - 1) >= 1 - epsilon
-        is_mse_stable = iteration > 1 and abs(mse_m2 - previous_mse_m2) < max(
-            MSE_CHANGE_MIN_M2, mse_change_min * previous_mse_m2
-        )
-        if is_small_step or is_mse_stable:
+        change_min_m2 = max(MSE_CHANGE_MIN_M2, mse_change_min * previous_mse_m2)
+        if is_small_step or (iteration > 1 and abs(mse_m2 - previous_mse_m2) < change_min_m2):
             break
         previous_mse_m2 = mse_m2
     return Aligned(T, True, iteration, inliers)
@@ -84,13 +82,13 @@ def gicp_as_pcl(
     Exhausted iterations count as converged.
     """
     T, x = np.eye(4), np.zeros(6)
-    pairs = target.pairs(source, max_correspondence_m)
+    search = target.search(source, max_correspondence_m)
     for iteration in range(1, iterations_max + 1):
-        pairs.update(T)
-        chosen = np.flatnonzero(pairs.match >= 0)
+        match = search(T)
+        chosen = np.flatnonzero(match >= 0)
         if len(chosen) < PAIRS_MIN["gicp"]:
             return Aligned(T, False, iteration - 1, len(chosen))
-        match = pairs.match[chosen]
+        match = match[chosen]
         metric = metrics(covariance[chosen], target.covariance[match], T[:3, :3])
         minimise(x, source[chosen].astype(np.float32), target.point[match].astype(np.float32), metric)
         T_previous, T = T, euler_pose(x)

@@ -7,7 +7,7 @@ from numba import njit
 
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
-from steelnb.registration.target import Pairs
+from steelnb.registration.target import Search
 from steelnb.types import Array, IntArray
 
 NEIGHBOURS = 5
@@ -41,16 +41,17 @@ class FeatureTarget:
         trees = build_kdtree(edges), build_kdtree(planes)
         return cls(trees, plane, sigma_m, np.zeros((len(plane), 3)), np.zeros((len(plane), 6)))
 
-    def pairs(self, source: Array, limit_m: float) -> Pairs:
+    def search(self, source: Array, limit_m: float) -> Search:
         """Line or plane near each source point ``(N, 3)``, fitted again at each pose."""
         match = np.full(len(source), -1)
 
-        def update(T: Array) -> None:
+        def search(T: Array) -> IntArray:
             across = self.sigma_m**2
             for kind, tree in enumerate(self.trees):
                 _fit(tree, kind, source, self.plane, T, limit_m, across, self.point, self.covariance, match)
+            return match
 
-        return Pairs(match, update)
+        return search
 
 
 @njit(cache=True)

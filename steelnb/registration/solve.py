@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,24 +29,27 @@ Term = Callable[[Array, Array], tuple[Array, Array, float]]
 class RegistrationResult:
     """Pose and convergence of a registration.
 
-    ``T_target_source (4, 4)``; ``converged``; ``iterations``; ``inliers``, the number of pairs within the maximum
-    correspondence distance; ``reason``, why it stopped.
+    ``T_target_source (4, 4)``; ``iterations``; ``inliers``, the number of pairs within the maximum correspondence
+    distance; ``reason``, why it stopped.
 
-    ``H (6, 6)`` and ``b (6,)`` are the final normal equations of a twist ξ = (ω, v) in the axes of the target: a
-    rotation about ``centre (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are
-    unit vectors along which the solve did not translate, since the paired surfaces have no normals along them
+    ``H (6, 6)`` is the final normal matrix of a twist ξ = (ω, v) in the axes of the target: a rotation about ``centre
+    (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are unit vectors along which
+    the solve did not translate, since the paired surfaces have no normals along them
     (`observability.unobserved_shifts`).
     """
 
     T_target_source: Array
-    converged: bool
     iterations: int
     inliers: int
     H: Array
-    b: Array
     reason: str
     centre: Array
-    unobserved: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    unobserved: Array
+
+    @property
+    def converged(self) -> bool:
+        """Whether it ended at a step below both bounds."""
+        return self.reason == "converged"
 
 
 class Normal(NamedTuple):
@@ -95,29 +98,39 @@ def align(
     source = np.ascontiguousarray(source, dtype=np.float64)
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
     mean, length_m = mean_and_length(source)
-    problem = _Problem(source, covariance, target, error, float(robust_scale), terms, mean)
-    basis = scaled_basis(free, length_m)
+    metric = np.array([length_m] * 3 + [1.0] * 3)
     limit, inliers_min = float(max_correspondence_m), pairs_needed(error, free)
-    pairs = target.pairs(source, limit)
+    search, basis = target.search(source, limit), scaled_basis(free, metric)
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
-    reason, converged, iterations, damping = "iterations exhausted", False, 0, 0.0
-    metric, previous_step, unobserved = np.array([length_m] * 3 + [1.0] * 3), None, np.zeros((0, 3))
-    while iterations < iterations_max:
-        iterations += 1
-        pairs.update(T)
+    reason, damping, previous_step, unobserved = "iterations exhausted", 0.0, None, np.zeros((0, 3))
+
+    def linearise(T: Array, match: IntArray, R: Array, limit: float) -> Normal:
+        """Normal equations at T; ``R (3, 3)`` is the rotation of the source covariances."""
+        H, b, centre = np.zeros((6, 6)), np.zeros(6), T[:3, :3] @ mean + T[:3, 3]
+        loss, inliers = kernels.linearise(
+            ERRORS[error], source, covariance, target.point, target.normal, target.covariance, match, T, R, centre,
+            limit, float(robust_scale), H, b,
+        )  # fmt: skip
+        for term in terms:
+            H_term, b_term, loss_term = term(T, centre)
+            H, b, loss = H + H_term, b + b_term, loss + loss_term
+        return Normal(H, b, centre, loss, inliers)
+
+    for iterations in range(1, iterations_max + 1):
+        match = search(T)
         if iterations == 1 and normals_min > 0:
-            unobserved = unobserved_shifts(target.covariance, pairs.match, normals_min)
-            basis = scaled_basis(without_shifts(free, unobserved), length_m)
-        here = problem.linearise(T, pairs.match, limit)
+            unobserved = unobserved_shifts(target.covariance, match, normals_min)
+            basis = scaled_basis(without_shifts(free, unobserved), metric)
+        here = linearise(T, match, T[:3, :3], limit)
         if here.inliers < inliers_min:
             reason = "too few pairs"
             break
-        if best is not None and _suspect(here, best[1]) and problem.worse(T, *best, limit):
+        if best is not None and worse(linearise, source, target, limit, T, here, *best):
             T, here, _ = best
             damping = max(10.0 * damping, 1e-3)
         else:
-            best = T, here, pairs.match.copy()
+            best = T, here, match.copy()
             damping = 0.1 * damping if damping > 1e-4 else 0.0
         step = _step(here, basis, damping)
         if step is None:
@@ -127,10 +140,10 @@ def align(
             step, previous_step = _extrapolated(step, previous_step, metric)
         T = exp_about(here.centre, step) @ T
         if np.linalg.norm(step[:3]) < rotation_epsilon_rad and np.linalg.norm(step[3:]) < translation_epsilon_m:
-            reason, converged = "converged", True
+            reason = "converged"
             break
-    here = problem.linearise(T, pairs.match, limit)
-    return RegistrationResult(T, converged, iterations, here.inliers, here.H, here.b, reason, here.centre, unobserved)
+    here = linearise(T, match, T[:3, :3], limit)
+    return RegistrationResult(T, iterations, here.inliers, here.H, reason, here.centre, unobserved)
 
 
 def prior_term(information: Array, T_init: Array, source: Array) -> Term:
@@ -156,10 +169,9 @@ def mean_and_length(points: Array) -> tuple[Array, float]:
     return mean, math.sqrt(sum(column.var() for column in columns)) or 1.0
 
 
-def scaled_basis(free: Array, length_m: float) -> Array:
-    """Columns ``(6, k)`` that span ``free (6, k)``, orthonormal with rotations weighted by ``length_m``."""
-    scale = np.array([length_m] * 3 + [1.0] * 3)
-    return np.linalg.qr(scale[:, None] * free)[0] / scale[:, None]
+def scaled_basis(free: Array, metric: Array) -> Array:
+    """Columns ``(6, k)`` that span ``free (6, k)``, orthonormal in twists weighted by ``metric (6,)``."""
+    return np.linalg.qr(metric[:, None] * free)[0] / metric[:, None]
 
 
 def pairs_needed(error: str, free: Array) -> int:
@@ -179,10 +191,20 @@ def exp_about(centre: Array, xi: Array) -> Array:
     return motion
 
 
-def _suspect(here: Normal, before: Normal) -> bool:
-    """Whether a step may be worse: the total and the mean loss rose, or a tenth of the pairs was lost."""
-    loss_rose = here.loss > before.loss and here.loss * before.inliers > before.loss * here.inliers
-    return loss_rose or here.inliers < 0.9 * before.inliers
+def worse(
+    linearise: Callable[..., Normal], source: Array, target: AnyTarget, limit: float, T: Array, here: Normal,
+    T_best: Array, best: Normal, match: IntArray,
+) -> bool:  # fmt: skip
+    """Whether the pairs of the best pose have a higher loss at T, where new pairs alone may raise it, too.
+
+    They are asked only if the total and the mean loss rose, or a tenth of the pairs was lost.
+    """
+    rose = here.loss > best.loss and here.loss * best.inliers > best.loss * here.inliers
+    if not rose and here.inliers >= 0.9 * best.inliers:
+        return False
+    transformed = source @ T_best[:3, :3].T + T_best[:3, 3]
+    near = ((transformed - target.point[match]) ** 2).sum(axis=1) <= limit**2
+    return linearise(T, np.where(near, match, -1), T_best[:3, :3], math.inf).loss > best.loss * (1 + 1e-9)
 
 
 def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
@@ -213,39 +235,3 @@ def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Arr
     if not product > 0.9 * np.linalg.norm(scaled) * np.linalg.norm(previous):
         return step, step
     return step / (1.0 - min(product / float(previous @ previous), 0.8)), None
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """The constant inputs of a registration."""
-
-    source: Array
-    covariance: Array
-    target: AnyTarget
-    error: str
-    robust_scale: float
-    terms: Sequence[Term]
-    mean: Array
-
-    def linearise(self, T: Array, match: IntArray, limit: float, rotation: Array | None = None) -> Normal:
-        """Normal equations at T. ``rotation`` is that of the source covariances, by default T's."""
-        H, b = np.zeros((6, 6)), np.zeros(6)
-        centre = T[:3, :3] @ self.mean + T[:3, 3]
-        t = self.target
-        loss, inliers = kernels.linearise(
-            ERRORS[self.error], self.source, self.covariance, t.point, t.normal, t.covariance, match, T,
-            T[:3, :3] if rotation is None else rotation, centre, limit, self.robust_scale, H, b,
-        )  # fmt: skip
-        for term in self.terms:
-            H_term, b_term, loss_term = term(T, centre)
-            H += H_term
-            b += b_term
-            loss += loss_term
-        return Normal(H, b, centre, loss, inliers)
-
-    def worse(self, T: Array, T_best: Array, best: Normal, match: IntArray, limit: float) -> bool:
-        """Whether the pairs of the best pose have a higher loss at T. New pairs alone may raise the loss, too."""
-        best_match = match.copy()
-        transformed = self.source @ T_best[:3, :3].T + T_best[:3, 3]
-        best_match[((transformed - self.target.point[match]) ** 2).sum(axis=1) > limit**2] = -1
-        return self.linearise(T, best_match, math.inf, T_best[:3, :3]).loss > best.loss * (1 + 1e-9)

@@ -18,16 +18,9 @@ CACHED = 3
 """Number of neighbours of each source point that are cached between iterations."""
 
 
-@dataclass(frozen=True)
-class Pairs:
-    """Correspondences of N source points.
-
-    ``match (N,)`` holds indices of target points, −1 if none is within the limit. ``update(T_target_source)`` refills
-    it for a new pose.
-    """
-
-    match: IntArray
-    update: Callable[[Array], object]
+Search = Callable[[Array], IntArray]
+"""Pose ``T_target_source (4, 4)`` → index ``(N,)`` of the target point of each source point, −1 if none is within the
+limit. The array is that of the call before."""
 
 
 @dataclass(frozen=True)
@@ -54,17 +47,18 @@ class Target:
         """Points ``(M, 3)`` in metres, in the target frame."""
         return self.tree.point
 
-    def pairs(self, source: Array, limit_m: float) -> Pairs:
+    def search(self, source: Array, limit_m: float) -> Search:
         """Nearest neighbours of source points ``(N, 3)`` within ``limit_m``: exact, but searched only when needed."""
         n = len(source)
         match, state = np.full(n, -1), (np.full((n, CACHED), -1), np.full(n, -1.0), np.zeros((n, 3)))
 
-        def update(T: Array) -> None:
+        def search(T: Array) -> IntArray:
             correspond_points(self.tree, source, T, limit_m, match, *state)
             if self.filled:
                 self.filled.fill(match)
+            return match
 
-        return Pairs(match, update)
+        return search
 
 
 def make_target(points: Array, error: str) -> Target:
@@ -76,9 +70,7 @@ def make_target(points: Array, error: str) -> Target:
     tree = build_kdtree(finite(points, "target"))
     if error == "gicp":
         return Target.with_planes(tree)
-    if error == "plane":
-        return Target(tree, normals(neighbour_covariances(tree.point, tree=tree)))
-    return Target(tree)
+    return Target(tree, normals(neighbour_covariances(tree.point, tree=tree))) if error == "plane" else Target(tree)
 
 
 def finite(points: Array, name: str) -> Array:

@@ -22,9 +22,8 @@ def test_the_residual_of_a_line_is_the_distance_to_it_in_standard_deviations():
         source = points_on([(start, direction)])[8:-8] + rng.normal(0, 0.02, (24, 3))
         plane = np.zeros(len(source), dtype=np.int64)
         target = FeatureTarget.of(points_on([(start, direction)]), NONE, plane, sigma_m=0.02)
-        pairs = target.pairs(source, 0.5)
-        pairs.update(np.eye(4))
-        np.testing.assert_array_equal(pairs.match, np.arange(len(source)))
+        match = target.search(source, 0.5)(np.eye(4))
+        np.testing.assert_array_equal(match, np.arange(len(source)))
         unit = np.asarray(direction) / np.linalg.norm(direction)
         for point, middle, upper in zip(source, target.point, target.covariance, strict=True):
             offset = point - start
@@ -42,9 +41,7 @@ def test_the_residual_of_a_plane_is_the_distance_along_its_normal():
     normal = Rotation.from_euler("x", 30, True).as_matrix()[:, 2]
     source = 0.3 * wall[:40] + rng.normal(0, 0.02, (40, 3))
     target = FeatureTarget.of(NONE, wall, np.ones(40, dtype=np.int64), sigma_m=0.01)
-    pairs = target.pairs(source, 0.5)
-    pairs.update(np.eye(4))
-    paired = pairs.match >= 0
+    paired = target.search(source, 0.5)(np.eye(4)) >= 0
     assert paired.mean() > 0.7  # five collinear points give no plane
     for point, middle, upper in zip(source[paired], target.point[paired], target.covariance[paired], strict=True):
         squared = (point - middle) @ np.linalg.inv(full([upper])[0]) @ (point - middle)
@@ -73,6 +70,4 @@ def test_few_neighbours_and_round_clusters_give_no_line():
     plane = np.zeros(1, dtype=np.int64)
     for edges in (points_on([LINES[0]])[:4], rng.normal(0, 0.05, (200, 3)), np.zeros((0, 3))):
         target = FeatureTarget.of(edges, NONE, plane, 0.02)
-        pairs = target.pairs(np.array([[0.0, 0.0, 0.0]]), 0.5 if len(edges) < 5 else 0.02)
-        pairs.update(np.eye(4))
-        assert pairs.match[0] == -1
+        assert target.search(np.zeros((1, 3)), 0.5 if len(edges) < 5 else 0.02)(np.eye(4))[0] == -1
