@@ -54,23 +54,15 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
     bar, and w the segment's share of the points times the Geman-McClure weight. Each iteration finds new pairs. λ
     (`DAMPING_PAIRS`, in pairs of mean weight) holds a direction that no bar constrains.
     """
-    offset = np.zeros(3)
-    matches = 0
-    for _ in range(ITERATIONS_MAX):
-        across, direction, count = _pairs(shifted(observed, np.append(0.0, offset), position), known)
-        matches = len(across)
-        if not matches:
-            return NO_CORRECTION
+
+    def equations(state: Array) -> tuple[Array, Array, int]:
+        across, direction, count = _pairs(shifted(observed, state, position), known)
         robust = 1.0 / (1.0 + (across**2).sum(axis=1) / robust_scale_m**2) ** 2
-        weight = robust * count / count.mean()
+        weight = robust * count / (count.sum() / max(len(count), 1))
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        H = (weight[:, None, None] * projector).sum(axis=0) + DAMPING_PAIRS * np.eye(3)
-        b = (weight[:, None] * across).sum(axis=0) + DAMPING_PAIRS * offset
-        step = -np.linalg.solve(H, b)
-        offset = offset + step
-        if np.linalg.norm(step) < TOLERANCE_M:
-            break
-    return np.append(0.0, offset), matches
+        return (weight[:, None, None] * projector).sum(axis=0), (weight[:, None] * across).sum(axis=0), len(across)
+
+    return _solved(equations, np.full(3, DAMPING_PAIRS))
 
 
 def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
@@ -79,13 +71,22 @@ def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: flo
     Gauss–Newton with new pairs in each iteration. The information of the prediction (`PRIOR`) holds the directions that
     no bar constrains.
     """
-    state = np.zeros(4)
-    matches = 0
+
+    def equations(state: Array) -> tuple[Array, Array, int]:
+        return bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
+
+    return _solved(equations, PRIOR)
+
+
+def _solved(equations: Callable[[Array], tuple[Array, Array, int]], prior: Array) -> Correction:
+    """The correction, with or without yaw, that solves its normal equations and has the information ``prior (k,)``."""
+    state, step, matches = np.zeros(4), np.zeros(4), 0
+    free = slice(4 - len(prior), 4)
     for _ in range(ITERATIONS_MAX):
-        H, b, matches = bar_equations(shifted(observed, state, position), known, robust_scale_m, position + state[1:])
+        H, b, matches = equations(state)
         if not matches:
             return NO_CORRECTION
-        step = -np.linalg.solve(H + np.diag(PRIOR), b + PRIOR * state)
+        step[free] = -np.linalg.solve(H + np.diag(prior), b + prior * state[free])
         state = state + step
         if abs(step[0]) * TURN_ARM_M + np.linalg.norm(step[1:]) < TOLERANCE_M:
             break

@@ -4,14 +4,11 @@ A sensor sees the near side of a bar, so its points lie nearer than the axis, fr
 they move around the bar, and a registration mistakes this for a motion of the drone. Points moved away from the sensor
 by the right length lie around the axis, whatever the direction of view.
 
-Seen along one direction in the plane of a section, front and back bound the filled area F. The back from one side is
-the front from the other. Over all directions, the pixels therefore lie mean(F) / (2 mean(w)) before the centroid, where
-w is the width. By Cauchy's formula, mean(w) is the perimeter of the hull over pi (Santaló, Integral Geometry and
-Geometric Probability, 2nd ed. 2004, I.1). For an equal-leg angle section of flange b and thickness t = b/12, as rolled
-ones have, F is the area of the section and, for directions that cross both flanges, the triangle between them:
-mean(F) = 2bt - t² + (b - t)² ln 2 / (2 pi), and mean(w) = (2b + 2t + sqrt(2) (b - t)) / pi. The pixels then lie
-0.1145 b before the centroid. Their mean width is mean(w²) / mean(w) = 1.138 b, so the length is 0.10 times the width in
-the scans. The tower does not matter. The factor would be 0.045 without thickness, and pi/8 = 0.39 for a round tube.
+Over all directions of view, the pixels lie mean(F) / (2 mean(w)) before the centroid of a section, where w is its width
+and F the area between its front and its back. By Cauchy's formula, mean(w) is the perimeter of the hull over pi
+(Santaló, Integral Geometry and Geometric Probability, 2nd ed. 2004, I.1). For an equal-leg angle section of flange b
+and thickness b/12, as rolled ones have, that is 0.1145 b, and the mean width of the pixels 1.138 b, so the length is
+0.10 times the width in the scans. The factor would be 0.045 without thickness, and pi/8 = 0.39 for a round tube.
 """
 
 import numpy as np
@@ -33,14 +30,10 @@ class NearSide:
         self._sum_m, self._pixels = 0.0, 0
 
     @property
-    def width_m(self) -> float:
-        """Mean apparent width of bars over all pixels so far, metres."""
-        return self._sum_m / self._pixels if self._pixels else 0.0
-
-    @property
     def shift_m(self) -> float:
-        """Near-side bias, metres, by which points are to be moved away from the sensor."""
-        return SHARE_OF_WIDTH * self.width_m
+        """Near-side bias, metres, by which points are to be moved away from the sensor: a share of the mean apparent
+        width of bars over all pixels so far."""
+        return SHARE_OF_WIDTH * (self._sum_m / self._pixels if self._pixels else 0.0)
 
     def shifted(self, points: Array, sensor: Array) -> Array:
         """Points ``(N, 3)`` moved away from the sensor's position ``(3,)`` by the shift."""

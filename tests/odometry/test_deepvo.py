@@ -60,34 +60,31 @@ def test_the_network_equals_a_learning_library():
     np.testing.assert_allclose(network(images), x.numpy(), atol=2e-4)
 
 
-def test_weights_are_small_and_survive_writing(tmp_path):
-    assert WEIGHTS.stat().st_size <= 2_000_000
+def test_written_weights_are_read_as_they_were(tmp_path):
     network = read_network()
     write_network(tmp_path / "own.npz", network)
-    again = read_network(tmp_path / "own.npz")
-    for one, other in zip((*network.kernels, *network.matrices), (*again.kernels, *again.matrices), strict=True):
-        np.testing.assert_array_equal(one[0], other[0])
     own = OdometrySettings.preset("deepvo", overrides={"weights": str(tmp_path / "own.npz")})
-    assert len(DeepVoOdometry(own).network.kernels) == len(STRIDES)
+    images = np.random.default_rng(1).random((3, 4, ROWS, COLUMNS), dtype=np.float32)
+    np.testing.assert_array_equal(DeepVoOdometry(own).network(images), network(images))
 
 
 @pytest.mark.parametrize(
-    ("change", "fault", "says"),
+    ("change", "says"),
     [
-        ({"version": "steelnb-deepvo-0"}, InputError, f"version 'steelnb-deepvo-0'; expected '{VERSION}'"),
-        ({"version": None}, InputError, "version 'none'"),
-        ({"kernel_4": None}, InputError, f"expected weights of version '{VERSION}'"),
-        ({"kernel_1": np.zeros((7, 9, 3, 3))}, InputError, "kernel_1"),
-        ({"matrix_1": np.zeros((6, 5))}, InputError, "matrix_1"),
-        ({"bias_kernel_0": np.array([np.nan])}, InputError, "bias_kernel_0"),
+        ({"version": "steelnb-deepvo-0"}, f"version 'steelnb-deepvo-0'; expected '{VERSION}'"),
+        ({"version": None}, "version 'none'"),
+        ({"kernel_4": None}, f"expected weights of version '{VERSION}'"),
+        ({"kernel_1": np.zeros((7, 9, 3, 3))}, "kernel_1"),
+        ({"matrix_1": np.zeros((6, 5))}, "matrix_1"),
+        ({"bias_kernel_0": np.array([np.nan])}, "bias_kernel_0"),
     ],
 )
-def test_weights_that_do_not_fit_are_refused_by_name_in_one_line(tmp_path, change, fault, says):
+def test_weights_that_do_not_fit_are_refused_by_name_in_one_line(tmp_path, change, says):
     with np.load(WEIGHTS) as file:
         arrays = {**{name: file[name] for name in file.files}, **change}
     path = tmp_path / "other.npz"
     np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
-    with pytest.raises(fault, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         DeepVoOdometry(OdometrySettings.preset("deepvo", overrides={"weights": str(path)}))
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
@@ -99,8 +96,6 @@ def test_a_file_without_weights_is_refused(tmp_path):
         read_network(tmp_path / "text.npz")
     with pytest.raises(InputError, match=r"none\.npz"):
         read_network(tmp_path / "none.npz")
-    with pytest.raises(InputError, match="expected one such as 'deepvo'"):
-        DeepVoOdometry(OdometrySettings.preset("best"))
 
 
 def test_a_point_fills_its_pixel_of_the_levelled_camera():

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, odometry
-from steelnb.errors import InputError
 from steelnb.fusion import keyframes
 from steelnb.fusion.locate import Locator, points_in_range
 from steelnb.metrics import position_error_m
@@ -61,6 +60,8 @@ def test_most_scans_are_registered_to_front_faces_after_the_first_adjustment(wor
     assert len(estimator.keyframes.scans) == 29  # and the last one waits for an adjustment
     assert len(found.segments) > 10
     assert len(found.points) > 1000
+    first = flight.prior.T_world_drone[0] @ flight.T_drone_sensor  # where drift begins
+    np.testing.assert_allclose(estimator.keyframes.T_world_sensor[0], first, atol=1e-5)
 
 
 def test_what_is_put_out_follows_an_adjustment_in_steps_of_the_drift(world):
@@ -87,22 +88,15 @@ def test_the_answer_does_not_depend_on_the_frame_of_the_world(world):
     assert apart.max() < 0.05  # voxels lie otherwise
 
 
-def test_scans_without_stamps_come_at_the_usual_rate(world):
-    flight = world[0].first(36)
+def test_scans_of_nothing_follow_the_prior_and_those_without_stamps_come_at_the_usual_rate(world):
+    flight, poses = world[0].first(41), []
     estimator = FaceOdometry(world[2].settings, flight.T_drone_sensor)
-    for scan, prior in zip(flight.scans, flight.prior.T_world_drone, strict=True):
-        estimator.update(scan.points, prior)
+    for k, (scan, prior) in enumerate(zip(flight.scans, flight.prior.T_world_drone, strict=True)):
+        step = estimator.update(scan.points if k < 36 else np.full_like(scan.points, np.nan), prior)
+        poses.append(step.T_world_drone[:3, 3])
+        assert step.used == (0 < k < 36)
     assert estimator.faces is not None
-
-
-def test_scans_of_nothing_follow_the_prior(world):
-    flight = world[0].first(41)
-    nothing = np.full_like(flight.scans[0].points, np.nan)
-    scans = [Scan(scan.stamp_s, scan.points if k < 36 else nothing) for k, scan in enumerate(flight.scans)]
-    found = odometry.run(replace(flight, scans=scans), FaceOdometry(world[2].settings, flight.T_drone_sensor))
-    assert all(found.reason[36:])
-    steps = [np.diff(path.position[35:], axis=0) for path in (found.corrected, flight.prior)]
-    np.testing.assert_allclose(*steps, atol=0.012)
+    np.testing.assert_allclose(np.diff(poses[35:], axis=0), np.diff(flight.prior.position[35:], axis=0), atol=0.012)
 
 
 def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
@@ -127,7 +121,7 @@ def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
 
 
 def _points_and_start(estimator, scan, prior):
-    T = estimator.clouds.predictor.drift.pose(prior) @ estimator.T_drone_sensor
+    T = estimator.prediction.pose(prior, scan.stamp_s) @ estimator.T_drone_sensor
     return points_in_range(scan, T, 6.0, 0.3, 2000), T
 
 
@@ -154,22 +148,6 @@ def test_the_number_of_keyframes_is_bounded(monkeypatch):
     assert places == [0, 2, 4, 6, 8, 10, 12, 14, 15, 16, 17, 18, 19, 20]
     assert [scan.stamp_s for scan in kept.scans] == pytest.approx([0.2 * place for place in places])
     assert kept.adjust() is None  # nothing was seen
-
-
-def test_the_first_keyframe_stays_where_drift_begins(world):
-    flight, _, estimator, _ = world
-    first = flight.prior.T_world_drone[0] @ flight.T_drone_sensor
-    np.testing.assert_allclose(estimator.keyframes.T_world_sensor[0], first, atol=1e-5)
-    assert estimator.keyframes.scans[0].stamp_s == flight.prior.stamp_s[0]
-
-
-def test_methods_that_refit_are_by_clouds():
-    made = make_odometry(OdometrySettings.preset("faces"), np.eye(4))
-    assert type(made) is FaceOdometry
-    assert type(made.clouds) is CloudOdometry
-    assert FaceOdometry().settings == OdometrySettings.preset("faces")
-    with pytest.raises(InputError, match="family 'clouds'; expected one such as 'faces'"):
-        FaceOdometry(OdometrySettings.preset("best"))
 
 
 def test_keyframes_of_an_exact_sensor_are_adjusted_where_their_poses_are_off():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
-from steelnb.odometry.inertial_prediction import BIAS, POSE, InertialPrediction, information_at
+from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
@@ -54,7 +54,7 @@ def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
         # The most likely pose, as a registration with the filter's term finds it.
         before = np.linalg.inv(ahead.covariance[POSE, POSE])
         step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
-        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, before + TOLD)
+        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, prior[k], NONE, before + TOLD, np.zeros(3))
     return prediction, found
 
 
@@ -111,7 +111,9 @@ def test_a_shift_that_a_scan_does_not_observe_stays_as_unsure_as_it_was():
     prediction.pose(true[5], stamp_s[5])
     before = prediction.predicted.covariance
     along = np.array([[0.6, 0.8, 0.0]])
-    prediction.correct(prediction.predicted.T_world_drone, prediction.information + TOLD, along)
+    prediction.correct(
+        prediction.predicted.T_world_drone, true[5], along, prediction.information + TOLD, np.zeros(3)
+    )  # fmt: skip
     after = prediction.state.covariance
     pose = np.linalg.inv(after[POSE, POSE]) - np.linalg.inv(before[POSE, POSE])
     u = np.append(np.zeros(3), along)
@@ -125,11 +127,12 @@ def test_the_term_is_the_distance_from_the_prediction_whatever_the_centre_of_the
     T = prediction.pose(true[3], stamp_s[3] + 0.1)
     rng = np.random.default_rng(1)
     pose, centre = exp_about(T[:3, 3], 0.01 * rng.normal(size=6)) @ T, T[:3, 3] + [1.0, 2.0, -1.5]
-    H, b, loss = prediction.term()(pose, centre)
+    (term,) = prediction.terms(T, np.zeros((0, 3)))
+    H, b, loss = term(pose, centre)
     d = apart(T, pose)
     assert loss == pytest.approx(0.5 * d @ prediction.information @ d)
     for step in 1e-6 * np.eye(6):
-        ahead, behind = (prediction.term()(exp_about(centre, s * step) @ pose, centre)[2] for s in (1, -1))
+        ahead, behind = (term(exp_about(centre, s * step) @ pose, centre)[2] for s in (1, -1))
         assert (ahead - behind) / 2e-6 == pytest.approx(b @ step / 1e-6, rel=0.02, abs=1e-3 * np.abs(b).max())
     np.testing.assert_allclose(information_at(H, pose[:3, 3] - centre), prediction.information, rtol=1e-6)
 
@@ -149,31 +152,26 @@ def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(w
     assert not any(found.reason[1:])
 
 
-def test_without_an_imu_the_settings_change_nothing_and_with_one_its_readings_do(world):
+def test_the_readings_count_only_if_the_settings_know_their_noise(world):
     flight = world[0].first(12)
-    given, without = (
-        OdometrySettings.preset("faces", overrides={"inertial": each}) for each in (SHEET.model_dump(), False)
-    )
-    blind = replace(flight, imu=None)
-    plain, unread = (
-        run(blind, make_odometry(each, blind.T_drone_sensor, blind.imu)).corrected.T_world_drone
-        for each in (without, given)
-    )
-    np.testing.assert_array_equal(plain, unread)
-    found = []
-    for imu in (flight.imu, measured_imu(flight.imu, SHEET, 1), flight.imu):
-        read = replace(flight, imu=imu)
-        found.append(run(read, make_odometry(given, read.T_drone_sensor, imu)).corrected.T_world_drone)
-    np.testing.assert_array_equal(found[0], found[2])
-    assert not np.array_equal(found[0], found[1])
+    poses = {}
+    for noise in (SHEET.model_dump(), False):
+        settings = OdometrySettings.preset("faces", overrides={"inertial": noise})
+        for name, imu in (("exact", flight.imu), ("noisy", measured_imu(flight.imu, SHEET, 1)), ("none", None)):
+            found = run(flight, make_odometry(settings, flight.T_drone_sensor, imu))
+            poses[bool(noise), name] = found.corrected.T_world_drone
+    plain = poses[False, "none"]
+    for each in ((False, "exact"), (False, "noisy"), (True, "none")):
+        np.testing.assert_array_equal(poses[each], plain)
+    assert not np.array_equal(poses[True, "exact"], plain)
+    assert not np.array_equal(poses[True, "exact"], poses[True, "noisy"])
 
 
 def test_an_imu_without_errors_is_no_division_by_zero():
     true, stamp_s, imu = at_scans(10)
-    prediction, state = InertialPrediction(imu, ImuSettings()), None
+    prediction = InertialPrediction(imu, ImuSettings())
     for k, T in enumerate(true):
         prediction.pose(T, stamp_s[k])
         prediction.lose()
-        state = prediction.state
-    assert np.isfinite(state.covariance).all()
-    assert np.abs(apart(state.T_world_drone, true[-1])[3:]).max() < 0.05
+    assert np.isfinite(prediction.state.covariance).all()
+    assert np.abs(apart(prediction.state.T_world_drone, true[-1])[3:]).max() < 0.05

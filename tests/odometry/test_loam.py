@@ -36,7 +36,6 @@ def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the
     assert len(odometry.map_points()) > 100
     assert not len(odometry.map_segments())
     empty = odometry.update(np.full((240, 180, 3), np.nan), prior[1])
-    assert not empty.used
     assert empty.reason == "too few points"
     np.testing.assert_allclose(empty.T_world_drone, prior[1], atol=1e-12)
     assert odometry.update(scans[2], prior[2]).used

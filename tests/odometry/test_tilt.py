@@ -8,7 +8,7 @@ from steelnb import experiment
 from steelnb.fusion.poses import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct
-from steelnb.odometry.prediction import PosePredictor, Prediction
+from steelnb.odometry.prediction import Prediction
 from steelnb.settings import ExperimentSettings, OdometrySettings
 
 SIGMA_RAD = 0.0175
@@ -65,18 +65,16 @@ def nees(smooth, truth) -> np.ndarray:
 
 
 def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
-    prediction, prior = Prediction(False, SIGMA_RAD), np.eye(4)
+    prediction, prior = Prediction((0.05, 0.02), SIGMA_RAD), np.eye(4)
     prior[:3, :3] = Rotation.from_euler("zyx", [0.4, 0.02, -0.01]).as_matrix()
     pose = prior.copy()
     tilt = Rotation.from_rotvec([0.03, -0.02, 0.0]).as_matrix()
     pose[:3, :3] = tilt @ Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix() @ prior[:3, :3]
+    prediction.pose(prior, 0.0)
     prediction.correct(pose, prior)
     later = prediction.pose(prior, TILT_S)[:3, :3] @ prior[:3, :3].T
     np.testing.assert_allclose(tilt_of(later.T), -np.exp(-1) * np.array([0.03, -0.02]), atol=2e-5)
     assert np.arctan2(later[1, 0], later[0, 0]) == pytest.approx(0.7, abs=1e-3)
-    predictor = PosePredictor((0.05, 0.02), SIGMA_RAD)
-    predictor.correct(pose, prior)
     for passed_s, sigma_rad in ((1e6, SIGMA_RAD), (0.1, SIGMA_RAD * (0.2 / TILT_S) ** 0.5)):
-        predictor._last_s = 0.0
-        predictor.pose(passed_s, prior)
-        assert np.diag(predictor._information)[:2] == pytest.approx(sigma_rad**-2.0, rel=0.02)
+        prediction.pose(prior, passed_s)
+        assert np.diag(prediction.information)[:2] == pytest.approx(sigma_rad**-2.0, rel=0.02)

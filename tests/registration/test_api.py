@@ -25,30 +25,27 @@ def test_clouds_without_overlap_do_not_converge():
 
 
 @pytest.mark.parametrize(
-    ("change", "fault", "message"),
+    ("change", "message"),
     [
-        ({"source": np.zeros((0, 3))}, InputError, "source: no finite point"),
-        ({"source": np.full((5, 3), np.nan)}, InputError, "source: no finite point"),
-        ({"target": np.full((4, 4, 3), np.nan)}, InputError, "target: no finite point"),
-        ({"target": VoxelMap(0.1)}, InputError, "target: "),
-        ({"source": np.zeros((7, 2))}, InputError, r"source: an array of shape \(7, 2\)"),
-        ({"source": np.eye(3)[:2], "method": "icp"}, InputError, "source: 2 finite .* at least 3"),
-        ({"source": np.ones((5, 3)), "method": "plane"}, InputError, "source: 5 finite .* at least 6"),
-        ({"target": np.ones((3, 3))}, InputError, "target: 3 finite points, expected at least 4"),
-        ({"T_init": np.eye(3)}, InputError, r"T_init: an array of shape \(3, 3\)"),
-        ({"method": "icpp"}, InputError, "method = 'icpp': expected one of 'icp'"),
-        ({"dof": "yaw"}, InputError, "dof = 'yaw'"),
-        ({"dof": ""}, InputError, "dof = ''"),
-        ({"robust_scale": 0.0}, InputError, "robust_scale = 0.0"),
-        ({"max_correspondence_m": 0.0}, InputError, "max_correspondence_m = 0.0: expected a positive"),
-        ({"max_correspondence_m": -1.0}, InputError, "max_correspondence_m = -1.0"),
-        ({"max_correspondence_m": np.nan}, InputError, "max_correspondence_m = nan"),
-        ({"max_correspondence_m": np.inf}, InputError, "max_correspondence_m = inf"),
-        ({"iterations_max": 0}, InputError, "iterations_max = 0"),
+        ({"source": np.zeros((0, 3))}, "source: no finite point"),
+        ({"target": np.full((4, 4, 3), np.nan)}, "target: no finite point"),
+        ({"target": VoxelMap(0.1)}, "target: "),
+        ({"source": np.zeros((7, 2))}, r"source: an array of shape \(7, 2\)"),
+        ({"source": np.eye(3)[:2], "method": "icp"}, "source: 2 finite .* at least 3"),
+        ({"source": np.ones((5, 3)), "method": "plane"}, "source: 5 finite .* at least 6"),
+        ({"target": np.ones((3, 3))}, "target: 3 finite points, expected at least 4"),
+        ({"T_init": np.eye(3)}, r"T_init: an array of shape \(3, 3\)"),
+        ({"method": "icpp"}, "method = 'icpp': expected one of 'icp'"),
+        ({"dof": ""}, "dof = ''"),
+        ({"robust_scale": 0.0}, "robust_scale = 0.0"),
+        ({"max_correspondence_m": -1.0}, "max_correspondence_m = -1.0: expected a positive"),
+        ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
+        ({"max_correspondence_m": np.inf}, "max_correspondence_m = inf"),
+        ({"iterations_max": 0}, "iterations_max = 0"),
     ],
 )
-def test_invalid_input_is_named_in_the_error(change, fault, message):
+def test_invalid_input_is_named_in_the_error(change, message):
     given = {"source": corner(50, 1), "target": corner(50, 1), **change}
-    with pytest.raises(fault, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         register(**given)
     assert "\n" not in str(caught.value)
