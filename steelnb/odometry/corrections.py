@@ -107,19 +107,19 @@ def bar_equations(
     count = np.minimum(segments.count, POINTS_MAX)
     information = np.repeat(0.5 * count / (segments.radius**2 + SIGMA_FLOOR_M**2), 2)
     end, direction = shared_ends(segments, bars).reshape(-1, 3), np.repeat(bars.direction, 2, axis=0)
-    across = _across(end - np.repeat(bars.start, 2, axis=0), direction)
+    across = across_of(end - np.repeat(bars.start, 2, axis=0), direction)
     robust = 1.0 / (1.0 + (across**2).sum(axis=1) / (robust_scale_m * robust_scale_m))
     weight = information * robust * robust
     # Derivatives of an end by yaw, x, y and z, then their part perpendicular to the bar.
     J = np.tile(np.vstack([np.zeros(3), np.eye(3)]), (len(end), 1, 1))
     J[:, 0, 0], J[:, 0, 1] = position[1] - end[:, 1], end[:, 0] - position[0]
-    J = _across(J, direction[:, None])
+    J = across_of(J, direction[:, None])
     H = (weight[:, None, None] * (J[:, :, None] * J[:, None]).sum(axis=3)).sum(axis=0)
     b = (weight[:, None] * (J * across[:, None]).sum(axis=2)).sum(axis=0)
     return H, b, len(bars)
 
 
-def _across(vectors: Array, direction: Array) -> Array:
+def across_of(vectors: Array, direction: Array) -> Array:
     """The parts of vectors ``(…, 3)`` perpendicular to unit ``direction (…, 3)``."""
     return np.asarray(vectors - (vectors * direction).sum(axis=-1, keepdims=True) * direction)
 
@@ -156,7 +156,7 @@ def _pairs(observed: Segments, known: SegmentMap) -> tuple[Array, Array, Array]:
     of points ``(P,)`` of the segments."""
     segments, bars = _paired(observed, known)
     direction = bars.direction
-    return _across(segments.middle - bars.start, direction), direction, segments.count.astype(np.float64)
+    return across_of(segments.middle - bars.start, direction), direction, segments.count.astype(np.float64)
 
 
 def _paired(observed: Segments, known: SegmentMap, sightings_min: int = 1) -> tuple[Segments, Segments]:

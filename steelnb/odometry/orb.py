@@ -12,12 +12,11 @@ from scipy.spatial import cKDTree
 
 from steelnb.images import CameraImages, GreyImage, unproject
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.features import SCALE, Features, features_with_depth, match
+from steelnb.odometry.features import Features, features_with_depth, match
 from steelnb.odometry.inertial_prediction import NONE
 from steelnb.odometry.landmarks import Expected, LandmarkMap
 from steelnb.odometry.prediction import PRIOR_SIGMA, make_prediction
-from steelnb.odometry.reprojection import Sighting, solve_pose
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.odometry.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
 from steelnb.types import Array, Imu, IntArray, Scan
@@ -37,8 +36,6 @@ NEAR_PX, NEAR_HAMMING = 3.0, 110
 """The same for the second search, from the pose of the first solve."""
 RATIO = 0.85
 """Ratio test: maximum distance of the best descriptor relative to the second best (Lowe, IJCV 60, 2004: 0.8)."""
-PIXEL_SIGMA = 1.0
-"""Standard deviation of a feature's pixel on the finest level, as in ORB-SLAM."""
 ROBUST_SCALE = 2.0
 """Scale of the Geman-McClure weights, in standard deviations."""
 MATCHES_MIN = 8
@@ -152,17 +149,14 @@ class OrbOdometry(BaseOdometry):
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches")
         matched, landmark = features.take(found[inlier]), self.map.table["point"][expected.number[inlier]]
-        sigma_px = PIXEL_SIGMA * SCALE ** matched.octave.astype(np.float64)
-        sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * matched.depth)
-        sighting = Sighting(landmark, matched.pixel, sigma_px, matched.depth, sigma_m)
         in_drone = (landmark - T_predicted[:3, 3]) @ T_predicted[:3, :3]
         solved = solve_pose(
-            sighting, self.images.K, self.images.T_drone_camera, T_init, self.free,
+            landmark, matched, self.images.K, self.images.T_drone_camera, T_init, self.free,
             self.prediction.terms(T_predicted, in_drone), in_drone.mean(axis=0), ROBUST_SCALE,
         )  # fmt: skip
-        inlier[inlier] = solved.weight >= INLIER_WEIGHT
-        if not solved.determined:
+        if solved is None:
             return failed._replace(reason="singular")
+        inlier[inlier] = solved.weight >= INLIER_WEIGHT
         if failed.matches < MATCHES_MIN:
             return failed._replace(reason="too few matches agree")
         return failed._replace(T_world_drone=solved.T_world_drone, H=solved.H, centre=solved.centre)

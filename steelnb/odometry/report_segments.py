@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.corrections import GAIN
+from steelnb.odometry.corrections import GAIN, across_of
 from steelnb.odometry.segments import timed_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import OdometrySettings, ReportSegmentSettings
@@ -36,7 +36,7 @@ class ReportSegmentOdometry(BaseOdometry):
     """
 
     kind, method = ReportSegmentSettings, "report-segments"
-    stages = "preprocess", "hough", "match", "map"
+    stages = "preprocess", "hough", "match"
     settings: ReportSegmentSettings
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
@@ -54,13 +54,11 @@ class ReportSegmentOdometry(BaseOdometry):
         segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
         watch.lap("hough")
         watch.seconds["hough"] = hough_s
-        offsets = self.bars.offsets(segments)
-        if len(offsets):
-            self.error = self.error + GAIN * offsets.mean(axis=0)
+        reason = "no segment of the map seen" if len(self.bars) else "first scan"
+        offsets = self.bars.insert(segments)
         watch.lap("match")
-        reason = "" if len(offsets) else "no segment of the map seen" if len(self.bars) else "first scan"
-        self.bars.insert(segments)
-        watch.lap("map")
+        if len(offsets):
+            self.error, reason = self.error + GAIN * offsets.mean(axis=0), ""
         return T_world_drone, reason if len(segments) else "no segment seen", len(offsets), 0
 
     def map_segments(self) -> Segments:
@@ -89,16 +87,6 @@ class ReportBars:
         ends = self.anchor[:, None] + self.reach[:, :, None] * self.vector[:, None]
         return Segments(ends[:, 0], ends[:, 1], self.count.copy(), np.full(len(self), RADIUS_M))
 
-    def offsets(self, segments: Segments) -> Array:
-        """Offsets ``(P, 3)`` of the matched segments: perpendicular to the segment, from the bar's anchor to its line.
-
-        The anchor may lie far from the visible part of the bar.
-        """
-        pairs = [(k, match[0]) for k in range(len(segments)) if (match := self.match(segments, k))]
-        difference = np.array([segments.start[k] - self.anchor[bar] for k, bar in pairs]).reshape(-1, 3)
-        direction = segments.direction[[k for k, _ in pairs]]
-        return difference - (difference * direction).sum(axis=1)[:, None] * direction
-
     def match(self, segments: Segments, k: int) -> tuple[int, Array, Array, Array] | None:
         """The first bar that segment ``k`` matches, with the anchor, vector and reach of the fused bar; None without a
         match.
@@ -122,22 +110,27 @@ class ReportBars:
         bar = int(first[0])
         return bar, anchor[bar], vector[bar], np.array([t[:, bar].min(), t[:, bar].max()])
 
-    def insert(self, segments: Segments) -> None:
-        """Fuse each segment with its bar, or start a new bar.
+    def insert(self, segments: Segments) -> Array:
+        """Fuse each segment with its bar, or start a new bar. All segments are matched to the bars before this call. If
+        two match the same bar, the later one counts.
 
-        All segments are matched to the bars before this call. If two match the same bar, the later one counts.
+        Returns the offsets ``(P, 3)`` of the matched segments: perpendicular to the segment, from the bar's anchor to
+        its line. The anchor may lie far from the visible part of the bar.
         """
-        matches = [self.match(segments, k) for k in range(len(segments))]
-        for k, match in enumerate(matches):
-            if match is not None:
-                bar, self.anchor[match[0]], self.vector[match[0]], self.reach[match[0]] = match
-                self.count[bar] += segments.count[k]
-        added = segments.take(np.array([match is None for match in matches], dtype=bool))
+        matches = {k: match for k in range(len(segments)) if (match := self.match(segments, k))}
+        is_known = np.isin(np.arange(len(segments)), list(matches))
+        known, added = segments.take(is_known), segments.take(~is_known)
+        bars = np.array([match[0] for match in matches.values()], dtype=np.int64)
+        offsets = across_of(known.start - self.anchor[bars], known.direction)
+        for k, (bar, anchor, vector, reach) in matches.items():
+            self.anchor[bar], self.vector[bar], self.reach[bar] = anchor, vector, reach
+            self.count[bar] += segments.count[k]
         half_length = 0.5 * added.length
         self.anchor = np.concatenate([self.anchor, added.middle])
         self.vector = np.concatenate([self.vector, added.direction])
         self.reach = np.concatenate([self.reach, np.stack([-half_length, half_length], axis=1)])
         self.count = np.concatenate([self.count, added.count])
+        return offsets
 
     def _foot(self, point: Array) -> Array:
         """The closest point on each bar's line to ``point (3,)``, ``(B, 3)``."""

@@ -4,40 +4,33 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.odometry.features import SCALE, Features
+from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
 from steelnb.registration.solve import exp_about
 from steelnb.types import Array
 
 ITERATIONS_MAX = 15
 ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4
+PIXEL_SIGMA = 1.0
+"""Standard deviation of a feature's pixel on the finest level, as in ORB-SLAM."""
 FRONT_M = 0.05
 """Landmarks with a smaller depth than this are ignored."""
 
 
-class Sighting(NamedTuple):
-    """N observations: ``landmark (N, 3)``, world frame; ``pixel (N, 2)`` with standard deviation ``sigma_px (N,)``;
-    ``depth (N,)`` along the optical axis, metres, NaN if not measured, with standard deviation ``sigma_m (N,)``."""
-
-    landmark: Array
-    pixel: Array
-    sigma_px: Array
-    depth: Array
-    sigma_m: Array
-
-
 class Solved(NamedTuple):
-    """``T_world_drone (4, 4)``; the robust ``weight (N,)`` of each observation, 0 to 1; ``determined``, False for
-    singular equations; and the normal matrix ``H (6, 6)`` of the last step, for twists about the ``centre (3,)``."""
+    """``T_world_drone (4, 4)``; the robust ``weight (N,)`` of each observation, 0 to 1; and the normal matrix ``H (6,
+    6)`` of the last step, for twists about the ``centre (3,)``."""
 
     T_world_drone: Array
     weight: Array
-    determined: bool
     H: Array
     centre: Array
 
 
 def solve_pose(
-    sighting: Sighting,
+    landmark: Array,
+    features: Features,
     K: Array,
     T_drone_camera: Array,
     T_init: Array,
@@ -45,13 +38,14 @@ def solve_pose(
     terms: list[Term],
     middle: Array,
     scale: float,
-) -> Solved:
+) -> Solved | None:
     """The pose of the drone that minimises Σ ρ(‖(Δu, Δv)/σ_px, Δ(1/x)/σ_1/x‖) + the costs of ``terms``.
 
-    ρ is the Geman-McClure loss with a ``scale`` in standard deviations. The third residual, of the inverse depth,
-    applies where a depth was measured. Up to a factor, it is ORB-SLAM2's coordinate in a virtual right camera
-    (Mur-Artal, Tardós, IEEE Transactions on Robotics 33, 2017, section III.B). Steps are twists in the columns of
-    ``free (6, k)``, about the world position of ``middle (3,)``, a point in the drone frame.
+    ``landmark (N, 3)``, world frame, were observed as ``features``. ρ is the Geman-McClure loss with a ``scale`` in
+    standard deviations. The third residual, of the inverse depth, applies where a depth was measured. Up to a factor,
+    it is ORB-SLAM2's coordinate in a virtual right camera (Mur-Artal, Tardós, IEEE Transactions on Robotics 33, 2017,
+    section III.B). Steps are twists in the columns of ``free (6, k)``, about the world position of ``middle (3,)``, a
+    point in the drone frame. None for singular equations.
     """
     T = T_init
     for _ in range(ITERATIONS_MAX):
@@ -60,39 +54,40 @@ def solve_pose(
         for term in terms:
             H_term, b_term, _ = term(T, centre)
             H, b = H + H_term, b + b_term
-        error, J, weight = linearise(sighting, K, T @ T_drone_camera, centre, scale)
+        error, J, weight = linearise(landmark, features, K, T @ T_drone_camera, centre, scale)
         weighted = weight[:, None, None] * J
         H = np.vstack([H[None], (weighted[..., None] * J[:, :, None]).reshape(-1, 6, 6)]).sum(axis=0)
         b = np.vstack([b, (weighted * error[..., None]).reshape(-1, 6)]).sum(axis=0)
         try:
             step = -free @ np.linalg.solve(free.T @ H @ free, free.T @ b)
         except np.linalg.LinAlgError:
-            return Solved(T_init, weight, False, H, centre)
+            return None
         T = exp_about(centre, step) @ T
         if np.linalg.norm(step[:3]) < ROTATION_EPSILON_RAD and np.linalg.norm(step[3:]) < TRANSLATION_EPSILON_M:
             break
-    return Solved(T, weight, bool(np.isfinite(T).all()), H, centre)
+    return Solved(T, weight, H, centre) if np.isfinite(T).all() else None
 
 
 def linearise(
-    sighting: Sighting, K: Array, T_world_camera: Array, centre: Array, scale: float
+    landmark: Array, features: Features, K: Array, T_world_camera: Array, centre: Array, scale: float
 ) -> tuple[Array, Array, Array]:
     """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` by a twist (ω, v) of the pose about
     ``centre (3,)``, world frame, and the robust weights ``(N,)``."""
-    R, sigma_px, depth = T_world_camera[:3, :3], sighting.sigma_px, sighting.depth
-    point = ((sighting.landmark - T_world_camera[:3, 3])[:, :, None] * R).sum(axis=1)
+    R, depth = T_world_camera[:3, :3], features.depth
+    sigma_px = PIXEL_SIGMA * SCALE ** features.octave.astype(np.float64)
+    point = ((landmark - T_world_camera[:3, 3])[:, :, None] * R).sum(axis=1)
     x = np.where(point[:, 0] < FRONT_M, np.nan, point[:, 0])
     # Residuals u = c − f·y/x, v = c − f·z/x and 1/x, and their derivatives by the point.
     error, gradient = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
     for k in range(2):
         f = K[k, k] / (x * sigma_px)
-        error[:, k] = (K[k, 2] - sighting.pixel[:, k]) / sigma_px - f * point[:, k + 1]
+        error[:, k] = (K[k, 2] - features.pixel[:, k]) / sigma_px - f * point[:, k + 1]
         gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
-    sigma = sighting.sigma_m / depth**2
+    sigma = np.maximum(SIGMA_M, SIGMA_SHARE * depth) / depth**2
     error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
     error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
     weight = np.where(np.isnan(x), 0.0, 1.0 / (1.0 + (error**2).sum(axis=1) / scale**2) ** 2)
     # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
     by_shift = -(gradient[:, :, None] * R).sum(axis=3)
-    by_turn = np.cross((sighting.landmark - centre)[:, None], by_shift)
+    by_turn = np.cross((landmark - centre)[:, None], by_shift)
     return error, np.concatenate([by_turn, by_shift], axis=2), weight

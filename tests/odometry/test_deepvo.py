@@ -18,7 +18,7 @@ from steelnb.odometry.deepvo import (
     level_pair,
     motions,
 )
-from steelnb.odometry.network import STRIDES, VERSION, WEIGHTS, convolved, read_network, write_network
+from steelnb.odometry.network import VERSION, WEIGHTS, convolved, read_network, write_network
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.types import Trajectory
 from tests import naive
@@ -45,19 +45,6 @@ def test_a_convolution_equals_its_slow_twin(size, stride):
     draw = np.random.default_rng(size + stride)
     x, kernel = draw.normal(size=(2, 8, 6, 3)), draw.normal(size=(4, 3, size, size))
     np.testing.assert_allclose(convolved(x, kernel, stride), naive.convolution(x, kernel, stride), atol=1e-12)
-
-
-def test_the_network_equals_a_learning_library():
-    torch = pytest.importorskip("torch")
-    network, images = read_network(), np.random.default_rng(1).random((3, 4, ROWS, COLUMNS), dtype=np.float32)
-    x = torch.from_numpy(images)
-    for (kernel, bias), stride in zip(network.kernels, STRIDES, strict=True):
-        pad = kernel.shape[-1] // 2
-        x = torch.relu(torch.nn.functional.conv2d(x, *map(torch.from_numpy, (kernel, bias)), stride, pad))
-    x = x.flatten(1)
-    for k, (matrix, bias) in enumerate(network.matrices):
-        x = (torch.relu(x) if k else x) @ torch.from_numpy(matrix).T + torch.from_numpy(bias)
-    np.testing.assert_allclose(network(images), x.numpy(), atol=2e-4)
 
 
 def test_written_weights_are_read_as_they_were(tmp_path):

@@ -40,22 +40,11 @@ def test_it_removes_most_of_the_drift_and_has_a_map(world, method):
     assert not len(found.segments)
 
 
-def test_a_scan_without_returns_follows_the_motion_of_the_prior(world, method):
-    flight = world[0]
+def test_a_flight_starts_with_its_first_returns_and_a_scan_without_any_follows_the_prior(world, method):
+    flight, nothing = world[0], np.full((5, 5, 3), np.nan)
     odometry, T = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor), flight.prior.T_world_drone
-    before = [odometry.update(flight.scans[k], T[k]).T_world_drone for k in range(4)][-1]
-    step = odometry.update(np.full((5, 5, 3), np.nan), T[4])
-    assert step.reason == "too few points"
-    np.testing.assert_allclose(step.T_world_drone, before @ np.linalg.inv(T[3]) @ T[4], atol=1e-12)
-    assert odometry.update(flight.scans[5], T[5]).used
-
-
-def test_a_flight_without_returns_at_first_starts_with_its_first_returns(world, method):
-    flight = world[0]
-    odometry = make_odometry(OdometrySettings.preset(method), flight.T_drone_sensor)
-    T = flight.prior.T_world_drone
-    assert odometry.update(np.zeros((0, 3)), T[0]).reason == "too few points"
-    first = odometry.update(flight.scans[1], T[1])
-    np.testing.assert_allclose(first.T_world_drone, T[1], atol=1e-9)
-    assert first.reason == "first scan"
-    assert odometry.update(flight.scans[2], T[2]).used
+    scans = [nothing, *flight.scans[1:4], nothing, flight.scans[5]]
+    steps = [odometry.update(scan, prior) for scan, prior in zip(scans, T[:6], strict=True)]
+    assert [step.reason for step in steps] == ["too few points", "first scan", "", "", "too few points", ""]
+    np.testing.assert_allclose(steps[1].T_world_drone, T[1], atol=1e-9)
+    np.testing.assert_allclose(steps[4].T_world_drone, steps[3].T_world_drone @ np.linalg.inv(T[3]) @ T[4], atol=1e-12)
