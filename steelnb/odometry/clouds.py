@@ -8,7 +8,7 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import make_prediction
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
-from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
@@ -125,7 +125,7 @@ class CloudOdometry(BaseOdometry):
         across = (0.5 * SIGMA_M) ** 2
         extra = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2 - across
         full = (extra[:, None] * ray)[:, :, None] * ray[:, None] + across * np.eye(3)
-        return full[:, *np.triu_indices(3)]
+        return full[:, *UPPER]
 
     def _register(
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array

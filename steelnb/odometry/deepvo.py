@@ -93,8 +93,8 @@ class DeepVoOdometry(BaseOdometry):
     """Integrates the translations that a network estimates from the derotated range images of two scans.
 
     It uses the prior's first pose and its attitudes, but not its further positions. There is no map, so the errors
-    accumulate. The ``matches`` of a step are the pixels with returns in both images; ``sigma_m (3,)``: standard
-    deviations of the last motion, ahead, left and up. Raises `InputError` for weights that cannot be used.
+    accumulate. The ``matches`` of a step are the pixels with returns in both images. Raises `InputError` for weights
+    that cannot be used.
     """
 
     kind, method = DeepVoSettings, "deepvo"
@@ -105,7 +105,6 @@ class DeepVoOdometry(BaseOdometry):
         super().__init__(settings, T_drone_sensor)
         packaged = PRESETS / self.settings.weights
         self.network = read_network(packaged if packaged.is_file() else Path(self.settings.weights))
-        self.sigma_m = np.zeros(3)
         self._last: tuple[float, Array, Array] | None = None  # stamp, points and attitude of the last scan with returns
         self._position: Array | None = None  # position of the sensor, world frame
 
@@ -127,7 +126,7 @@ class DeepVoOdometry(BaseOdometry):
             reason = f"{abs(scan.stamp_s - last[0]):.2f} s since the last scan with returns"
         else:
             matches = int(np.count_nonzero(has_returns.all(axis=0)))
-            (translation,), (self.sigma_m,) = motions(self.network, pair.images[None])
+            (translation,), _ = motions(self.network, pair.images[None])
             self._position = self._position + pair.R_world_level @ translation
         if not too_few:
             self._last = scan.stamp_s, scan.points, R

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion.inertial import SIGMA_MIN, gaps, integrated, integration_covariances
-from steelnb.fusion.poses import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance, yaw_of
+from steelnb.fusion.poses import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance, moved_poses, yaw_of
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 from steelnb.types import GRAVITY, Array, Imu
@@ -148,9 +148,7 @@ class InertialPrediction:
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
         step, P = -(gain @ error)[SIZE:], (joint - gain @ H @ joint)[SIZE:, SIZE:]
-        T_world_drone = T.copy()
-        T_world_drone[:3, :3] = Rotation.from_rotvec(step[ROTATION]).as_matrix() @ T[:3, :3]
-        T_world_drone[:3, 3] += step[POSITION]
+        T_world_drone = moved_poses(T[None], step[None, POSE])[0]
         return State(stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS], 0.5 * (P + P.T))
 
     def _integrated(self, old: State, stamp_s: float) -> tuple[Array, Array, Array, Array]:

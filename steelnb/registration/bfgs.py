@@ -10,6 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.points.covariances import UPPER
+from steelnb.registration.normal_equations import FULL
+
 STEPS_MAX = 20
 GRADIENT_MAX = 1e-2
 """Stop when the gradients by translation (m) and by angles (m²/rad) are both shorter than this."""
@@ -36,9 +39,8 @@ def euler_pose(x):
 
 def metrics(source_covariance, target_covariance, R):
     """Metric (C_target + R C_source Rᵀ)⁻¹ of each pair: ``(P, 6)``, upper triangles xx xy xz yy yz zz."""
-    full = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-    inverse = np.linalg.inv(target_covariance[:, full] + R @ source_covariance[:, full] @ R.T)
-    return np.ascontiguousarray(inverse[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])
+    inverse = np.linalg.inv(target_covariance[:, FULL] + R @ source_covariance[:, FULL] @ R.T)
+    return np.ascontiguousarray(inverse[:, *UPPER])
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ from numba import njit
 POINT, PLANE, GICP = 0, 1, 2
 NEXT = (1, 2, 0, 1)
 """The axis after an axis, and the one after that."""
-UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 """Row and column → place in an upper triangle xx xy xz yy yz zz."""
 
 
@@ -32,10 +32,10 @@ def _metric(error, i, j, source_covariance, normal, target_covariance, R, M, C, 
         s, t = source_covariance[i], target_covariance[j]
         for r in range(3):
             for c in range(3):
-                RS[r, c] = R[r, 0] * s[UPPER[0, c]] + R[r, 1] * s[UPPER[1, c]] + R[r, 2] * s[UPPER[2, c]]
+                RS[r, c] = R[r, 0] * s[FULL[0, c]] + R[r, 1] * s[FULL[1, c]] + R[r, 2] * s[FULL[2, c]]
         for r in range(3):
             for c in range(r, 3):
-                C[r, c] = t[UPPER[r, c]] + RS[r, 0] * R[c, 0] + RS[r, 1] * R[c, 1] + RS[r, 2] * R[c, 2]
+                C[r, c] = t[FULL[r, c]] + RS[r, 0] * R[c, 0] + RS[r, 1] * R[c, 1] + RS[r, 2] * R[c, 2]
                 C[c, r] = C[r, c]
     for r in range(3):
         for c in range(3):
