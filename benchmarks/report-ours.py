@@ -23,9 +23,9 @@ from steelnb.types import Flight, Trajectory
 
 METHODS = ("best", "faces", "smoothed")
 VALUES: dict[str, dict[str, Any]] = {
-    "report-4cm": {"prior_sigma": (0.05, 0.005), "clouds.sigma_filter_px": 1},
-    "starling2": {"prior_sigma": (0.05, 0.02), "clouds.sigma_filter_px": 0},
-    "no robust weights": {"clouds.robust_scale": 100.0},
+    "report-4cm": {"prior_sigma": (0.05, 0.005), "sigma_filter_px": 1},
+    "starling2": {"prior_sigma": (0.05, 0.02), "sigma_filter_px": 0},
+    "no robust weights": {"robust_scale": 100.0},
 }
 """What differs between the sensors' presets."""
 SHOWN = ("recall", "precision", "edge_recall", "edge_precision", "offset_median_m", "joint_error_median_m")

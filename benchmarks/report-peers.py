@@ -55,7 +55,7 @@ def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int)
 
 def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
     """Poses by our program."""
-    settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
+    settings = OdometrySettings.preset(method, "report", {"switched": switched})
     return run(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
 
 

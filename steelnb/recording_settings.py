@@ -84,7 +84,7 @@ class Scene:
         if self.range_m > SCALE_MIN * range_max_m:
             changed["preprocess.crop_m"] = float(f"{self.range_m:.3g}")
         if scale > SCALE_MIN:
-            known = setting_names(preset.odometry)
+            known = setting_names(type(preset.odometry))
             for name, power in LENGTHS.items():
                 if name in known:
                     changed[name] = float(f"{attrgetter(name)(preset.odometry) * scale**power:.3g}")

@@ -16,7 +16,7 @@ SHORT = {"tof.columns": 90, "tof.rows": 120}
 
 @pytest.fixture(scope="module")
 def runs():
-    methods = [("icp-3dof", {}), ("icp-3dof", {"clouds.map": "weighted"}), ("gicp", {})]
+    methods = [("icp-3dof", {}), ("icp-3dof", {"map": "weighted"}), ("gicp", {})]
     given = {"seed": 3, "duration_s": 6.0}
     return batch.run_all(
         [ExperimentSettings.preset(method=name, overrides=SHORT | changes, **given) for name, changes in methods]

@@ -83,7 +83,7 @@ def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatc
         ({"tof.blind_s": [[1.0, 2.0]]}, ["fly", "correct"]),
         ({"tof.faults": ["footprint"]}, ["fly", "correct"]),
         ({"flight.gust_sigma_m_s": 0.01}, ["fly", "correct"]),
-        ({"tower.base_width_m": 4.1}, ["fly", "correct"]),
+        ({"tower.profile_m": [[0.0, 4.1], [9.0, 1.7], [16.0, 1.0]]}, ["fly", "correct"]),
     ],
 )
 def test_a_change_recomputes_only_what_depends_on_it(folder, made, changed, made_anew):

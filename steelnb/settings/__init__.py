@@ -29,6 +29,7 @@ from steelnb.settings.presets import method_names, read_tables, read_toml, senso
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.world import (
     REPORT_NOISE,
+    CameraSettings,
     FlightSettings,
     ImuSettings,
     Noise,
@@ -43,7 +44,7 @@ SENSORS = sensor_names()
 METHODS = method_names()
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CloudSettings", "DeepVoSettings",
+    "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings",
     "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",

@@ -5,15 +5,12 @@ import difflib
 import json
 import tomllib
 from collections.abc import Iterable
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from scipy.spatial.transform import Rotation
 
 from steelnb import rng
 from steelnb.errors import InputError
-from steelnb.types import Array
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 DURATION_MAX_S = 14_400.0
@@ -34,7 +31,6 @@ def _checked_seed(value: Any) -> rng.Seed:
 SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
 _SHOWN = 200
 """Maximum number of characters of a value in a message."""
-S = TypeVar("S", bound="Settings")
 
 
 class Settings(BaseModel):
@@ -52,28 +48,25 @@ class Settings(BaseModel):
         """A copy with some values changed and all values validated."""
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
-
-def table(kind: type[Settings]) -> BeforeValidator:
-    """Validator of a field that holds settings of a ``kind`` or None: it also accepts a dict, and false for None, as
-    TOML has no None."""
-
-    def read(value: Any) -> Any:
-        if value is False:
-            return None
-        return kind(**{str(k): v for k, v in value.items()}) if type(value) is dict else value
-
-    return BeforeValidator(read)
-
-
-def mount(position_m: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
-    """Pose ``T_drone_sensor (4, 4)`` of a sensor; roll, pitch and yaw are about the drone's fixed axes (REP 103)."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("xyz", rpy_deg, degrees=True).as_matrix()
-    T[:3, 3] = position_m
-    return T
+    def override(self, overrides: dict[str, Any]) -> Self:
+        """A copy with single settings changed, each named ``setting`` or ``table.setting``. A whole table, such as
+        ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
+        changed = self
+        for path, value in overrides.items():
+            name, _, inner = path.partition(".")
+            table = getattr(changed, name, None)
+            if inner and isinstance(table, Settings):
+                changed = changed.replace(**{name: table.override({inner: value})})
+            else:
+                changed = changed.replace(**{path: as_tuples(value)})
+        return changed
 
 
-def describe_fault(kind: type[BaseModel], fault: ValidationError) -> str:
+OrNone = BeforeValidator(lambda value: None if value is False else value)
+"""Validator of an optional field: false stands for None, which TOML does not have."""
+
+
+def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     """The first fault of a pydantic error as one line: the setting, its value, and what was expected."""
     first = fault.errors()[0]
     message = first["msg"].removeprefix("Value error, ")
@@ -82,7 +75,9 @@ def describe_fault(kind: type[BaseModel], fault: ValidationError) -> str:
         return f"{kind.__name__}: {message}"
     name = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        message = f"unknown setting{guess(name, kind.model_fields)}; expected one of {', '.join(kind.model_fields)}"
+        known, family = setting_names(kind), getattr(kind, "family", None)
+        has = f"the family {family!r} has" if family else "expected one of"
+        message = f"unknown setting{guess(name, known)}; {has} {', '.join(known)}"
     return f"{kind.__name__}: {name} = {first['input']!r:.{_SHOWN}}: {message}"
 
 
@@ -104,30 +99,13 @@ def as_tuples(value: Any) -> Any:
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
-def overridden(settings: S, overrides: dict[str, Any]) -> S:
-    """A copy with single settings changed, each named ``table.setting`` or ``setting``. A whole table, such as ``imu``,
-    may be given as a dict, or as None if it is optional. Raises `InputError`."""
-    for path, value in overrides.items():
-        *tables, name = path.split(".")
-        places: list[Any] = [settings]
-        for table in tables:
-            places.append(getattr(places[-1], table, None))
-        if not isinstance(places[-1], Settings) or name not in type(places[-1]).model_fields:
-            near = guess(path, setting_names(settings))
-            raise InputError(f"overrides: unknown setting {path!r}{near}; expected table.setting")
-        changed = as_tuples(value)
-        for place, field in zip(reversed(places), [name, *reversed(tables)], strict=True):
-            changed = place.replace(**{field: changed})
-        settings = changed
-    return settings
-
-
-def setting_names(settings: Settings) -> list[str]:
+def setting_names(kind: type[Settings]) -> list[str]:
     """The names of all single settings; those of a table are prefixed by the table's name."""
     names = []
-    for name in type(settings).model_fields:
-        value = getattr(settings, name)
-        names += [f"{name}.{inner}" for inner in setting_names(value)] if isinstance(value, Settings) else [name]
+    for name, field in kind.model_fields.items():
+        inner = field.annotation
+        is_table = isinstance(inner, type) and issubclass(inner, Settings)
+        names += [f"{name}.{each}" for each in setting_names(inner)] if is_table else [name]
     return names
 
 

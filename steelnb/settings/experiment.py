@@ -5,7 +5,7 @@ from typing import Annotated, Any, Self
 from pydantic import model_validator
 
 from steelnb import rng
-from steelnb.settings.base import SeedOrReport, Settings, overridden, table
+from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettings, TowerSettings, TrajectoryName
@@ -24,7 +24,7 @@ class ExperimentSettings(Settings):
     tower: TowerSettings = TowerSettings()
     flight: FlightSettings
     tof: TofSettings
-    imu: Annotated[ImuSettings | None, table(ImuSettings)] = None
+    imu: Annotated[ImuSettings | None, OrNone] = None
     odometry: Family
 
     @model_validator(mode="after")
@@ -107,18 +107,12 @@ class ExperimentSettings(Settings):
         )  # fmt: skip
         return settings.override(overrides or {})
 
-    def override(self, overrides: dict[str, Any]) -> "ExperimentSettings":
+    def override(self, overrides: dict[str, Any]) -> Self:
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
-        The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry
-        (`OdometrySettings.override`).
+        The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry.
         """
-        settings = self
-        for path, value in overrides.items():
-            first = path.partition(".")[0]
-            if first != "odometry" and first in type(self).model_fields:
-                settings = overridden(settings, {path: value})
-            else:
-                odometry = settings.odometry.override({path.removeprefix("odometry."): value})
-                settings = settings.replace(odometry=odometry)
-        return settings
+        own = type(self).model_fields
+        return super().override(
+            {path if path.partition(".")[0] in own else f"odometry.{path}": value for path, value in overrides.items()}
+        )

@@ -1,7 +1,7 @@
 """Settings of the estimators: one class a family of methods, and the reconstruction. Lengths in metres, angles in
 radians."""
 
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
@@ -9,14 +9,11 @@ from steelnb.errors import InputError
 from steelnb.settings.base import (
     Finite,
     NotNegative,
+    OrNone,
     Positive,
     Probability,
     Settings,
-    guess,
-    overridden,
     quoted,
-    setting_names,
-    table,
 )
 from steelnb.settings.presets import method_preset, sensor_preset
 from steelnb.settings.world import ImuSettings
@@ -65,7 +62,7 @@ def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
     return imu
 
 
-Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), table(ImuSettings)]
+Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
 """Errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`) and take part in
 smoothing, None for none."""
 
@@ -77,18 +74,16 @@ class OdometrySettings(Settings):
     """
 
     method: str
-    preprocess: Annotated[PreprocessSettings, table(PreprocessSettings)] = PreprocessSettings()
+    preprocess: PreprocessSettings = PreprocessSettings()
     smooth: bool = False
 
     family: ClassVar[str]
-    prefix: ClassVar[str] = "odometry"
-    """May stand before the name of a setting in `override`."""
     crop: ClassVar[Literal["clouds", "segments"]] = "clouds"
     """Which ``preprocess`` of a sensor's preset is the family's."""
 
     @staticmethod
     def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
-        """The settings of a method with a sensor's data; ``overrides`` as in `override`. A method by front faces or by
+        """The settings of a method with a sensor's data; ``overrides`` as for `override`. A method by front faces or by
         image features uses the IMU beside the sensor. Raises `InputError`.
 
         >>> settings = OdometrySettings.preset("faces")
@@ -107,21 +102,6 @@ class OdometrySettings(Settings):
             values["inertial"] = of_sensor.get("imu")
         return kind(**values).override(overrides or {})
 
-    def override(self, overrides: dict[str, Any]) -> Self:
-        """A copy with single settings changed, named as ``robust_scale``, ``clouds.map_voxel_m`` or
-        ``preprocess.crop_m``. Raises `InputError` for one that the family does not have."""
-        changed = self
-        for path, value in overrides.items():
-            name = path.removeprefix(f"{self.prefix}.")
-            known = [each for each in setting_names(self) if each != "method"]
-            if name not in known and name not in type(self).model_fields:
-                raise InputError(
-                    f"overrides: unknown setting {path!r}{guess(name, known)}; method {self.method!r} is of the family"
-                    f" {self.family!r}, which has {', '.join(known)}"
-                )
-            changed = overridden(changed, {name: value})
-        return changed
-
 
 class SegmentSettings(OdometrySettings):
     """Correction by segments; the method is the rule (`steelnb.odometry.corrections`).
@@ -131,11 +111,10 @@ class SegmentSettings(OdometrySettings):
 
     family: ClassVar[str] = "segments"
     method: SegmentMethod
-    hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
-    fusion: Annotated[FusionSettings, table(FusionSettings)] = FusionSettings()
+    hough: HoughSettings = HoughSettings()
+    fusion: FusionSettings = FusionSettings()
     robust_scale_m: Positive = 0.05
 
-    prefix: ClassVar[str] = "segments"
     crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 
@@ -167,7 +146,6 @@ class RegistrationSettings(MapSettings):
     tilt_sigma_rad: NotNegative = 0.0
     inertial: Inertial = None
 
-    prefix: ClassVar[str] = "clouds"
 
 
 class CloudSettings(RegistrationSettings):
@@ -189,7 +167,6 @@ class LoamSettings(MapSettings):
 
     family: ClassVar[str] = "loam"
 
-    prefix: ClassVar[str] = "loam"
     error: ClassVar[Literal["gicp"]] = "gicp"
     dof: ClassVar[Literal["se3"]] = "se3"
     robust_scale: ClassVar[float] = 5.0
@@ -238,16 +215,14 @@ class ReportCloudSettings(OdometrySettings):
     method: Literal["report-icp", "report-icp-3dof", "report-gicp"]
     switched: tuple[CloudTrait, ...] = ()
 
-    prefix: ClassVar[str] = "report_clouds"
 
 
 class ReportSegmentSettings(OdometrySettings):
     """The report's program for odometry by segments (`steelnb.odometry.report_segments`)."""
 
     family: ClassVar[str] = "report_segments"
-    hough: Annotated[HoughSettings, table(HoughSettings)] = HoughSettings()
+    hough: HoughSettings = HoughSettings()
 
-    prefix: ClassVar[str] = "report_segments"
     crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 

@@ -4,13 +4,14 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from steelnb.errors import InputError
 from steelnb.files import reading
-from steelnb.settings.base import S, as_tuples, guess, quoted
+from steelnb.settings.base import Settings, as_tuples, guess, quoted
 
 PRESETS = Path(__file__).parent.parent / "presets"
+S = TypeVar("S", bound=Settings)
 
 
 def read_toml(path: Path, expected: str = "") -> dict[str, Any]:

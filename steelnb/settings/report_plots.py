@@ -59,9 +59,7 @@ class ReportPlot:
     @classmethod
     def find(cls, figure: str, trajectory: str, method: str) -> "ReportPlot":
         """The plot of a figure, trajectory and method. Raises `InputError`."""
-        plots: dict[tuple[str, str, str], ReportPlot] = {
-            (plot.figure, plot.trajectory, plot.method): plot for plot in read_report_plots()
-        }
+        plots = {(str(each.figure), str(each.trajectory), each.method): each for each in read_report_plots()}
         if (figure, trajectory, method) not in plots:
             known = "; ".join(" ".join(names) for names in plots)
             raise InputError(f"plot {figure} {trajectory} {method}: expected one of {known}")

@@ -8,15 +8,18 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
-from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, mount, quoted
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.types import Array
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
 BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")
+Level = tuple[NotNegative, Positive]
 Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
 """x, y, z in metres, heading in degrees (0 along x, anticlockwise), and seconds from the previous waypoint."""
 
@@ -26,16 +29,13 @@ class TowerSettings(Settings):
 
     ``members``: name of a CSV file of ``steelnb/presets``, such as ``report-tower``, or ``FILE.csv``
     (`steelnb.simulation.lattice`). ``section``: angles of ``(flange, thickness)``, or round rods with the flange's
-    width as diameter. ``arms_m``: height and reach of each arm. The ground is a square plate at z = 0.
+    width as diameter. ``profile_m``: height and width of the body on the ground, at its waist and at its top;
+    ``arms_m``: height and reach of each arm. The ground is a square plate at z = 0.
     """
 
     members: str | None = None
     section: Literal["angle", "round"] = "angle"
-    height_m: Positive = 16.0
-    base_width_m: Positive = 4.0
-    waist_height_m: Positive = 9.0
-    waist_width_m: Positive = 1.7
-    top_width_m: Positive = 1.0
+    profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
     arm_depth_m: ClassVar[float] = 0.7
     leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
@@ -46,24 +46,20 @@ class TowerSettings(Settings):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if not self.waist_height_m < self.height_m:
-            raise ValueError("waist_height_m must lie below height_m")
-        height_m = [height for height, _ in self.arms_m]
-        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(height_m)):
-            raise ValueError(f"arms_m: expected arms at least {self.arm_depth_m:g} m apart")
-        if height_m and not self.waist_height_m < min(height_m) <= max(height_m) <= self.height_m - self.arm_depth_m:
-            raise ValueError("arms_m: expected arms between waist_height_m and height_m")
-        return self
-
-    @model_validator(mode="after")
-    def _of_one_kind(self) -> Self:
         fields = type(self).model_fields
-        shape = [name for name in fields if name.startswith(("height", "base", "waist", "top", "arms"))]
-        for name in shape if self.members is not None else ():
+        for name in ("profile_m", "arms_m") if self.members is not None else ():
             if getattr(self, name) != fields[name].default:
                 raise ValueError(
                     f"{name} = {getattr(self, name)} with members = {self.members!r}: expected only one of them"
                 )
+        (ground_m, _), (waist_m, _), (top_m, _) = self.profile_m
+        if not 0.0 == ground_m < waist_m < top_m:
+            raise ValueError(f"profile_m = {self.profile_m}: expected heights that rise from 0")
+        height_m = [height for height, _ in self.arms_m]
+        if any(low + self.arm_depth_m > high for low, high in itertools.pairwise(height_m)):
+            raise ValueError(f"arms_m: expected arms at least {self.arm_depth_m:g} m apart")
+        if height_m and not waist_m < min(height_m) <= max(height_m) <= top_m - self.arm_depth_m:
+            raise ValueError("arms_m: expected arms between the waist and the top")
         return self
 
     @property
@@ -137,21 +133,38 @@ TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", 
 surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
 
 
-class TofSettings(Settings):
-    """A Time-of-Flight camera: pinhole, optical axis along the sensor's x axis, ranges along the ray.
+class CameraSettings(Settings):
+    """A pinhole camera on the drone, with its optical axis along its x axis, y left, z up.
 
-    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"``,
-    noise and limit ``range_max_m`` apply to the depth along the optical axis; the output is still the range along the
-    ray. Scans are taken at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step. In the intervals
-    ``blind_s`` (from, to) there are no returns. ``mount_m`` and ``mount_rpy_deg`` (roll, pitch, yaw about the drone's
-    axes) place the sensor on the drone. With ``faults``, the sensor has the errors of a real one
-    (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of its return.
+    ``mount_m`` and ``mount_rpy_deg``: its place, and its roll, pitch and yaw about the drone's axes.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
     fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
     fov_vertical_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
+    mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
+    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def T_drone_sensor(self) -> Array:
+        """The mount ``(4, 4)``; roll, pitch and yaw are about fixed axes (REP 103)."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
+        T[:3, 3] = self.mount_m
+        return T
+
+
+class TofSettings(CameraSettings):
+    """A Time-of-Flight camera, with ranges along the ray.
+
+    The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"``,
+    noise and limit ``range_max_m`` apply to the depth along the optical axis; the output is still the range along the
+    ray. Scans are taken at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step. In the intervals
+    ``blind_s`` (from, to) there are no returns. With ``faults``, the sensor has the errors of a real one
+    (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of its return.
+    """
+
     range_max_m: Positive = 4.0
     sigma_floor_m: NotNegative = 0.04
     sigma_relative: NotNegative = 0.0
@@ -159,14 +172,7 @@ class TofSettings(Settings):
     rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
     start_s: NotNegative = 0.0
     blind_s: tuple[tuple[float, float], ...] = ()
-    mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
-    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     faults: tuple[TofFault, ...] = ()
-
-    @property
-    def T_drone_sensor(self) -> Array:
-        """The sensor's mount, ``(4, 4)``."""
-        return mount(self.mount_m, self.mount_rpy_deg)
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":

@@ -102,11 +102,11 @@ class Calibration(NamedTuple):
 
 class Exposure(NamedTuple):
     """Images ``(H, W)``: ``range_m`` float32 as measured, but without noise, infinite for no light;
-    ``equivalent_range_m``, the range from which the data sheet's target, seen perpendicularly, returns as much light,
-    None if that is the range itself; ``exact_m`` and ``member`` of each pixel's centre ray, as from `cast_rays`."""
+    ``equivalent_range_m``, the range from which the data sheet's target, seen perpendicularly, returns as much light;
+    ``exact_m`` and ``member`` of each pixel's centre ray, as from `cast_rays`."""
 
     range_m: Floats
-    equivalent_range_m: Floats | None
+    equivalent_range_m: Floats
     exact_m: Floats
     member: IntArray
 
@@ -126,66 +126,47 @@ def expose(
 
     ``random`` draws the lateral noise and the directions of scattered light.
     """
+    bundle = _bundle(settings, faults, T_world_sensor, random)
+    hit, count = cast_bundle(scene, bundle), bundle.shape[1]
+    cosine = np.abs((hit.normal * bundle[..., 3:]).sum(axis=2, dtype=np.float64))
+    amplitude = (faults.reflectivity * cosine / hit.range_m**2).astype(np.float32)  # 1/m², 0 for no return
+    multipath_m, multipath_amplitude = np.zeros_like(hit.range_m), np.zeros_like(hit.range_m)
+    near = np.flatnonzero((hit.member != GROUND) & (hit.range_m <= settings.range_max_m))
+    if faults.multipath > 0 and len(near):
+        # Stratified: each of a pixel's nine rays is scattered into its own ninth of the directions.
+        stratum = np.column_stack(np.divmod(near // count, 3))
+        drawn = (stratum + random.random((len(near), 2))) / 3
+        onward = np.empty((len(near), 6), np.float32)
+        first = bundle.reshape(-1, 6), hit.range_m.ravel()
+        _scattered_rays(*first, hit.normal.reshape(-1, 3), near, drawn, onward)
+        second = cast_bundle(scene, onward)
+        range_2_m = np.where(second.member != GROUND, second.range_m, np.float32(np.inf))
+        share = faults.multipath * faults.reflectivity**2
+        _multipath(*first, near, onward, range_2_m, second.normal, share, multipath_m.ravel(),
+                   multipath_amplitude.ravel())  # fmt: skip
+    mixed, equivalent = np.empty(count), np.empty(count)
+    _mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
+    with np.errstate(invalid="ignore"):  # ranges are infinite without light
+        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + calibration.phase_rad)
+    measured = np.where(np.isfinite(mixed), calibration.scale * mixed + calibration.offset_m + wiggle, np.inf)
+    images = measured.astype(np.float32), equivalent.astype(np.float32), hit.range_m[MIDDLE], hit.member[MIDDLE]
+    return Exposure(*(image.reshape(settings.rows, settings.columns) for image in images))
+
+
+def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator) -> Floats:
+    """Nine rays ``(9, N, 6)``, world frame, for each of N pixels, whose footprints have lateral noise."""
     ray = rays(settings)
     plane = (ray[..., 1:] / ray[..., :1]).reshape(-1, 2)
     pixel = np.array([-math.tan(settings.fov_horizontal_rad / 2) * 2 / settings.columns,
                       -math.tan(settings.fov_vertical_rad / 2) * 2 / settings.rows])  # fmt: skip
     grid_px = faults.footprint_px / 3 * (np.array([(i % 3, i // 3) for i in range(9)]) - 1)
-    lateral_px = faults.lateral_px * random.standard_normal(plane.shape) if faults.lateral_px else np.zeros(plane.shape)
-    bundle = np.empty((9, len(plane), 6), np.float32)
-    _fill_bundle(plane, grid_px, lateral_px, pixel, np.ascontiguousarray(T_world_sensor), bundle)
-    hit = cast_bundle(scene, bundle)
-    amplitude = np.empty_like(hit.range_m)
-    multipath_m, multipath_amplitude = np.zeros_like(hit.range_m), np.zeros_like(hit.range_m)
-    _return_amplitude(bundle, hit.range_m, hit.normal, faults.reflectivity, amplitude)
-    near = np.flatnonzero((hit.member != GROUND) & (hit.range_m <= settings.range_max_m))
-    if faults.multipath > 0 and len(near):
-        # Stratified: each of a pixel's nine rays is scattered into its own ninth of the directions.
-        stratum = np.column_stack(np.divmod(near // len(plane), 3))
-        drawn = (stratum + random.random((len(near), 2))) / 3
-        onward = np.empty((len(near), 6), np.float32)
-        _scattered_rays(bundle.reshape(-1, 6), hit.range_m.ravel(), hit.normal.reshape(-1, 3), near, drawn, onward)
-        second = cast_bundle(scene, onward)
-        range_2_m = np.where(second.member != GROUND, second.range_m, np.float32(np.inf))
-        share = faults.multipath * faults.reflectivity**2
-        _multipath(
-            bundle.reshape(-1, 6), hit.range_m.ravel(), near, onward, range_2_m, second.normal, share,
-            multipath_m.ravel(), multipath_amplitude.ravel(),
-        )  # fmt: skip
-    mixed, equivalent = np.empty(len(plane)), np.empty(len(plane))
-    _mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
-    with np.errstate(invalid="ignore"):  # ranges are infinite without light
-        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + calibration.phase_rad)
-    measured = np.where(np.isfinite(mixed), calibration.scale * mixed + calibration.offset_m + wiggle, np.inf)
-    shape = ray.shape[:2]
-    return Exposure(
-        measured.astype(np.float32).reshape(shape), equivalent.astype(np.float32).reshape(shape),
-        hit.range_m[MIDDLE].reshape(shape), hit.member[MIDDLE].reshape(shape),
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def _fill_bundle(plane, grid_px, lateral_px, pixel, T, bundle):
-    """Nine rays for each pixel at ``plane (N, 2)``, offset by ``grid_px (9, 2)`` and by the pixel's ``lateral_px``."""
-    for s in range(bundle.shape[0]):
-        for n in range(bundle.shape[1]):
-            y = plane[n, 0] + (grid_px[s, 0] + lateral_px[n, 0]) * pixel[0]
-            z = plane[n, 1] + (grid_px[s, 1] + lateral_px[n, 1]) * pixel[1]
-            length = math.sqrt(1 + y * y + z * z)
-            for i in range(3):
-                bundle[s, n, i] = T[s, i, 3]
-                bundle[s, n, 3 + i] = (T[s, i, 0] + T[s, i, 1] * y + T[s, i, 2] * z) / length
-
-
-@njit(cache=True)
-def _return_amplitude(bundle, range_m, normal, reflectivity, amplitude):
-    """Amplitude of each return: reflectivity · cos(incidence) / range², in 1/m²; 0 for no return."""
-    for s in range(range_m.shape[0]):
-        for n in range(range_m.shape[1]):
-            cosine = 0.0
-            for i in range(3):
-                cosine += normal[s, n, i] * bundle[s, n, 3 + i]
-            amplitude[s, n] = reflectivity * abs(cosine) / range_m[s, n] ** 2
+    lateral_px = faults.lateral_px * random.standard_normal(plane.shape) if faults.lateral_px else 0.0
+    y, z = np.moveaxis(plane + (grid_px[:, None] + lateral_px) * pixel, -1, 0)[..., None]
+    T = T_world_sensor[:, None, :3]
+    bundle = np.empty((*y.shape[:2], 6), np.float32)
+    bundle[..., :3] = T[..., 3]
+    bundle[..., 3:] = (T[..., 0] + T[..., 1] * y + T[..., 2] * z) / np.sqrt(1 + y * y + z * z)
+    return bundle
 
 
 @njit(cache=True)

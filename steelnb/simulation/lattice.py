@@ -20,8 +20,8 @@ from steelnb.files import reading
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
-from steelnb.simulation.sections import PLATE, Member, mesh_members, orthonormal_flanges, unit
-from steelnb.types import Array, IntArray
+from steelnb.simulation.sections import Member, make_member, unit
+from steelnb.types import Array
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
 KINDS = ("leg", "ring", "bracing", "arm", "secondary")
@@ -43,34 +43,27 @@ class MemberList(NamedTuple):
     plates: Array
 
 
-def build_lattice(settings: TowerSettings) -> tuple[Array, tuple[Member, ...], Array, IntArray, IntArray]:
-    """Joints, members and mesh, as in `Tower`, of the list ``settings.members``. Plates have no thickness.
+def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]:
+    """Joints ``(J, 3)`` and members of the list ``settings.members``, and the triangles ``(P, 3, 3)`` of its plates.
 
     Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
     listed = read_members(settings.members or "")
     joints, joints_of = find_joints(listed.ends)
-    middle = (listed.ends.min(axis=(0, 1)) + listed.ends.max(axis=(0, 1))) / 2
-    members = []
-    for kind, ends, own in zip(listed.kinds, listed.ends, joints_of, strict=True):
-        size: tuple[float, float] = getattr(settings, f"{kind}_section_m")
-        if settings.section == "round":
-            size = size[0], size[0] / 2
-        members.append(Member(kind, size, own, *_flanges(ends - middle), settings.section))
-    vertices, triangles, owner = mesh_members(joints, members)
-    plates = len(vertices) + np.arange(3 * len(listed.plates)).reshape(-1, 3)
-    vertices = np.concatenate([vertices, listed.plates.reshape(-1, 3)])
-    owner = np.concatenate([owner, np.full(len(plates), PLATE)])
-    return joints, tuple(members), vertices, np.concatenate([triangles, plates]), owner
+    middle, members = (listed.ends.min(axis=(0, 1)) + listed.ends.max(axis=(0, 1))) / 2, []
+    for kind, ends, own in zip(listed.kinds, listed.ends - middle, joints_of, strict=True):
+        axis = unit(ends[1] - ends[0])
+        members.append(make_member(settings, kind, own, axis, *_flanges(axis, ends.mean(axis=0))))
+    return joints, members, listed.plates
 
 
 def leg_half_width(members: str, z: float) -> float:
     """Half the distance along x between the outermost legs at height ``z``, metres. Raises `InputError`."""
     listed = read_members(members)
     legs = listed.ends[np.array(listed.kinds) == "leg"]
-    legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
     if not len(legs):
         raise InputError(f"tower.members = {members!r}: no leg in the list; expected one, for the width of the body")
+    legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
     z = float(np.clip(z, legs[..., 2].min(), legs[..., 2].max()))
     x = [np.interp(z, *leg[:, [2, 0]].T) for leg in legs if leg[0, 2] <= z <= leg[1, 2]]
     return float(max(x) - min(x)) / 2
@@ -78,21 +71,23 @@ def leg_half_width(members: str, z: float) -> float:
 
 def read_members(members: str) -> MemberList:
     """Read the list of members of a preset or of a file ``FILE.csv``. Raises `InputError`."""
-    path = members_file(members)
+    path, kinds, ends, plates = members_file(members), [], [], []
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
         rows = [(k, row) for k, row in enumerate(reader, 1) if row]
         if not rows or rows[0][1] != COLUMNS:
             raise InputError(f"{path}: columns {','.join(rows[0][1]) if rows else ''!r}: expected {','.join(COLUMNS)}")
-        points = [(row[0], _points(path, line, row)) for line, row in rows[1:]]
-    kinds = [kind for kind, _ in points if kind in KINDS]
+        for line, row in rows[1:]:
+            points = _points(path, line, row)
+            if len(points) == 2:
+                kinds.append(row[0])
+                ends.append(points)
+            else:
+                corners = [*points, points[1] + points[2] - points[0]]
+                plates += [[corners[i] for i in triangle] for triangle in PLATES[row[0]]]
     if not kinds:
         raise InputError(f"{path}: no member; expected one of {quoted(KINDS)}")
-    corners = [(kind, [*found, found[1] + found[2] - found[0]]) for kind, found in points if kind in PLATES]
-    plates = [[at[i] for i in triangle] for kind, at in corners for triangle in PLATES[kind]]
-    return MemberList(
-        kinds, np.array([found for kind, found in points if kind in KINDS]), np.array(plates).reshape(-1, 3, 3)
-    )
+    return MemberList(kinds, np.array(ends), np.array(plates).reshape(-1, 3, 3))
 
 
 def _points(path: Path, line: int, row: list[str]) -> Array:
@@ -155,21 +150,17 @@ def _closest_points(segment: Array, others: Array) -> tuple[Array, Array]:
     return segment[0] + s[:, None] * d, others[:, 0] + t[:, None] * e
 
 
-def _flanges(ends: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Directions of the flanges of a member with ``ends (2, 3)`` relative to the middle of the tower.
+def _flanges(axis: Array, out: Array) -> tuple[Array, Array]:
+    """Directions of the flanges of a member with a unit ``axis`` whose middle lies at ``out`` from that of the tower.
 
     The flanges of an upright member point inwards along x and y. A member in a face has one flange in the face,
     pointing downwards, and one inwards. The second flange of a member inside the body points downwards.
     """
-    axis, out, down = unit(ends[1] - ends[0]), ends.mean(axis=0), np.array([0.0, 0.0, -1.0])
-    run, inward = np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
+    down, run, inward = np.array([0.0, 0.0, -1.0]), np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
     face = int(np.argmin(run))
     if np.hypot(*run) < UPRIGHT:
-        first, second = inward[0], inward[1]
-    elif run[face] <= IN_FACE * run[1 - face] and abs(out[face]) > JOINT_M:
-        second = inward[face]
-        first = np.cross(axis, second)
-        first = first if first[2] < 0 else -first
-    else:
-        first, second = np.cross(axis, down), down
-    return orthonormal_flanges(axis, first, second)  # type: ignore[return-value]
+        return inward[0], inward[1]
+    if run[face] <= IN_FACE * run[1 - face] and abs(out[face]) > JOINT_M:
+        first = np.cross(axis, inward[face])
+        return first if first[2] < 0 else -first, inward[face]
+    return np.cross(axis, down), down

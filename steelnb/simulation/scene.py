@@ -4,12 +4,13 @@ The results are the same bits on every processor; `cast_bundle` explains how.
 """
 
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from steelnb.libraries import import_open3d
+from steelnb.settings import CameraSettings
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
@@ -23,26 +24,13 @@ RESTART_M = np.float32(4e-6)
 """A ray that has missed a triangle restarts this far behind it: twice the rounding of float32 at 16 m."""
 
 
-class Pinhole(Protocol):
-    """Image size and fields of view of a pinhole camera."""
-
-    @property
-    def columns(self) -> int: ...
-    @property
-    def rows(self) -> int: ...
-    @property
-    def fov_horizontal_rad(self) -> float: ...
-    @property
-    def fov_vertical_rad(self) -> float: ...
-
-
-def rays(settings: Pinhole) -> Array:
+def rays(camera: CameraSettings) -> Array:
     """Unit viewing rays ``(rows, columns, 3)`` in the sensor frame: x along the optical axis, y left, z up."""
-    u = (np.arange(settings.columns) + 0.5) / settings.columns * 2 - 1
-    v = (np.arange(settings.rows) + 0.5) / settings.rows * 2 - 1
-    ray = np.ones((settings.rows, settings.columns, 3))
-    ray[..., 1] = -np.tan(settings.fov_horizontal_rad / 2) * u
-    ray[..., 2] = -np.tan(settings.fov_vertical_rad / 2) * v[:, None]
+    u = (np.arange(camera.columns) + 0.5) / camera.columns * 2 - 1
+    v = (np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1
+    ray = np.ones((camera.rows, camera.columns, 3))
+    ray[..., 1] = -np.tan(camera.fov_horizontal_rad / 2) * u
+    ray[..., 2] = -np.tan(camera.fov_vertical_rad / 2) * v[:, None]
     return np.asarray(ray / np.linalg.norm(ray, axis=2, keepdims=True))
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from steelnb.settings import TowerSettings
 from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
@@ -36,15 +37,17 @@ def unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-Vector = tuple[float, float, float]
-
-
-def orthonormal_flanges(axis: Array, first: Array, second: Array) -> tuple[Vector, Vector]:
-    """Unit vectors perpendicular to a unit ``axis`` and to each other, by Gram-Schmidt: ``second`` before ``first``."""
+def make_member(
+    settings: TowerSettings, kind: str, joints: tuple[int, ...], axis: Array, first: Array, second: Array
+) -> Member:
+    """A member with the section of its kind. Its flanges are made perpendicular to the unit ``axis`` and to each other,
+    by Gram-Schmidt: ``second`` before ``first``."""
     second = unit(second - (second @ axis) * axis)
     first = first - (first @ axis) * axis
     first = unit(first - (first @ second) * second)
-    return tuple(first.tolist()), tuple(second.tolist())
+    width, thickness = getattr(settings, f"{kind}_section_m")
+    size = (width, thickness if settings.section == "angle" else width / 2)
+    return Member(kind, size, joints, tuple(first.tolist()), tuple(second.tolist()), settings.section)
 
 
 def mesh_members(joints: Array, members: Sequence[Member]) -> tuple[Array, IntArray, IntArray]:
@@ -70,27 +73,21 @@ def _angle(width: float, thickness: float) -> Array:
     return np.array([(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)])
 
 
-_SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
-_ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
-_ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
-"""Triangles of a closed prism with an L-shaped outline: corners 0–5 at the start, 6–11 at the end."""
-
-
 def _circle(radius_m: float) -> Array:
     """A regular polygon with the area of the circle."""
     angle, reach = 2 * np.pi * np.arange(SIDES) / SIDES, np.sqrt(2 * np.pi / (SIDES * np.sin(2 * np.pi / SIDES)))
     return np.asarray(radius_m * reach * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
-def _round_prism() -> IntArray:
-    low = np.arange(SIDES)
-    high = (low + 1) % SIDES
-    end = np.stack([np.zeros_like(low[2:]), low[1:-1], low[2:]], 1)
-    return np.concatenate([
-        np.stack([low, high, low + SIDES], 1), np.stack([high, high + SIDES, low + SIDES], 1),
-        end[:, ::-1], SIDES + end,
-    ])  # fmt: skip
-
-
-_ROUND_PRISM = _round_prism()
+_SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
+_ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+_ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
+"""Triangles of a closed prism with the outline of `_angle`: corners 0–5 at the start, 6–11 at the end."""
+_LOW = np.arange(SIDES)
+_HIGH = np.roll(_LOW, -1)
+_FAN = np.stack([0 * _LOW[2:], _LOW[1:-1], _LOW[2:]], 1)
+_ROUND_PRISM = np.concatenate([
+    np.stack([_LOW, _HIGH, _LOW + SIDES], 1), np.stack([_HIGH, _HIGH + SIDES, _LOW + SIDES], 1),
+    _FAN[:, ::-1], SIDES + _FAN,
+])  # fmt: skip
 """The same with the outline of `_circle`."""

@@ -36,11 +36,10 @@ def scan_flight(
     index = scan_steps(settings, float(trajectory.stamp_s[-1]), step_s)
     index = index[index < len(trajectory) - 1] if len(index) > 1 else index
     stamp_s, camera, counter = trajectory.stamp_s[index], TofCamera(tower, settings, seed), SliceCounter(tower.axes)
-    T_world_sensor = trajectory.T_world_drone[index] @ T_drone_sensor
-    T_exposed = camera.exposure_poses(trajectory, stamp_s, T_drone_sensor)
     range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
-    for k, T in enumerate(T_world_sensor):
-        range_m[k], exposure = camera.measure(k, float(stamp_s[k]), T_exposed[k])
+    poses = camera.exposure_poses(trajectory, stamp_s, T_drone_sensor)
+    for k, T in enumerate(trajectory.T_world_drone[index] @ T_drone_sensor):
+        range_m[k], exposure = camera.scan_image(k, float(stamp_s[k]), poses[k])
         steel = np.flatnonzero(np.isfinite(range_m[k]) & (exposure.member >= 0))
         distance, direction = exposure.exact_m.ravel()[steel], camera.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
         counter.add(T[:3, 3] + distance[:, None] * direction, exposure.member.ravel()[steel])
@@ -54,48 +53,51 @@ def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
 
 
 class TofCamera:
-    """Takes scans of a tower from any pose. The ``seed`` determines the camera's faults and noise."""
+    """Takes scans of a tower from any pose. The ``seed`` determines the camera's faults and noise.
+
+    ``latency_s``: time from the stamp of a scan to the end of its exposure.
+    """
 
     def __init__(self, tower: Tower, settings: TofSettings, seed: rng.Seed) -> None:
         self.settings, self.ray, self._scene, self._seed = settings, rays(settings), make_scene(tower), seed
-        self.faults = faults_of(settings)
-        self._calibration = draw_calibration(self.faults, rng.stream(seed, "tof-camera")) if self.faults else None
-
-    @property
-    def latency_s(self) -> float:
-        """Time from the stamp of a scan to the end of its exposure."""
-        return self.faults.exposure_s * float(MOMENTS.max()) if self.faults else 0.0
+        self._faults = faults_of(settings)
+        self._calibration = draw_calibration(self._faults, rng.stream(seed, "tof-camera")) if self._faults else None
+        self._exposure_s = self._faults.exposure_s if self._faults else 0.0
+        self.latency_s = self._exposure_s * float(MOMENTS.max())
 
     def exposure_poses(self, trajectory: Trajectory, stamp_s: Array, T_drone_sensor: Array) -> Array:
         """True poses of the sensor ``(K, 9, 4, 4)`` at the nine moments of each exposure, centred on ``stamp_s
         (K,)``."""
-        if self.faults and self.faults.exposure_s > 0:
-            return trajectory.between(stamp_s[:, None] + self.faults.exposure_s * MOMENTS) @ T_drone_sensor
+        if self._exposure_s > 0:
+            return trajectory.between(stamp_s[:, None] + self._exposure_s * MOMENTS) @ T_drone_sensor
         T_world_sensor = trajectory.at(stamp_s).T_world_drone @ T_drone_sensor
         return np.broadcast_to(T_world_sensor[:, None], (len(stamp_s), len(MOMENTS), 4, 4))
 
-    def expose(self, T_world_sensor: Array, random: np.random.Generator) -> Exposure:
-        """One exposure, without noise, from the poses ``(9, 4, 4)`` at its moments. Without faults only the middle pose
-        counts."""
-        if self.faults and self._calibration:
-            return expose(self._scene, self.settings, self.faults, self._calibration, T_world_sensor, random)
-        exact, member = cast_rays(self._scene, T_world_sensor[MIDDLE : MIDDLE + 1], self.ray)
-        return Exposure(exact[0], None, exact[0], member[0])
+    def measure(
+        self, T_world_sensor: Array, noise: np.random.Generator, random: np.random.Generator
+    ) -> tuple[np.ndarray, Exposure]:
+        """Measured ranges ``(H, W)`` from the poses ``(9, 4, 4)`` at the moments of an exposure, and the exposure
+        without noise. Without faults only the middle pose counts, and nothing is drawn from ``random``."""
+        if self._faults and self._calibration:
+            exposure = expose(self._scene, self.settings, self._faults, self._calibration, T_world_sensor, random)
+        else:
+            (exact,), (member,) = cast_rays(self._scene, T_world_sensor[MIDDLE : MIDDLE + 1], self.ray)
+            exposure = Exposure(exact, exact, exact, member)
+        image = measured_ranges(exposure.range_m, self.settings, noise, self._faults, exposure.equivalent_range_m)
+        return image, exposure
 
-    def measure(self, k: int, stamp_s: float, T_world_sensor: Array) -> tuple[np.ndarray, Exposure]:
-        """Measured ranges ``(H, W)`` of scan k from the poses ``(9, 4, 4)``, NaN while the sensor is blind, and the
-        exposure without noise."""
-        exposure = self.expose(T_world_sensor, rng.stream(self._seed, "tof-rays", k))
-        noise = rng.stream(self._seed, "tof", k)
-        image = measured_ranges(exposure.range_m, self.settings, noise, self.faults, exposure.equivalent_range_m)
+    def scan_image(self, k: int, stamp_s: float, T_world_sensor: Array) -> tuple[np.ndarray, Exposure]:
+        """`measure` of scan k, NaN while the sensor is blind."""
+        streams = rng.stream(self._seed, "tof", k), rng.stream(self._seed, "tof-rays", k)
+        image, exposure = self.measure(T_world_sensor, *streams)
         if any(first <= stamp_s < last for first, last in self.settings.blind_s):
             image[:] = np.nan
         return image, exposure
 
     def scan(self, k: int, stamp_s: float, trajectory: Trajectory) -> Scan:
         """Scan k, bit for bit as in `scan_flight`, during a flight. The true ``trajectory`` covers its exposure."""
-        poses = self.exposure_poses(trajectory, np.array([stamp_s]), self.settings.T_drone_sensor)
-        return Scan(stamp_s, self.measure(k, stamp_s, poses[0])[0][..., None] * self.ray)
+        (poses,) = self.exposure_poses(trajectory, np.array([stamp_s]), self.settings.T_drone_sensor)
+        return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.ray)
 
 
 def measured_ranges(

@@ -9,7 +9,7 @@ from steelnb.settings import FlightSettings
 from steelnb.simulation.exposure import MOMENTS
 from steelnb.simulation.paths import heading, minimum_jerk, path
 from steelnb.simulation.sections import GROUND
-from steelnb.simulation.tof import TofCamera, measured_ranges
+from steelnb.simulation.tof import TofCamera
 from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray
 
@@ -30,8 +30,7 @@ class View:
 
 def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generator) -> View:
     """One scan from a pose ``(4, 4)`` at rest, without the ground and all points measured below `FLOOR_M`."""
-    exposure = camera.expose(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise)
-    measured = measured_ranges(exposure.range_m, camera.settings, noise, camera.faults, exposure.equivalent_range_m)
+    measured, exposure = camera.measure(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise, noise)
     returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
     member = exposure.member[returned]
     rotation, position = T_world_sensor[:3, :3], T_world_sensor[:3, 3]

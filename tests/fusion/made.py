@@ -58,11 +58,8 @@ def small_tower():
     """A tower without arms, 5 m high, whose sections are as thick as `fusion.sections` takes them to be."""
     plain = {f"{kind}_section_m": (0.072, 0.006) for kind in ("ring", "bracing")} | {"leg_section_m": (0.12, 0.01)}
     return build_tower(
-        TowerSettings(
-            height_m=5.0, base_width_m=2.4, waist_height_m=3.0, waist_width_m=1.8, top_width_m=1.4, arms_m=(),
-            **plain,
-        )
-    )  # fmt: skip
+        TowerSettings(profile_m=((0.0, 2.4), (3.0, 1.8), (5.0, 1.4)), arms_m=(), **plain)
+    )
 
 
 def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad: float = 0.9) -> Flight:

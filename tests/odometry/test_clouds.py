@@ -137,7 +137,7 @@ def test_it_recovers_after_a_gap():
 
 def test_the_sigma_filter_halves_the_error_with_twice_the_range_noise():
     def chosen(half):
-        more = {"tof.sigma_relative": 0.02, "clouds.sigma_filter_px": half}
+        more = {"tof.sigma_relative": 0.02, "sigma_filter_px": half}
         return ExperimentSettings.preset("loops", "random-walk", "best", "starling2", 12, 12.0, more)
 
     flight, truth = experiment.simulate(chosen(0))

@@ -39,7 +39,7 @@ def pose(position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
 
 
 def clouds(method="report-gicp", *switched, T_drone_sensor=None):
-    settings = OdometrySettings.preset(method, "report", {"report_clouds.switched": switched})
+    settings = OdometrySettings.preset(method, "report", {"switched": switched})
     return ReportCloudOdometry(settings, T_drone_sensor)
 
 
