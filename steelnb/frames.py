@@ -16,8 +16,8 @@ from steelnb.hough.peers import find_bars
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
-from steelnb.simulation.tof import TofCamera
-from steelnb.simulation.views import pose_on_path, take_view
+from steelnb.simulation.paths import pose_on_path
+from steelnb.simulation.tof import TofCamera, take_view
 from steelnb.types import Array, Segments
 
 NOISE_M, CLUTTER = 0.02, 0.1

@@ -90,7 +90,10 @@ BAD = (
     (["segment", "millimetres.npy"], "looks like millimetres; expected metres"),
     (["run", "a.mcap", "--odometry", "bst"], "method = 'bst', did you mean 'best'?; expected one of 'none'"),
     (["run", "a.mcap", "--odometry", "orb"], "a.mcap: no images for method 'orb'"),
-    (["run", "a.mcap", "--set", "preproces.voxel_leaf_m=1"], "unknown setting 'preproces.voxel_leaf_m', did you mean"),
+    (
+        ["run", "a.mcap", "--set", "preproces.voxel_leaf_m=1"],
+        "preproces.voxel_leaf_m = 1: unknown setting, did you mean",
+    ),
     (["run", "a.mcap", "--set", "voxels"], "--set voxels: expected TABLE.NAME=VALUE"),
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),

@@ -6,9 +6,8 @@ import pytest
 from steelnb.frames import Scenes, attempt, trial_table, trial_timing
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
-from steelnb.simulation.paths import waypoints
-from steelnb.simulation.tof import TofCamera
-from steelnb.simulation.views import pose_on_path, take_view
+from steelnb.simulation.paths import pose_on_path, waypoints
+from steelnb.simulation.tof import TofCamera, take_view
 
 
 @pytest.fixture(scope="module")

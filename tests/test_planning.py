@@ -135,6 +135,12 @@ def test_new_obstacles_of_a_scan_count_at_once():
     assert decision.velocity @ obstacle[0] < 0
 
 
+def test_it_waits_for_a_scan_and_turns_until_it_sees_a_structure():
+    assert planner_of(AROUND).decide(0.0, pose(0, 0, 1, 0)).state == "wait"
+    _, decisions = fly(planner_of(AROUND), tower(half_m=1.0), pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
+    assert (decisions[0].state, decisions[-1].state) == ("search", "follow")
+
+
 def test_with_nothing_in_sight_it_turns_once_and_ends():
     poses, decisions = fly(planner_of(AROUND), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
     assert decisions[-1].state == "end"
@@ -142,21 +148,6 @@ def test_with_nothing_in_sight_it_turns_once_and_ends():
     assert {each.state for each in decisions[:-1]} == {"search"}
     assert np.ptp(poses[:, :3, 3], axis=0).max() == 0
     assert np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))[-1] == pytest.approx(2 * np.pi, abs=0.2)
-
-
-def test_before_the_first_scan_it_waits():
-    decision = planner_of(AROUND).decide(0.0, pose(0, 0, 1, 0))
-    assert decision.state == "wait"
-    assert not decision.velocity.any()
-    assert decision.yaw_rate == 0
-
-
-def test_it_finds_a_structure_behind_it_by_turning():
-    steel = tower(half_m=1.0)
-    _, decisions = fly(planner_of(AROUND), steel, pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
-    states = [each.state for each in decisions]
-    assert states[0] == "search"
-    assert states[-1] == "follow"
 
 
 def test_after_loss_of_sight_it_stops_turns_and_returns_until_it_sees_the_structure():

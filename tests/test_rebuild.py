@@ -95,7 +95,7 @@ def test_structures_are_results(runs, tmp_path):
 
 def test_other_towers_differ_from_the_tapered_one_and_unknown_names_are_refused(source):
     towers = [TowerSettings.preset(name) for name in ("tapered", "heavy", "light")]
-    sections = [{tower.leg_section_m, tower.bracing_section_m} for tower in towers]
+    sections = [{tower.sections_m["leg"], tower.sections_m["bracing"]} for tower in towers]
     assert len(set.union(*sections)) == 6
     with pytest.raises(InputError, match="expected one of"):
         fly_tower("zigzag", "starling2", "none", "best", 1, 5.0, "eiffel")

@@ -46,13 +46,16 @@ from steelnb.simulation.tof import scan_steps
         ({"duration_s": 0.0}, "duration_s = 0.0"),
         ({"duration_s": "200"}, "duration_s = '200'"),
         ({"overrides": {"tof.rate_hz": 0}}, "rate_hz = 0"),
-        ({"overrides": {"tof.rate": 5}}, "tof.rate"),
+        ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
+        ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),
+        ({"overrides": {"tower.arms_m": ((10.0, 3.0), (10.3, 3.0))}}, "arms at least 0.7 m apart"),
+        ({"overrides": {"tower.arms_m": ((15.8, 3.0),)}}, "between the waist and the top"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
         ({"overrides": {"tof.faults": ["blur"]}}, "faults.0 = 'blur'.*'exposure'"),
         ({"overrides": {"imu": 3}}, "imu = 3"),
         ({"trajectory": "planned", "method": "orb"}, "'orb': a planned flight has no images"),
-        ({"sensor": "starling2-honest", "overrides": {"imu.gyro": 0}}, "mean 'imu.gyro_(noise|walk|bias)'"),
+        ({"sensor": "starling2-honest", "overrides": {"imu.gyro": 0}}, "mean 'gyro_(noise|walk|bias)'"),
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
     ],
 )
@@ -69,13 +72,6 @@ def test_settings_are_frozen_and_refuse_unknown_keys():
         TofSettings(rate=5)
     with pytest.raises(InputError, match="columns"):
         TofSettings().replace(columns=0)
-
-
-def test_overrides_change_one_setting_and_keep_the_rest():
-    plain = ExperimentSettings.preset("loops", sensor="report-4cm")
-    changed = ExperimentSettings.preset("loops", sensor="report-4cm", overrides={"tof.rate_hz": 10})
-    assert changed.tof.rate_hz == 10
-    assert changed.override({"tof.rate_hz": 5.0}) == plain
 
 
 def test_the_report_preset_holds_the_published_settings():
@@ -100,15 +96,6 @@ def test_noise_parses_sums_with_levels():
     assert Noise.parse("none") == Noise()
     per_axis = Noise.parse("constant-drift-per-axis:0.001").constant_drift_m
     assert per_axis == pytest.approx(0.001 * 3**0.5)
-
-
-def test_a_tower_that_cannot_stand_is_refused():
-    with pytest.raises(InputError, match="waist_height_m"):
-        TowerSettings(waist_height_m=20.0)
-    with pytest.raises(InputError, match="apart"):
-        TowerSettings(arms_m=((10.0, 3.0), (10.3, 3.0)))
-    with pytest.raises(InputError, match="between"):
-        TowerSettings(arms_m=((15.8, 3.0),))
 
 
 @pytest.mark.parametrize(
@@ -195,42 +182,38 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
         ExperimentSettings.preset(sensor=str(own), method="average")
 
 
-def test_the_mount_of_the_sensor_is_a_setting():
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_of_another_family_has_no_setting_of_this_one(method):
+    experiment = ExperimentSettings.preset(method=method)
+    settings = experiment.odometry
+    own = set(type(settings).model_fields)
+    assert set(experiment.model_dump()["odometry"]) == own
+    known = set().union(*(kind.model_fields for kind in FAMILIES.values()))
+    assert known - own
+    for name in known - own:
+        with pytest.raises(InputError, match=f"{name} = 1: unknown.* the family '{settings.family}' has method, pre"):
+            experiment.override({name: 1})
+
+
+def test_overrides_name_a_setting_of_the_world_or_of_the_odometry():
+    plain = ExperimentSettings.preset("loops", method="faces", sensor="report-4cm")
+    changed = plain.override({"tof.rate_hz": 10, "odometry.sigma_filter_px": 2, "preprocess.crop_m": 3})
+    assert (changed.tof.rate_hz, changed.odometry.sigma_filter_px, changed.odometry.preprocess.crop_m) == (10, 2, 3)
+    assert changed.override({"tof.rate_hz": 5.0, "sigma_filter_px": 1, "preprocess.crop_m": 4.0}) == plain
+    with pytest.raises(InputError, match=r"dofs = 'xyz': unknown setting, did you mean 'dof'.*family 'faces' has meth"):
+        plain.override({"dofs": "xyz"})
+
+
+def test_the_mount_of_the_sensor_turns_about_fixed_axes():
     turned = TofSettings(mount_m=(0.1, 0.2, 0.3), mount_rpy_deg=(0.0, 0.0, 90.0)).T_drone_sensor
     np.testing.assert_allclose(turned @ [1, 0, 0, 1], [0.1, 1.2, 0.3, 1], atol=1e-12)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_method_of_another_family_has_no_setting_of_this_one(method):
-    settings = OdometrySettings.preset(method)
-    own = set(type(settings).model_fields)
-    known = set().union(*(kind.model_fields for kind in FAMILIES.values()))
-    assert known - own
-    for name in known - own:
-        with pytest.raises(InputError, match=f"'{name}'.*'{method}' is of the family '{settings.family}', which has"):
-            settings.override({name: 1})
-
-
-def test_a_misspelt_setting_has_a_suggestion_from_the_family():
-    with pytest.raises(
-        InputError, match=r"unknown setting 'clouds\.dofs', did you mean 'dof'.*'clouds', which has pre"
-    ):
-        OdometrySettings.preset("best", overrides={"clouds.dofs": "xyz"})
-    with pytest.raises(InputError, match=r"FaceSettings: refits_s = 3\.0: unknown setting, did you mean 'refit_s'"):
-        OdometrySettings.preset("faces").replace(refits_s=3.0)
-
-
-def test_a_setting_may_be_prefixed_by_its_table():
-    for method, given in (("faces", "clouds.sigma_filter_px"), ("best", "sigma_filter_px")):
-        assert OdometrySettings.preset(method, overrides={given: 2}).sigma_filter_px == 2
-    settings = ExperimentSettings.preset(method="faces", overrides={"odometry.refit_s": 3.0})
-    assert settings.odometry.refit_s == 3.0
-
-
-def test_what_is_written_beside_results_holds_all_settings_of_the_family():
-    for method in METHODS:
-        settings = ExperimentSettings.preset(method=method)
-        assert set(settings.model_dump()["odometry"]) == set(type(settings.odometry).model_fields)
+def test_sections_that_are_not_given_are_the_usual_ones():
+    sections_m = TowerSettings(sections_m={"leg": (0.2, 0.01)}).sections_m
+    assert sections_m == TowerSettings().sections_m | {"leg": (0.2, 0.01)}
+    with pytest.raises(InputError, match=r"mast\.\[key\] = 'mast'"):
+        TowerSettings(sections_m={"mast": (0.2, 0.01)})
 
 
 def test_an_honest_sensor_is_the_ideal_one_with_faults_and_an_imu():
@@ -238,7 +221,7 @@ def test_an_honest_sensor_is_the_ideal_one_with_faults_and_an_imu():
     ideal, honest = (ExperimentSettings.preset(sensor=name, method="best") for name in sensors)
     assert ideal.tof.faults == ()
     assert ideal.imu is None
-    told = {"clouds.sigma_filter_px": 0}  # all that an estimator is told: no fault
+    told = {"sigma_filter_px": 0}  # all that an estimator is told: no fault
     assert honest.override({"tof.faults": [], "imu": None, **told}).replace(sensor="starling2") == ideal
     assert set(honest.tof.faults) == set(get_args(TofFault))
     assert all(value > 0 for value in vars(honest.imu).values())
@@ -266,7 +249,7 @@ def test_methods_by_front_faces_use_the_imu_beside_a_sensor():
     assert off.inertial is None
     noise = {"gyro_noise": 1e-4, "accelerometer_noise": 1e-3}
     for method, inertial, says in (
-        ("least_squares_yaw", noise, "unknown setting 'inertial'.*'segments'"),
+        ("least_squares_yaw", noise, "inertial = .*unknown setting.*'segments'"),
         ("faces", {"gyro_noise": 1e-4}, "an IMU without noise"),
         ("faces", True, "inertial"),
     ):

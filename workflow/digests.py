@@ -29,7 +29,7 @@ from steelnb.files import reading
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
-from steelnb.odometry import correct
+from steelnb.odometry import correct, faces
 from steelnb.odometry.segments import shared_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, SegmentSettings, StructureSettings
@@ -110,13 +110,12 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
     by_segments = configured("least_squares").odometry
     assert isinstance(by_segments, SegmentSettings)
     yield from _bars(name, flight, by_segments)
-    smoothed = None
+    smoothed, faces.REFIT_S = None, settings.get("refit_s", faces.REFIT_S)
     with shared_segments():
         for method in METHODS:
             chosen, odometry = flight, configured(method).odometry
             if isinstance(odometry, FaceSettings) and not odometry.smooth:
                 chosen = whole.first(settings["scans_of_faces"])
-                odometry = odometry.override({"refit_s": settings.get("refit_s", odometry.refit_s)})
             found = correct(chosen, odometry)
             smoothed = found.corrected if method == "smoothed" else smoothed
             yield f"{name}/{method}", digest(found.corrected.T_world_drone)

@@ -4,7 +4,7 @@ A map of points is biased: a voxel averages over the faces that it holds, so a r
 which the scan sees them. A bar whose section is known has no such bias.
 
 1. Every `KEYFRAME_S` a scan becomes a keyframe.
-2. Every ``refit_s`` a second thread finds bars in all keyframes, and adjusts bars and poses together
+2. Every `REFIT_S` a second thread finds bars in all keyframes, and adjusts bars and poses together
    (`steelnb.fusion.keyframes`).
 3. Each scan is registered to the front faces of these bars (`steelnb.fusion.locate`).
 4. Odometry by clouds takes over where the bars do not determine the pose: at the beginning, and in new views.
@@ -25,6 +25,8 @@ from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Segments
 
 KEYFRAME_S = 1.0
+REFIT_S = 10.0
+"""Time between two adjustments of keyframes and bars."""
 ADOPT_S = 2.0
 """Time of flight from the start of an adjustment until its result is used. It is fixed, so that estimates do not depend
 on the machine's speed; an adjustment takes up to 2 s on one core of a laptop."""
@@ -135,8 +137,8 @@ class FaceOdometry(CloudOdometry):
         self._waiting = []
 
     def _start_adjustment(self) -> None:
-        """Start an adjustment of the keyframes in a thread, once in ``refit_s``."""
-        period_s = self.settings.refit_s
+        """Start an adjustment of the keyframes in a thread, once in `REFIT_S`."""
+        period_s = REFIT_S
         self._refit_s = min(self._refit_s, self._stamp_s + period_s)
         if self._stamp_s < self._refit_s - 1e-6:
             return

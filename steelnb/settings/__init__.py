@@ -25,7 +25,7 @@ from steelnb.settings.odometry import (
     SegmentSettings,
     StructureSettings,
 )
-from steelnb.settings.presets import method_names, read_tables, read_toml, sensor_names
+from steelnb.settings.presets import METHODS, SENSORS, read_tables, read_toml
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.world import (
     REPORT_NOISE,
@@ -40,8 +40,6 @@ from steelnb.settings.world import (
 )
 
 TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
-SENSORS = sensor_names()
-METHODS = method_names()
 
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",

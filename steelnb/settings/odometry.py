@@ -78,8 +78,6 @@ class OdometrySettings(Settings):
     smooth: bool = False
 
     family: ClassVar[str]
-    crop: ClassVar[Literal["clouds", "segments"]] = "clouds"
-    """Which ``preprocess`` of a sensor's preset is the family's."""
 
     @staticmethod
     def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
@@ -87,8 +85,8 @@ class OdometrySettings(Settings):
         image features uses the IMU beside the sensor. Raises `InputError`.
 
         >>> settings = OdometrySettings.preset("faces")
-        >>> settings.family, settings.refit_s
-        ('faces', 10.0)
+        >>> settings.family, settings.map_voxel_m
+        ('faces', 0.1)
         """
         of_sensor = sensor_preset(sensor)
         values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
@@ -97,7 +95,8 @@ class OdometrySettings(Settings):
             raise InputError(f"[methods.{method}] family = {family!r}; expected one of {quoted(FAMILIES)}")
         kind = FAMILIES[family]
         values |= {name: of_sensor.get(name, {}) for name in ("hough", "fusion") if name in kind.model_fields}
-        values["preprocess"] = of_sensor.get("preprocess", {}).get(kind.crop, {}) | values.get("preprocess", {})
+        crop = of_sensor.get("preprocess", {}).get("segments" if "hough" in kind.model_fields else "clouds", {})
+        values["preprocess"] = crop | values.get("preprocess", {})
         if kind in (FaceSettings, OrbSettings):
             values["inertial"] = of_sensor.get("imu")
         return kind(**values).override(overrides or {})
@@ -114,8 +113,6 @@ class SegmentSettings(OdometrySettings):
     hough: HoughSettings = HoughSettings()
     fusion: FusionSettings = FusionSettings()
     robust_scale_m: Positive = 0.05
-
-    crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 
 class MapSettings(OdometrySettings):
@@ -147,7 +144,6 @@ class RegistrationSettings(MapSettings):
     inertial: Inertial = None
 
 
-
 class CloudSettings(RegistrationSettings):
     """Odometry by clouds (`steelnb.odometry.clouds`)."""
 
@@ -155,11 +151,9 @@ class CloudSettings(RegistrationSettings):
 
 
 class FaceSettings(RegistrationSettings):
-    """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`); ``refit_s``: seconds between
-    two adjustments of keyframes and bars."""
+    """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`)."""
 
     family: ClassVar[str] = "faces"
-    refit_s: Positive = 10.0
 
 
 class LoamSettings(MapSettings):
@@ -195,7 +189,6 @@ class LibrarySettings(OdometrySettings):
     """Odometry of a library, which the method names (`steelnb.odometry.peers`)."""
 
     family: ClassVar[str] = "library"
-    method: Literal["kiss-icp", "small-gicp"]
 
 
 CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariances", "solver"]
@@ -212,9 +205,7 @@ class ReportCloudSettings(OdometrySettings):
     """
 
     family: ClassVar[str] = "report_clouds"
-    method: Literal["report-icp", "report-icp-3dof", "report-gicp"]
     switched: tuple[CloudTrait, ...] = ()
-
 
 
 class ReportSegmentSettings(OdometrySettings):
@@ -222,8 +213,6 @@ class ReportSegmentSettings(OdometrySettings):
 
     family: ClassVar[str] = "report_segments"
     hough: HoughSettings = HoughSettings()
-
-    crop: ClassVar[Literal["clouds", "segments"]] = "segments"
 
 
 Family = (

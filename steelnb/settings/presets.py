@@ -11,6 +11,7 @@ from steelnb.files import reading
 from steelnb.settings.base import Settings, as_tuples, guess, quoted
 
 PRESETS = Path(__file__).parent.parent / "presets"
+SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 S = TypeVar("S", bound=Settings)
 
 
@@ -33,26 +34,21 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
     return found
 
 
-def sensor_names() -> tuple[str, ...]:
-    """Names of the sensor presets."""
-    return tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
-
-
 def sensor_preset(sensor: str) -> dict[str, Any]:
     """The tables of a sensor's preset or of a file ``FILE.toml``. Values that are missing come from the preset that it
     is ``based_on``. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = as_tuples(read_toml(Path(sensor), "a sensor's preset"))
-    elif sensor in sensor_names():
+    elif sensor in SENSORS:
         own = dict(_preset(f"sensors/{sensor}"))
     else:
-        near = guess(sensor, sensor_names())
-        raise InputError(f"sensor = {sensor!r}{near}; expected one of {quoted(sensor_names())}, or a file FILE.toml")
+        near = guess(sensor, SENSORS)
+        raise InputError(f"sensor = {sensor!r}{near}; expected one of {quoted(SENSORS)}, or a file FILE.toml")
     base = own.pop("based_on", None)
     if base is None:
         return own
-    if base not in sensor_names():
-        raise InputError(f"{sensor}: based_on = {base!r}: expected one of {quoted(sensor_names())}")
+    if base not in SENSORS:
+        raise InputError(f"{sensor}: based_on = {base!r}: expected one of {quoted(SENSORS)}")
     return merged(sensor_preset(base), own)
 
 
@@ -72,11 +68,6 @@ def members_file(members: str) -> Path:
         names = quoted(sorted(known.stem for known in PRESETS.glob("*.csv")))
         raise InputError(f"tower.members = {members!r}: no such list; expected one of {names}, or a file FILE.csv")
     return path
-
-
-def method_names() -> tuple[str, ...]:
-    """Names of the method presets."""
-    return tuple(_preset("methods"))
 
 
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
@@ -99,3 +90,6 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 @cache
 def _preset(name: str) -> dict[str, Any]:
     return dict(as_tuples(read_toml(PRESETS / f"{name}.toml")))
+
+
+METHODS = tuple(_preset("methods"))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
@@ -24,13 +24,27 @@ Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
 """x, y, z in metres, heading in degrees (0 along x, anticlockwise), and seconds from the previous waypoint."""
 
 
+Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
+"""Of a member. Secondary: redundant members, webs of the arms, railings."""
+Sections = dict[Kind, tuple[Positive, Positive]]
+USUAL_SECTIONS: Sections = {
+    "leg": (0.120, 0.010), "ring": (0.070, 0.006), "bracing": (0.070, 0.006), "arm": (0.060, 0.005),
+    "secondary": (0.040, 0.004),
+}  # fmt: skip
+
+
+def _with_usual(given: Any) -> Any:
+    return USUAL_SECTIONS | given if isinstance(given, dict) else given
+
+
 class TowerSettings(Settings):
     """A steel lattice tower, from a list of ``members`` or, without a list, tapered with the other dimensions.
 
     ``members``: name of a CSV file of ``steelnb/presets``, such as ``report-tower``, or ``FILE.csv``
-    (`steelnb.simulation.lattice`). ``section``: angles of ``(flange, thickness)``, or round rods with the flange's
-    width as diameter. ``profile_m``: height and width of the body on the ground, at its waist and at its top;
-    ``arms_m``: height and reach of each arm. The ground is a square plate at z = 0.
+    (`steelnb.simulation.lattice`). ``section``: angles, or round rods with the flange's width as diameter.
+    ``profile_m``: height and width of the body on the ground, at its waist and at its top; ``arms_m``: height and reach
+    of each arm; ``sections_m``: width and thickness of the flanges for each kind of member; those that are not given
+    are `USUAL_SECTIONS`. The ground is a square plate at z = 0.
     """
 
     members: str | None = None
@@ -38,11 +52,7 @@ class TowerSettings(Settings):
     profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
     arm_depth_m: ClassVar[float] = 0.7
-    leg_section_m: tuple[Positive, Positive] = (0.120, 0.010)
-    ring_section_m: tuple[Positive, Positive] = (0.070, 0.006)
-    bracing_section_m: tuple[Positive, Positive] = (0.070, 0.006)
-    arm_section_m: tuple[Positive, Positive] = (0.060, 0.005)
-    secondary_section_m: ClassVar[tuple[float, float]] = (0.040, 0.004)
+    sections_m: Annotated[Sections, BeforeValidator(_with_usual)] = USUAL_SECTIONS
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

@@ -12,7 +12,7 @@ stray light in the lens, phase unwrapping errors, errors of the intrinsics, and 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,15 +45,14 @@ _OFFSET_M = 1e-3
 
 @dataclass(frozen=True)
 class Faults:
-    """Sizes of the faults of a camera type. The defaults are those of a faultless camera.
+    """Sizes of the faults of one camera. The defaults are those of a faultless camera.
 
     ``footprint_px``: width of a pixel's footprint, which makes mixed pixels at depth edges; ``lateral_px``: standard
     deviation of the footprint's position; ``exposure_s``: exposure time of a scan, centred on its stamp; ``multipath``:
     share of the light that is scattered on to another surface, 1 for a Lambertian one; ``reflectivity`` of all
     surfaces relative to the data sheet's target; ``sigma_max_m``: pixels with more noise than this, as predicted from
-    their amplitude, are dropped; ``wiggle_m``: amplitude of the error that is periodic in the range;
-    ``offset_sigma_m`` and ``scale_sigma``: standard deviations, over the cameras of the type, of the range's offset and
-    scale error. Each seed has a camera of its own.
+    their amplitude, are dropped; ``wiggle_m`` and ``phase_rad`` of the error that is periodic in the range;
+    ``offset_m`` and ``scale_error`` of the range.
     """
 
     footprint_px: float = 0.0
@@ -63,8 +62,9 @@ class Faults:
     reflectivity: float = 1.0
     sigma_max_m: float = 1.0
     wiggle_m: float = 0.0
-    offset_sigma_m: float = 0.0
-    scale_sigma: float = 0.0
+    phase_rad: float = 0.0
+    offset_m: float = 0.0
+    scale_error: float = 0.0
 
 
 REFLECTIVITY = 0.5
@@ -79,25 +79,21 @@ STARLING2_FAULTS: dict[TofFault, dict[str, float]] = {
     "amplitude": {"reflectivity": REFLECTIVITY, "sigma_max_m": 0.07},  # pmd Royale, NoiseThreshold
     # Assumed: calibration leaves a few mm to 1 cm; the form is that of Lindner, Schiller, Kolb, Koch (CVIU 114, 2010).
     "wiggle": {"wiggle_m": 0.005},
-    # The data sheet's error of 1 % from 0.5 to 4 m allows 5 mm at 0.5 m and, taken as three standard deviations, 0.3 %
-    # of the range.
-    "calibration": {"offset_sigma_m": 0.005, "scale_sigma": 0.003},
+    # Standard deviations over the cameras of the type. The data sheet's error of 1 % from 0.5 to 4 m allows 5 mm at
+    # 0.5 m and, taken as three standard deviations, 0.3 % of the range.
+    "calibration": {"offset_m": 0.005, "scale_error": 0.003},
 }
 """Fault → its size for the camera of a Starling 2. "Assumed": no data sheet or paper gives it for this camera."""
 
 
-def faults_of(settings: TofSettings) -> Faults | None:
-    """The sizes of the settings' faults; None without faults."""
-    sizes = {name: size for fault in settings.faults for name, size in STARLING2_FAULTS[fault].items()}
-    return Faults(**sizes) if sizes else None
-
-
-class Calibration(NamedTuple):
-    """Range errors of one camera: offset, scale, and phase of the wiggle in radians."""
-
-    offset_m: float
-    scale: float
-    phase_rad: float
+def draw_faults(settings: TofSettings, random: np.random.Generator) -> Faults | None:
+    """The settings' faults of one camera of the type; None without faults."""
+    if not settings.faults:
+        return None
+    faults = Faults(**{name: size for fault in settings.faults for name, size in STARLING2_FAULTS[fault].items()})
+    offset, scale = random.standard_normal(2)
+    return replace(faults, offset_m=faults.offset_m * offset, scale_error=faults.scale_error * scale,
+                   phase_rad=random.uniform(0, 2 * math.pi))  # fmt: skip
 
 
 class Exposure(NamedTuple):
@@ -111,17 +107,9 @@ class Exposure(NamedTuple):
     member: IntArray
 
 
-def draw_calibration(faults: Faults, random: np.random.Generator) -> Calibration:
-    """Draw the range errors of one camera of the type."""
-    offset, scale = random.standard_normal(2)
-    phase = random.uniform(0, 2 * math.pi)
-    return Calibration(faults.offset_sigma_m * offset, 1 + faults.scale_sigma * scale, phase)
-
-
 def expose(
-    scene: Scene, settings: TofSettings, faults: Faults, calibration: Calibration, T_world_sensor: Array,
-    random: np.random.Generator,
-) -> Exposure:  # fmt: skip
+    scene: Scene, settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator
+) -> Exposure:
     """One exposure, without noise, from the poses ``T_world_sensor (9, 4, 4)`` at its nine moments (`MOMENTS`).
 
     ``random`` draws the lateral noise and the directions of scattered light.
@@ -147,8 +135,8 @@ def expose(
     mixed, equivalent = np.empty(count), np.empty(count)
     _mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
     with np.errstate(invalid="ignore"):  # ranges are infinite without light
-        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + calibration.phase_rad)
-    measured = np.where(np.isfinite(mixed), calibration.scale * mixed + calibration.offset_m + wiggle, np.inf)
+        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + faults.phase_rad)
+    measured = np.where(np.isfinite(mixed), (1 + faults.scale_error) * mixed + faults.offset_m + wiggle, np.inf)
     images = measured.astype(np.float32), equivalent.astype(np.float32), hit.range_m[MIDDLE], hit.member[MIDDLE]
     return Exposure(*(image.reshape(settings.rows, settings.columns) for image in images))
 

@@ -1,12 +1,12 @@
 """A quadrotor-sized rigid body flown along a path in PyBullet, with true poses and IMU readings at every step."""
 
+import itertools
 import math
 import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from types import ModuleType
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from steelnb import rng
 from steelnb.errors import CollisionError
 from steelnb.settings import FlightSettings
-from steelnb.simulation.gusts import gusts
 from steelnb.simulation.paths import heading, minimum_jerk, setpoints
 from steelnb.simulation.tower import Tower
 from steelnb.types import GRAVITY, Array, Imu, Trajectory
@@ -29,6 +28,8 @@ DRAG_N_PER_M_S = 0.1
 # Gains of the cascade position → velocity → acceleration, and attitude → angular acceleration.
 POSITION_P, VELOCITY_P, VELOCITY_I, ATTITUDE_P, ATTITUDE_D = 1.2, 2.5, 0.8, 80.0, 16.0
 TILT_ACCELERATION_MAX = 5.0
+GUST_TIME_S = 2.0
+"""Correlation time of gusts."""
 
 
 class Command(NamedTuple):
@@ -42,6 +43,11 @@ class Command(NamedTuple):
 Pilot = Callable[[Trajectory, Imu], Command | None]
 """Called every `COMMAND_S` with the true poses and exact IMU readings since its last call, from the last one of that
 call on. A pilot may use them only to simulate its sensors. None ends the flight."""
+Vector = Sequence[float]
+Reference = Callable[[int, Vector, Vector], Any]
+"""Number of the step, position and quaternion → reference position, velocity, acceleration and heading; None ends the
+flight."""
+STILL = (0.0, 0.0, 0.0)
 
 
 def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
@@ -55,26 +61,43 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
-    wind = gusts(settings, seed, steps, STEP_S).tolist()
-    state = np.empty((steps + 1, 7))
-    imu = np.empty((steps + 1, 6))
-    client = pybullet.connect(pybullet.DIRECT)
+    time_s = np.arange(steps, dtype=np.float64) * STEP_S
+    state, imu = np.empty((steps + 1, 7)), np.empty((steps + 1, 6))
     if settings.waypoints:
-        target, velocity, acceleration = minimum_jerk(settings, np.arange(steps, dtype=np.float64) * STEP_S)
-        yaw = float(target[0, 3])
-        reference = _by_waypoints(target.tolist(), velocity.tolist(), acceleration.tolist())
+        target, velocity, acceleration = minimum_jerk(settings, time_s)
+        yaws = target[:, 3].tolist()
     else:
-        target, target_velocity = setpoints(settings, tower.settings, steps, STEP_S)
-        yaw = heading(settings, *target[0, :2])
-        reference = _along_path(target.tolist(), target_velocity.tolist(), settings)
+        target, velocity = setpoints(settings, tower.settings, steps, STEP_S)
+        acceleration, yaws = np.zeros_like(target), [heading(settings, *target[0, :2])]
+    planned = [each[:, :3].tolist() for each in (target, velocity, acceleration)]
+
+    def reference(step: int, position: Vector, _: Vector) -> Any:
+        yaw = yaws[step] if settings.waypoints else heading(settings, position[0], position[1])
+        return *(each[step] for each in planned), yaw
+
     if pilot is not None:
-        reference = _as_commanded(pilot, yaw, state, imu)
+        reference = _as_commanded(pilot, yaws[0], state, imu)
+    client = pybullet.connect(pybullet.DIRECT)
     try:
-        body = _make_world(pybullet, client, tower, target[0, :3].tolist(), yaw)
+        body = _make_world(pybullet, client, tower, planned[0][0], yaws[0])
+        wind = gusts(settings, seed, steps, STEP_S).tolist()
         steps = _loop(pybullet, client, body, reference, settings, wind, state, imu)
     finally:
         pybullet.disconnect(client)
     return _flown(state[: steps + 1], imu[: steps + 1])
+
+
+def gusts(settings: FlightSettings, seed: rng.Seed, steps: int, step_s: float) -> Array:
+    """Wind velocity at each step, ``(steps, 3)`` m/s in the world frame, from the stream ``gust`` of the seed.
+
+    Each axis is an Ornstein-Uhlenbeck process with standard deviation ``gust_sigma_m_s`` and correlation time
+    `GUST_TIME_S`.
+    """
+    shocks = rng.stream(seed, "gust").standard_normal((steps, 3))
+    decay = math.exp(-step_s / GUST_TIME_S)
+    shocks = shocks * settings.gust_sigma_m_s * math.sqrt(1 - decay**2)
+    # scipy.signal.lfilter gives the same bits, but its import takes longer than a short flight.
+    return np.array(list(itertools.accumulate(shocks, lambda wind, shock: decay * wind + shock)))
 
 
 def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
@@ -87,29 +110,12 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3].copy(), imu[:, 3:].copy())
 
 
-Vector = Sequence[float]
-Reference = Callable[[int, Vector, Vector], tuple[Vector, Vector, Vector, float] | None]
-"""Number of the step, position and quaternion → reference position, velocity, acceleration and heading; None ends the
-flight."""
-NO_ACCELERATION = (0.0, 0.0, 0.0)
-
-
-def _by_waypoints(pose: list[list[float]], rate: list[list[float]], acceleration: list[list[float]]) -> Reference:
-    return lambda step, position, quaternion: (pose[step][:3], rate[step][:3], acceleration[step][:3], pose[step][3])
-
-
-def _along_path(target: list[list[float]], target_velocity: list[list[float]], settings: FlightSettings) -> Reference:
-    return lambda step, position, quaternion: (
-        target[step], target_velocity[step], NO_ACCELERATION, heading(settings, position[0], position[1]),
-    )  # fmt: skip
-
-
 def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Reference:
     """Reference that follows a pilot's velocity commands: the position is free, and the heading is the integral of the
     commanded rates from ``yaw`` on."""
     command, last_call = Command(), 0
 
-    def reference(step: int, position: Sequence[float], quaternion: Sequence[float]):  # type: ignore[no-untyped-def]
+    def reference(step: int, position: Vector, quaternion: Vector):  # type: ignore[no-untyped-def]
         nonlocal command, last_call, yaw
         if math.floor(step * STEP_S / COMMAND_S + 1e-6) != math.floor((step - 1) * STEP_S / COMMAND_S + 1e-6):
             new_command = pilot(*_flown(state[last_call : step + 1], imu[last_call : step + 1], last_call))
@@ -121,12 +127,12 @@ def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Referen
         true_yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         c, s = math.cos(true_yaw), math.sin(true_yaw)
         forward, left, up = command.velocity
-        return position, (c * forward - s * left, s * forward + c * left, up), NO_ACCELERATION, yaw
+        return position, (c * forward - s * left, s * forward + c * left, up), STILL, yaw
 
     return reference
 
 
-def _import_pybullet() -> ModuleType:
+def _import_pybullet() -> Any:
     """PyBullet, without the line that its C code prints to stderr on the first import."""
     sys.stderr.flush()
     stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
@@ -137,7 +143,7 @@ def _import_pybullet() -> ModuleType:
         os.dup2(stderr, 2)
         os.close(stderr)
         os.close(null)
-    return cast(ModuleType, pybullet)
+    return pybullet
 
 
 def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: float) -> int:  # type: ignore[no-untyped-def]
@@ -200,16 +206,19 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
         position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
         new_velocity, rate = pybullet.getBaseVelocity(body, physicsClientId=client)
         m = pybullet.getMatrixFromQuaternion(quaternion)
-        fx, fy = (new_velocity[0] - velocity[0]) / STEP_S, (new_velocity[1] - velocity[1]) / STEP_S
-        fz = (new_velocity[2] - velocity[2]) / STEP_S + GRAVITY
+        fx, fy, fz = [(new - old) / STEP_S for new, old in zip(new_velocity, velocity, strict=True)]
         velocity = new_velocity
         state[step + 1] = (*position, *quaternion)
-        imu[step + 1] = (
-            m[0] * fx + m[3] * fy + m[6] * fz, m[1] * fx + m[4] * fy + m[7] * fz, m[2] * fx + m[5] * fy + m[8] * fz,
-            m[0] * rate[0] + m[3] * rate[1] + m[6] * rate[2], m[1] * rate[0] + m[4] * rate[1] + m[7] * rate[2],
-            m[2] * rate[0] + m[5] * rate[1] + m[8] * rate[2],
-        )  # fmt: skip
+        imu[step + 1] = (*_in_body(m, (fx, fy, fz + GRAVITY)), *_in_body(m, rate))
     return len(wind)
+
+
+def _in_body(m: Vector, v: Vector) -> tuple[float, float, float]:
+    """A vector of the world in the frame of a body with rotation ``m``, by rows."""
+    return (
+        m[0] * v[0] + m[3] * v[1] + m[6] * v[2], m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
+        m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
+    )  # fmt: skip
 
 
 def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[float, float, float]:  # type: ignore[no-untyped-def]
@@ -229,11 +238,6 @@ def _attitude(m, rate, ax: float, ay: float, az: float, yaw: float) -> tuple[flo
     wx = m[3] * xz - m[6] * xy + m[4] * yz - m[7] * yy + m[5] * zz - m[8] * zy
     wy = m[6] * xx - m[0] * xz + m[7] * yx - m[1] * yz + m[8] * zx - m[2] * zz
     wz = m[0] * xy - m[3] * xx + m[1] * yy - m[4] * yx + m[2] * zy - m[5] * zx
-    px = ATTITUDE_P * 0.5 * wx - ATTITUDE_D * rate[0]
-    py = ATTITUDE_P * 0.5 * wy - ATTITUDE_D * rate[1]
-    pz = ATTITUDE_P * 0.5 * wz - ATTITUDE_D * rate[2]
-    return (
-        INERTIA[0] * (m[0] * px + m[3] * py + m[6] * pz),
-        INERTIA[1] * (m[1] * px + m[4] * py + m[7] * pz),
-        INERTIA[2] * (m[2] * px + m[5] * py + m[8] * pz),
-    )
+    turn = [ATTITUDE_P * 0.5 * error - ATTITUDE_D * each for error, each in zip((wx, wy, wz), rate, strict=True)]
+    tx, ty, tz = _in_body(m, turn)
+    return INERTIA[0] * tx, INERTIA[1] * ty, INERTIA[2] * tz

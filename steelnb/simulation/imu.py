@@ -27,26 +27,23 @@ class ImuErrors:
     """The errors of `measured_imu`, drawn for a whole flight at ``stamp_s (N,)`` and read piece by piece."""
 
     def __init__(self, stamp_s: Array, settings: ImuSettings, seed: rng.Seed) -> None:
-        step_s, shape, s = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3), settings
-
-        def draw(sensor: str, noise: float, walk: float, bias: float) -> tuple[Array, Array, Array]:
+        step_s, shape = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3)
+        self._errors = []  # white noise, bias at the start and its walk, of the specific force and of the angular rate
+        for sensor in ("accelerometer", "gyro"):
+            noise, walk, bias = (getattr(settings, f"{sensor}_{each}") for each in ("noise", "walk", "bias"))
             white = noise / math.sqrt(step_s) * rng.stream(seed, sensor, "noise").standard_normal(shape)
             steps = walk * math.sqrt(step_s) * rng.stream(seed, sensor, "walk").standard_normal(shape)
             start = bias * rng.stream(seed, sensor, "bias").standard_normal(3)
-            return white, start, np.cumsum(steps, axis=0)
-
-        self._force = draw("accelerometer", s.accelerometer_noise, s.accelerometer_walk, s.accelerometer_bias)
-        self._rate = draw("gyro", s.gyro_noise, s.gyro_walk, s.gyro_bias)
+            self._errors.append((white, start, np.cumsum(steps, axis=0)))
 
     def read(self, exact: Imu, first: int = 0) -> Imu:
         """Readings of a piece of the flight that begins at sample ``first``."""
-        piece = slice(first, first + len(exact.stamp_s))
-
-        def add(true: Array, errors: tuple[Array, Array, Array]) -> Array:
-            white, start, walk = errors
-            return np.asarray(true + white[piece] + start + walk[piece])
-
-        return Imu(exact.stamp_s, add(exact.specific_force, self._force), add(exact.angular_rate, self._rate))
+        piece, true = slice(first, first + len(exact.stamp_s)), (exact.specific_force, exact.angular_rate)
+        force, rate = (
+            each + white[piece] + start + walk[piece]
+            for each, (white, start, walk) in zip(true, self._errors, strict=True)
+        )
+        return Imu(exact.stamp_s, force, rate)
 
 
 def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:

@@ -8,7 +8,7 @@ and the two adjacent ones. A ``triangle`` is a plate with three corners.
 import csv
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -20,12 +20,12 @@ from steelnb.files import reading
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
+from steelnb.settings.world import Kind
 from steelnb.simulation.sections import Member, make_member, unit
 from steelnb.types import Array
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
-KINDS = ("leg", "ring", "bracing", "arm", "secondary")
-"""Each kind has a setting for its section. Secondary: redundant members, webs of the arms, railings."""
+KINDS = get_args(Kind)
 PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
 """Triangles of a plate by corner; corner 3 lies opposite corner 0."""
 JOINT_M = 0.02
@@ -38,7 +38,7 @@ of at most `IN_FACE` to it."""
 class MemberList(NamedTuple):
     """``kinds`` and ``ends (M, 2, 3)`` of the members; ``plates (P, 3, 3)``: the triangles of the plates."""
 
-    kinds: list[str]
+    kinds: list[Kind]
     ends: Array
     plates: Array
 

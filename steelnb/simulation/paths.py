@@ -2,9 +2,10 @@
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TowerSettings
-from steelnb.simulation.tower import half_width
+from steelnb.simulation.tower import Tower, half_width
 from steelnb.types import Array
 
 
@@ -53,10 +54,26 @@ def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: 
     """
     corner, arc_m = path(flight, tower)
     travelled = np.arange(steps) * step_s * flight.speed_m_s
-    position = np.stack([np.interp(travelled, arc_m, corner[:, axis]) for axis in range(3)], axis=1)
+    position = np.stack([np.interp(travelled, arc_m, axis) for axis in corner.T], axis=1)
     for _ in range(2):
         position = uniform_filter1d(position, max(1, round(1.0 / step_s)), axis=0, mode="nearest")
     return position, np.gradient(position, step_s, axis=0)
+
+
+def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:
+    """Pose ``T_world_sensor (4, 4)``, with the flight's heading, at a ``share`` from 0 to 1 of the length of its path
+    or, if it has waypoints, of its duration. ``lean (3,)`` adds yaw, pitch and roll, radians."""
+    if flight.waypoints:
+        *position, yaw = minimum_jerk(flight, np.array([share * flight.duration_s]))[0][0]
+    else:
+        corner, arc_m = path(flight, tower.settings)
+        position = [np.interp(share * arc_m[-1], arc_m, axis) for axis in corner.T]
+        yaw = heading(flight, *position[:2])
+    T_world_sensor = np.eye(4)
+    turn = np.array([yaw, 0.0, 0.0]) + (0.0 if lean is None else lean)
+    T_world_sensor[:3, :3] = Rotation.from_euler("ZYX", turn).as_matrix()
+    T_world_sensor[:3, 3] = position
+    return T_world_sensor
 
 
 def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, Array]:

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from steelnb.settings import TowerSettings
+from steelnb.settings.world import Kind
 from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
@@ -24,7 +25,7 @@ class Member:
     along the flanges, world frame; for a round rod, any two directions perpendicular to the axis.
     """
 
-    kind: str
+    kind: Kind
     section_m: tuple[float, float]
     joints: tuple[int, ...]
     flange_a: tuple[float, float, float]
@@ -38,14 +39,14 @@ def unit(vector: Array) -> Array:
 
 
 def make_member(
-    settings: TowerSettings, kind: str, joints: tuple[int, ...], axis: Array, first: Array, second: Array
+    settings: TowerSettings, kind: Kind, joints: tuple[int, ...], axis: Array, first: Array, second: Array
 ) -> Member:
     """A member with the section of its kind. Its flanges are made perpendicular to the unit ``axis`` and to each other,
     by Gram-Schmidt: ``second`` before ``first``."""
     second = unit(second - (second @ axis) * axis)
     first = first - (first @ axis) * axis
     first = unit(first - (first @ second) * second)
-    width, thickness = getattr(settings, f"{kind}_section_m")
+    width, thickness = settings.sections_m[kind]
     size = (width, thickness if settings.section == "angle" else width / 2)
     return Member(kind, size, joints, tuple(first.tolist()), tuple(second.tolist()), settings.section)
 

@@ -1,17 +1,22 @@
 """A Time-of-Flight camera on a flight: ideal, or with the faults of a real one."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from steelnb import rng
 from steelnb.settings import TofSettings
-from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, Faults, draw_calibration, expose, faults_of
+from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, Faults, draw_faults, expose
 from steelnb.simulation.scene import cast_rays, make_scene, rays
+from steelnb.simulation.sections import GROUND
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
 from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
 
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""
+FLOOR_M = 0.3
+"""Lowest point of a `View`."""
 AMPLITUDE_SCATTER = 0.1
 """Relative standard deviation of a driver's noise estimate, which comes from a pixel's measured amplitude."""
 
@@ -60,8 +65,7 @@ class TofCamera:
 
     def __init__(self, tower: Tower, settings: TofSettings, seed: rng.Seed) -> None:
         self.settings, self.ray, self._scene, self._seed = settings, rays(settings), make_scene(tower), seed
-        self._faults = faults_of(settings)
-        self._calibration = draw_calibration(self._faults, rng.stream(seed, "tof-camera")) if self._faults else None
+        self._faults = draw_faults(settings, rng.stream(seed, "tof-camera"))
         self._exposure_s = self._faults.exposure_s if self._faults else 0.0
         self.latency_s = self._exposure_s * float(MOMENTS.max())
 
@@ -78,8 +82,8 @@ class TofCamera:
     ) -> tuple[np.ndarray, Exposure]:
         """Measured ranges ``(H, W)`` from the poses ``(9, 4, 4)`` at the moments of an exposure, and the exposure
         without noise. Without faults only the middle pose counts, and nothing is drawn from ``random``."""
-        if self._faults and self._calibration:
-            exposure = expose(self._scene, self.settings, self._faults, self._calibration, T_world_sensor, random)
+        if self._faults:
+            exposure = expose(self._scene, self.settings, self._faults, T_world_sensor, random)
         else:
             (exact,), (member,) = cast_rays(self._scene, T_world_sensor[MIDDLE : MIDDLE + 1], self.ray)
             exposure = Exposure(exact, exact, exact, member)
@@ -100,6 +104,33 @@ class TofCamera:
         return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.ray)
 
 
+@dataclass(frozen=True)
+class View:
+    """Returns of one scan in the world frame: ``points (N, 3)`` as measured, ``surface (N, 3)``, their true positions,
+    and ``member (N,)``, the member that each lies on, or `PLATE`. ``across (3,)``: horizontal unit vector to the
+    right."""
+
+    points: Array
+    surface: Array
+    member: IntArray
+    across: Array
+
+
+def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generator) -> View:
+    """One scan from a pose ``(4, 4)`` at rest, without the ground and all points measured below `FLOOR_M`."""
+    measured, exposure = camera.measure(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise, noise)
+    returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
+    member, rotation = exposure.member[returned], T_world_sensor[:3, :3]
+    direction = camera.ray[returned] @ rotation.T
+    points, surface = (
+        ranges[returned][:, None].astype(np.float64) * direction + T_world_sensor[:3, 3]
+        for ranges in (measured, exposure.exact_m)
+    )
+    kept = (member != GROUND) & (points[:, 2] >= FLOOR_M)
+    level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
+    return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
+
+
 def measured_ranges(
     exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, faults: Faults | None = None,
     equivalent_range_m: np.ndarray | None = None,
@@ -110,15 +141,11 @@ def measured_ranges(
     ``equivalent_range_m`` (default: the exact ones). With faults, pixels whose estimated noise is too high are dropped.
     Limits and noise apply to the range, or to the depth along the optical axis if ``noise_on`` is ``"depth"``.
     """
-    if settings.noise_on == "depth":
-        cosine = rays(settings)[..., 0].astype(np.float32)  # depth / range
-        equivalent = None if equivalent_range_m is None else equivalent_range_m * cosine
-        along_ray = settings.replace(noise_on="range")
-        return measured_ranges(exact_m * cosine, along_ray, noise, faults, equivalent) / cosine
-    result = exact_m.astype(np.float32)
+    cosine = rays(settings)[..., 0].astype(np.float32) if settings.noise_on == "depth" else np.float32(1)
+    result = exact_m.astype(np.float32) * cosine
     inside = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
     value = result.ravel()[inside]
-    equivalent = value if equivalent_range_m is None else equivalent_range_m.ravel()[inside]
+    equivalent = value if equivalent_range_m is None else (equivalent_range_m * cosine).ravel()[inside]
     sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * equivalent)
     value = value + sigma * noise.standard_normal(len(value), dtype=np.float32)
     if faults:
@@ -126,4 +153,4 @@ def measured_ranges(
         value[estimated > faults.sigma_max_m] = np.nan
     result.fill(np.nan)
     result.ravel()[inside] = value
-    return result
+    return result / cosine

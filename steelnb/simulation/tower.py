@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from steelnb.settings import TowerSettings
+from steelnb.settings.world import Kind
 from steelnb.simulation.lattice import leg_half_width, listed_members
 from steelnb.simulation.sections import PLATE, Member, make_member, mesh_members, unit
 from steelnb.types import Array, IntArray
@@ -64,7 +65,7 @@ def half_width(settings: TowerSettings, z: float) -> float:
 
 CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 """Signs of x and y of the four legs; face k lies between corners k and k + 1."""
-Bar = tuple[str, list[Array], Array, Array]
+Bar = tuple[Kind, list[Array], Array, Array]
 """Kind, joints from end to end, and the directions of both flanges."""
 
 
@@ -119,7 +120,7 @@ def _body(settings: TowerSettings) -> Iterator[Bar]:
         yield "leg", [corner(k, z) for z in levels], inwards * [1, 0, 0], inwards * [0, 1, 0]
 
 
-def _in_face(kind: str, k: int, points: list[Array]) -> Bar:
+def _in_face(kind: Kind, k: int, points: list[Array]) -> Bar:
     """A bar in face ``k`` with one flange in the face and one pointing inwards."""
     inward = -np.array([*np.add(CORNERS[k], CORNERS[(k + 1) % 4]) / 2.0, 0.0])
     return kind, points, np.cross(unit(points[-1] - points[0]), inward), inward

@@ -56,10 +56,8 @@ def distance_to_lines(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
 
 def small_tower():
     """A tower without arms, 5 m high, whose sections are as thick as `fusion.sections` takes them to be."""
-    plain = {f"{kind}_section_m": (0.072, 0.006) for kind in ("ring", "bracing")} | {"leg_section_m": (0.12, 0.01)}
-    return build_tower(
-        TowerSettings(profile_m=((0.0, 2.4), (3.0, 1.8), (5.0, 1.4)), arms_m=(), **plain)
-    )
+    sections_m = {"leg": (0.12, 0.01), "ring": (0.072, 0.006), "bracing": (0.072, 0.006)}
+    return build_tower(TowerSettings(profile_m=((0.0, 2.4), (3.0, 1.8), (5.0, 1.4)), arms_m=(), sections_m=sections_m))
 
 
 def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad: float = 0.9) -> Flight:

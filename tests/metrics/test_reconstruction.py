@@ -97,7 +97,7 @@ def test_an_empty_structure_has_recall_zero_and_no_precision():
 
 
 def test_the_centroid_of_a_thin_angle_is_a_quarter_of_its_flange_from_either_face():
-    tower = build_tower(TowerSettings(leg_section_m=(0.1, 0.0001)))
+    tower = build_tower(TowerSettings(sections_m={"leg": (0.1, 0.0001)}))
     seen = Visibility(tuple(np.full(int(length / SLICE_M) + 1, 9) for length in lengths(tower)))
     found = reference(tower, seen)
     leg = next(m for m, member in enumerate(tower.members) if member.kind == "leg")

@@ -10,7 +10,7 @@ from steelnb import experiment, odometry
 from steelnb.fusion import keyframes
 from steelnb.fusion.locate import Locator, points_in_range
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CloudOdometry, FaceOdometry, make_odometry
+from steelnb.odometry import CloudOdometry, FaceOdometry, faces, make_odometry
 from steelnb.odometry.faces import ADOPT_S
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 from steelnb.types import Flight, Scan, Trajectory
@@ -22,13 +22,13 @@ REFIT_S = 4.0
 @pytest.fixture(scope="module")
 def world():
     """A flight of 30 s, corrected with keyframes adjusted every few seconds."""
-    settings = ExperimentSettings.preset(
-        "loops", "random-walk+yaw-random-walk", seed=11, duration_s=30.0, method="faces",
-        overrides={"odometry.refit_s": REFIT_S},
-    )  # fmt: skip
+    settings = ExperimentSettings.preset("loops", "random-walk+yaw-random-walk", "faces", seed=11, duration_s=30.0)
     flight, truth = experiment.simulate(settings)
     estimator = make_odometry(settings.odometry, flight.T_drone_sensor)
-    return flight, truth, estimator, odometry.run(flight, estimator)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(faces, "REFIT_S", REFIT_S)
+        found = odometry.run(flight, estimator)
+    return flight, truth, estimator, found
 
 
 def moved(flight: Flight, T: np.ndarray) -> Flight:
@@ -125,12 +125,13 @@ def _points_and_start(estimator, scan, prior):
     return points_in_range(scan, T, 6.0, 0.3, 2000), T
 
 
-def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds():
+def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds(monkeypatch):
+    monkeypatch.setattr(faces, "REFIT_S", 2.0)
     flight = around(small_tower(), poses=20)
     rng = np.random.default_rng(5)
     leaves = [Scan(scan.stamp_s, rng.uniform((1.5, -1, -1), (3.5, 1, 1), (4000, 3))) for scan in flight.scans]
     flight = replace(flight, scans=leaves)
-    settings = OdometrySettings.preset("faces", overrides={"refit_s": 2.0})
+    settings = OdometrySettings.preset("faces")
     ours = odometry.run(flight, FaceOdometry(settings))
     clouds = odometry.run(flight, CloudOdometry(settings))
     np.testing.assert_array_equal(ours.corrected.T_world_drone, clouds.corrected.T_world_drone)

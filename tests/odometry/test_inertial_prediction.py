@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import make_odometry, run
+from steelnb.odometry import faces, make_odometry, run
 from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
@@ -137,10 +137,11 @@ def test_the_term_is_the_distance_from_the_prediction_whatever_the_centre_of_the
     np.testing.assert_allclose(information_at(H, pose[:3, 3] - centre), prediction.information, rtol=1e-6)
 
 
-def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(world):
+def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(world, monkeypatch):
+    monkeypatch.setattr(faces, "REFIT_S", 4.0)
     flight, truth = world
     flight = replace(flight, imu=measured_imu(flight.imu, SHEET, 3))
-    without = OdometrySettings.preset("faces", overrides={"refit_s": 4.0})
+    without = OdometrySettings.preset("faces")
     given = without.override({"inertial": SHEET.model_dump()})
     kept, found = (
         run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu)) for settings in (without, given)

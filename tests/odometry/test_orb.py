@@ -15,11 +15,12 @@ from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import ExperimentSettings, TofSettings
-from steelnb.simulation import FORWARD, TRACKING
+from steelnb.simulation import FORWARD, TRACKING, cameras
+from steelnb.simulation.cameras import intrinsics
 from steelnb.simulation.scene import rays
 from tests import naive
 
-K = FORWARD.K
+K = intrinsics(FORWARD)
 SHAPE = (320, 422)
 TOF = TofSettings.preset("starling2")
 BLIND_S = (4.0, 4.5)
@@ -44,12 +45,12 @@ def loops_with_images():
     """Six seconds of loops whose camera sees nothing for half of one; rendered images are kept."""
     settings = ExperimentSettings.preset("loops", "random-walk:0.004", "orb", seed=12, duration_s=6.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment, "FORWARD", replace(FORWARD, samples=2))
+        patch.setattr(cameras, "SAMPLES", 2)
         flight, truth = experiment.simulate(settings)
-    number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
-    dark = np.zeros((FORWARD.rows, FORWARD.columns), np.uint8)
-    blind = (flight.prior.stamp_s >= BLIND_S[0]) & (flight.prior.stamp_s < BLIND_S[1])
-    images = [dark if is_blind else flight.images.images[k] for k, is_blind in zip(number, blind, strict=True)]
+        number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
+        dark = np.zeros((FORWARD.rows, FORWARD.columns), np.uint8)
+        blind = (flight.prior.stamp_s >= BLIND_S[0]) & (flight.prior.stamp_s < BLIND_S[1])
+        images = [dark if is_blind else flight.images.images[k] for k, is_blind in zip(number, blind, strict=True)]
     return settings, replace(flight, images=replace(flight.images, stamp_s=flight.prior.stamp_s, images=images)), truth
 
 
@@ -170,7 +171,7 @@ def sightings(T_world_drone, T_drone_camera, outliers=0.0, seed=6):
 
 @pytest.mark.parametrize(("dof", "turn"), [("se3", (0.02, -0.03, 0.04)), ("xyz_yaw", (0.0, 0.0, 0.04))])
 def test_exact_observations_determine_the_pose(dof, turn):
-    true, mount = np.eye(4), TRACKING.T_drone_camera
+    true, mount = np.eye(4), TRACKING.T_drone_sensor
     true[:3, :3] = Rotation.from_euler("ZYX", [1.0, 0.1, -0.05]).as_matrix()
     true[:3, 3] = 3, -2, 5
     off = true.copy()

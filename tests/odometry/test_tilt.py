@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.fusion.poses import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import correct
+from steelnb.odometry import correct, faces
 from steelnb.odometry.prediction import Prediction
 from steelnb.settings import ExperimentSettings, OdometrySettings
 
@@ -45,9 +45,10 @@ def test_an_odometry_corrects_the_tilt_of_its_prior(world):
     assert not any(found.reason[1:])
 
 
-def test_so_does_one_by_faces_and_the_smoothing(world):
+def test_so_does_one_by_faces_and_the_smoothing(world, monkeypatch):
+    monkeypatch.setattr(faces, "REFIT_S", 4.0)
     truth = world[1]
-    online, smooth = fly(world, "faces", refit_s=4.0), fly(world, "smoothed")
+    online, smooth = fly(world, "faces"), fly(world, "smoothed")
     assert score_trajectory(online.corrected, truth.trajectory)["ate_rmse_m"] < 0.03
     assert tilt_rms_deg(online.corrected, truth) < 0.5
     assert score_trajectory(smooth.corrected, truth.trajectory)["ate_rmse_m"] < 0.02

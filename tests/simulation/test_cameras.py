@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,12 +6,13 @@ from steelnb import experiment
 from steelnb.images import project
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, TRACKING, Camera, build_tower, cameras, photograph
+from steelnb.simulation.cameras import SAMPLES, intrinsics
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.texture import SIZE, _sample_tile, make_texture
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
-SMALL = replace(FORWARD, columns=211, rows=160)
+SMALL = FORWARD.replace(columns=211, rows=160)
 
 
 def pose(x=-3.2, y=0.2, z=5.0, yaw=0.0, pitch=0.0):
@@ -32,18 +31,15 @@ def moving(velocity=(0.0, 0.4, 0.0), yaw_rate=0.0):
 
 def render(settings, *poses):
     camera = Camera(TOWER, settings)
-    return [camera.render(np.tile(T, (settings.samples, 1, 1))) for T in poses]
+    return [camera.render(np.tile(T, (SAMPLES, 1, 1))) for T in poses]
 
 
 @pytest.mark.parametrize("settings", [FORWARD, TRACKING])
 def test_intrinsics_are_those_of_the_rays(settings):
     v, u = np.mgrid[: settings.rows, : settings.columns]
-    pixel = project(7.0 * rays(settings).reshape(-1, 3), settings.K)
+    pixel = project(7.0 * rays(settings).reshape(-1, 3), intrinsics(settings))
     np.testing.assert_allclose(pixel, np.column_stack([u.ravel(), v.ravel()]), atol=1e-9)
-
-
-def test_the_tracking_camera_looks_down():
-    np.testing.assert_allclose(TRACKING.T_drone_camera[:3, 0], [0.5**0.5, 0, -(0.5**0.5)])
+    np.testing.assert_allclose(TRACKING.T_drone_sensor[:3, 0], [0.5**0.5, 0, -(0.5**0.5)])  # looks down
 
 
 def test_rendered_ranges_equal_cast_rays():
@@ -87,7 +83,7 @@ def test_a_texture_moves_with_its_member():
                 continue
             point = first.range_m[v, u] * rays(settings)[v, u]
             moved = np.linalg.inv(T[1]) @ T[0] @ np.append(point, 1)
-            expected = project(moved[None, :3], settings.K)[0]
+            expected = project(moved[None, :3], intrinsics(settings))[0]
             i, j = np.rint(expected).astype(int)
             if (
                 not (10 < i < 411 and 10 < j < 309)
@@ -110,10 +106,11 @@ def test_a_texture_moves_with_its_member():
 def test_motion_blurs_only_along_its_direction(monkeypatch):
     monkeypatch.setattr(cameras, "READ_NOISE", 0.0)
     monkeypatch.setattr(cameras, "GAIN", 0.0)
+    monkeypatch.setattr(cameras, "SAMPLES", 9)
     still, moved, found = moving((0.0, 0.0, 0.0)), moving((0.0, 0.4, 0.0)), []
     for path, exposure_s in ((moved, 0.0), (still, 0.6), (moved, 0.6)):
         monkeypatch.setattr(cameras, "EXPOSURE_S", exposure_s)
-        found.append(photograph(TOWER, path, replace(SMALL, samples=9), 1).images[10].astype(float))
+        found.append(photograph(TOWER, path, SMALL, 1).images[10].astype(float))
     crisp, unmoved, blurred = found
     across = [np.abs(np.diff(image[:90], axis=1)).mean() for image in (crisp, unmoved, blurred)]
     assert across[1] > 0.85 * across[0]
@@ -136,5 +133,5 @@ def test_images_are_rendered_only_for_methods_that_use_them():
     assert experiment.simulate(settings)[0].images is None
     settings = ExperimentSettings.preset(method="orb", duration_s=1.0)
     flight, _ = experiment.simulate(settings)
-    np.testing.assert_array_equal(flight.images.K, FORWARD.K)
+    np.testing.assert_array_equal(flight.images.K, intrinsics(FORWARD))
     assert all(flight.images.at(stamp_s) is not None for stamp_s in flight.prior.stamp_s)

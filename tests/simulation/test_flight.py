@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from steelnb import rng
 from steelnb.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
+from steelnb.simulation.flight import gusts
 from steelnb.simulation.paths import setpoints, waypoints
 from steelnb.simulation.tower import half_width
 
@@ -44,8 +47,6 @@ def test_the_imu_integrates_back_to_the_flight(name):
     position = trajectory.position[0] + np.cumsum(velocity * dt, axis=0)
     np.testing.assert_allclose(position, trajectory.position[1:], atol=1e-9)
     # Each orientation follows from the one before by the angular rate in the body frame.
-    from scipy.spatial.transform import Rotation
-
     turned = Rotation.from_matrix(R[:-1]) * Rotation.from_rotvec(imu.angular_rate[1:] * dt)
     assert (turned.inv() * Rotation.from_matrix(R[1:])).magnitude().max() < 1e-4
 
@@ -57,6 +58,15 @@ def test_the_seed_changes_only_the_gusts():
     a, b, c = (fly(TOWER, FlightSettings.preset("zigzag", 5.0), seed)[0].position for seed in (1, 2, 1))
     np.testing.assert_array_equal(a, c)
     assert 0.001 < np.abs(a - b).max() < 0.3
+
+
+def test_gusts_follow_their_recursion_and_those_of_a_longer_flight_begin_alike():
+    shocks = rng.stream(3, "gust").standard_normal((50, 3))
+    keep, wind = np.exp(-0.008 / 2.0), np.zeros(3)
+    found = gusts(FlightSettings(), 3, 80, 0.008)[:50]
+    for k, expected in enumerate(found):
+        wind = keep * wind + 0.3 * np.sqrt(1 - keep**2) * shocks[k]
+        np.testing.assert_allclose(expected, wind, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["zigzag", "loops"])

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
+from steelnb.simulation.paths import pose_on_path
 from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
-from steelnb.simulation.views import pose_on_path
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
