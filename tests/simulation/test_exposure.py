@@ -247,21 +247,6 @@ def test_dropout_grows_with_range_and_incidence_and_with_a_darker_surface():
         assert shares[-1] > 0.9
 
 
-def test_scans_with_faults_depend_on_the_seed_and_begin_as_those_of_a_shorter_flight():
-    tof = TofSettings.preset("starling2-honest").replace(columns=30, rows=40)
-    path = moving(np.array([0.0, 0.5, 0.0]), 2.0)
-    path.T_world_drone[:, 0, 3] -= 3.5
-    shorter = Trajectory(path.stamp_s[:151], path.T_world_drone[:151])
-    a, b, c, other = (
-        scan_flight(TOWER, flight, np.eye(4), tof, seed)[0].range_m
-        for flight, seed in ((path, 1), (path, 1), (shorter, 1), (path, 2))
-    )
-    np.testing.assert_array_equal(a, b)
-    np.testing.assert_array_equal(a[:5], c[:5])
-    assert np.isfinite(a).mean() > 0.02
-    assert np.nanmax(np.abs(a - other)) > 0.01
-
-
 def test_a_view_with_faults_is_an_exposure():
     T = pose_on_path(TOWER, FlightSettings.preset("zigzag"), 0.4)
     tof = TofSettings.preset("starling2").replace(columns=45, rows=60, sigma_floor_m=0.0, sigma_relative=0.0)

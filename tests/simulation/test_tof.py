@@ -216,11 +216,14 @@ def test_the_report_s_sensor_scans_every_26_steps_from_its_start(flight):
     np.testing.assert_allclose(uneven, 10 + 26.5 * np.arange(len(uneven)), atol=0.5001)
 
 
-def test_a_longer_flight_begins_with_the_scans_of_a_shorter_one(flight):
-    shorter = Trajectory(flight.stamp_s[:626], flight.T_world_drone[:626])
-    a, _ = scan_flight(TOWER, flight, np.eye(4), TofSettings.preset("report-4cm"), 4)
-    b, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 4)
-    assert (len(a), len(b)) == (50, 25)
-    np.testing.assert_array_equal(a.range_m[:25], b.range_m)
-    c, _ = scan_flight(TOWER, shorter, np.eye(4), TofSettings.preset("report-4cm"), 5)
-    assert np.nanmax(np.abs(b.range_m - c.range_m)) > 0.01
+@pytest.mark.parametrize("sensor", ["report-4cm", "starling2-honest"])
+def test_scans_depend_on_the_seed_and_a_longer_flight_begins_with_those_of_a_shorter_one(flight, sensor):
+    shorter = Trajectory(flight.stamp_s[:251], flight.T_world_drone[:251])
+    tof = TofSettings.preset(sensor).replace(columns=40, rows=40)
+    longer, short, other = (
+        scan_flight(TOWER, flown, np.eye(4), tof, seed)[0].range_m
+        for flown, seed in ((flight, 4), (shorter, 4), (shorter, 5))
+    )
+    assert (len(longer), len(short)) == (50, 10)
+    np.testing.assert_array_equal(longer[:10], short)
+    assert np.nanmax(np.abs(short - other)) > 0.01
