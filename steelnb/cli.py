@@ -238,7 +238,7 @@ def _overrides(changed: list[str] | None) -> dict[str, Any]:
 
 def _mount(text: str | None) -> Any:
     """``T_drone_sensor (4, 4)`` of ``--mount``."""
-    from steelnb.settings.base import mount
+    from steelnb.settings import CameraSettings
 
     if text is None:
         return None
@@ -246,7 +246,7 @@ def _mount(text: str | None) -> Any:
         x, y, z, roll, pitch, yaw = map(float, text.split(","))
     except ValueError:
         raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
-    return mount((x, y, z), (roll, pitch, yaw))
+    return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor
 
 
 if __name__ == "__main__":
