@@ -1,8 +1,7 @@
 """Several experiments that share flights, the tables of their numbers, and what the report shows of the same."""
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from steelnb.metrics import position_error_m
 from steelnb.noise import drifting
 from steelnb.odometry import shared_segments
 from steelnb.results import find_root
-from steelnb.row import paired_clouds
+from steelnb.row import case_of, paired_clouds, stage_times
 from steelnb.settings import (
     REPORT_NOISE,
     ExperimentSettings,
@@ -28,7 +27,6 @@ from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.simulation import Tower, build_tower, fly
 from steelnb.types import Array
 
-Progress = Callable[[float], None]
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that name a run of an odometry by clouds."""
 
@@ -38,17 +36,12 @@ REPORT_CURVES = Path("notebooks", "report-curves.csv")
 """The curves of the report's plots, read off its PDF, below the root of the project."""
 
 
-@cache
-def _report_curves() -> pd.DataFrame:
-    return pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
-
-
 def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
     """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` of one of the report's plots,
     without the samples of an earlier run and those later than ``until_s``."""
-    rows = _report_curves()
-    case = (rows["figure"] == plot.figure) & (rows["trajectory"] == plot.trajectory) & (rows["method"] == plot.method)
-    rows = rows[case & (rows["curve"] == curve) & (rows["step"] >= plot.earlier_samples)]
+    named = {"figure": plot.figure, "trajectory": plot.trajectory, "method": plot.method, "curve": curve}
+    rows = pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
+    rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1) & (rows["step"] >= plot.earlier_samples)]
     time_s, error_m = plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
     return time_s[time_s <= until_s], error_m[time_s <= until_s]
 
@@ -111,46 +104,24 @@ def paths(settings: ExperimentSettings) -> tuple[Tower, dict[str, Array]]:
 
 
 def run_all(
-    cases: Sequence[ExperimentSettings],
-    on_progress: Progress | None = None,
+    cases: Sequence[ExperimentSettings], on_progress: experiment.Progress | None = None
 ) -> list[experiment.Result]:
     """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`."""
     results: dict[int, experiment.Result] = {}
     flights: dict[object, list[int]] = {}
     for k, case in enumerate(cases):
         flights.setdefault(experiment.world(case), []).append(k)
+
+    def on_share(share: float) -> None:
+        if on_progress:
+            on_progress((len(results) + share) / len(cases))
+
     for members in flights.values():
         flight, truth = experiment.simulate(cases[members[0]])
         with shared_segments():
             for k in members:
-                within = share_of(on_progress, len(results), len(cases))
-                results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, within)
+                results[k] = experiment.estimate(cases[k], experiment.redrift(cases[k], flight, truth), truth, on_share)
     return [results[k] for k in range(len(cases))]
-
-
-def share_of(on_progress: Progress | None, k: int, total: int) -> Progress | None:
-    """The progress of part ``k`` of ``total`` as a share of the whole."""
-    return None if on_progress is None else lambda fraction: on_progress((k + fraction) / total)
-
-
-def case_of(settings: ExperimentSettings) -> dict[str, Any]:
-    """The columns that name a run in tables."""
-    return {
-        "trajectory": settings.flight.trajectory,
-        "noise": settings.noise_name,
-        "method": settings.odometry.method,
-        "sensor": settings.sensor,
-        "seed": settings.seed,
-    }
-
-
-def caption(cases: pd.DataFrame | Sequence[experiment.Result]) -> str:
-    """The flights, noises, sensors and towers of some runs, or of rows of a table with these columns, and its seeds:
-    ``loops, zigzag flight, random-walk, sensor report-4cm, seed 1``; more seeds than one are counted."""
-    rows = cases if isinstance(cases, pd.DataFrame) else pd.DataFrame([case_of(result.settings) for result in cases])
-    named = {"trajectory": "{} flight", "noise": "{}", "tower": "tower {}", "sensor": "sensor {}"}
-    parts = [text.format(", ".join(rows[name].unique())) for name, text in named.items() if name in rows]
-    return ", ".join([*parts, seeds_text(rows["seed"])])
 
 
 def seeds_text(seeds: Iterable[rng.Seed]) -> str:
@@ -185,19 +156,19 @@ def cloud_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
 def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
     """`cloud_table` with mean, maximum and end (m) of the corrected curve in the report's plot of the same experiment,
     up to the end of the run: ``report_mean_m``, ``report_max_m``, ``report_final_m``; NaN where there is none."""
-    numbers = []
-    for result in results:
-        plot, error = plot_of(result.settings), np.array([np.nan])
-        if plot:
-            error = report_curve(plot, until_s=_end_s(result))[1]
-        numbers.append((error.mean(), error.max(), error[-1]))
+    none = np.array([0.0]), np.array([np.nan])
+    errors = [_reported(result).get("report", none)[1] for result in results]
     columns = ["report_mean_m", "report_max_m", "report_final_m"]
-    return cloud_table(results).join(pd.DataFrame(numbers, columns=columns))
+    numbers = pd.DataFrame([(error.mean(), error.max(), error[-1]) for error in errors], columns=columns)
+    return cloud_table(results).join(numbers)
 
 
-def _end_s(result: experiment.Result) -> float:
-    """Time up to which the report's curve is compared with a run: two samples after the run's end."""
-    return float(result.corrected.stamp_s[-1]) + 2 / result.settings.tof.rate_hz
+def _reported(result: experiment.Result) -> dict[str, tuple[Array, Array]]:
+    """The curves ``report-drift`` and ``report`` of the report's plot of a run, to two samples after the run's end."""
+    plot, end_s = plot_of(result.settings), float(result.corrected.stamp_s[-1]) + 2 / result.settings.tof.rate_hz
+    if plot is None:
+        return {}
+    return {"report-drift": report_curve(plot, "drift", end_s), "report": report_curve(plot, until_s=end_s)}
 
 
 def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
@@ -208,13 +179,9 @@ def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
     """
     parts = []
     for result in results:
-        truth, plot = result.truth.trajectory, plot_of(result.settings)
-        lines = {}
-        if plot:  # first, and so behind the others
-            lines["report-drift"] = report_curve(plot, "drift", _end_s(result))
-            lines["report"] = report_curve(plot, until_s=_end_s(result))
+        lines = _reported(result)  # first, and so behind the others
         for name, path in {"none": result.prior, result.settings.odometry.method: result.corrected}.items():
-            lines[name] = path.stamp_s, position_error_m(path, truth)
+            lines[name] = path.stamp_s, position_error_m(path, result.truth.trajectory)
         for name, (time_s, error_m) in lines.items():
             samples = {"curve": name, "time_s": time_s, "error_m": error_m}
             parts.append(pd.DataFrame({**case_of(result.settings), **samples}))
@@ -246,13 +213,11 @@ def _name(settings: ExperimentSettings, by: Sequence[str]) -> str:
 
 def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
     """Milliseconds a frame, median and 95th percentile, for each run and stage and for the whole frame."""
-    rows = []
-    for result in results:
-        whole = np.sum(list(result.seconds.values()), axis=0)
-        for stage, seconds in {**result.seconds, "frame": whole}.items():
-            median, p95 = np.percentile(seconds * 1e3, [50, 95])
-            rows.append({**case_of(result.settings), "stage": stage, "median_ms": median, "p95_ms": p95})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(
+        {**case_of(result.settings), "stage": stage, **times}
+        for result in results
+        for stage, times in stage_times(result).items()
+    )
 
 
 def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | None = None) -> dict[str, float]:

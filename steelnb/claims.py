@@ -69,29 +69,19 @@ class Claim(Settings):
             raise ValueError("b: a level has none, a difference or ratio names runs, a correlation a metric")
         return self
 
-    def satisfied(self, low: float, high: float) -> bool:
-        """True if all of an interval is as claimed."""
-        if self.comparison == "between":
-            return self.threshold[0] <= low and high <= self.threshold[1]
-        return high < self.threshold[0] if self.comparison == "below" else low > self.threshold[0]
-
-    def outside(self, low: float, high: float) -> bool:
-        """True if no part of an interval is as claimed."""
-        if self.comparison == "between":
-            return high < self.threshold[0] or self.threshold[1] < low
-        return low > self.threshold[0] if self.comparison == "below" else high < self.threshold[0]
-
-    @property
-    def unit(self) -> str:
-        """The unit of the claim's number, by the ending of its metric; none for a share, a ratio or a correlation."""
-        if self.form in ("ratio", "correlation"):
-            return ""
-        return next((unit for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
+    def verdict(self, low: float, high: float) -> str:
+        """`HOLDS` if all of an interval is as claimed, `FAILS` if no part of it is, else `OPEN`."""
+        above = self.threshold[0] if self.comparison != "below" else -np.inf
+        below = self.threshold[-1] if self.comparison != "above" else np.inf
+        if above < low and high < below:
+            return HOLDS
+        return FAILS if high < above or below < low else OPEN
 
     @property
     def measure(self) -> str:
-        """The metric, form and unit as text: ``error_mean_m, difference (m)``."""
-        return f"{self.metric}, {self.form}" + (f" ({self.unit})" if self.unit else "")
+        """The metric, form and unit as text, ``error_mean_m, difference (m)``; a ratio or correlation has no unit."""
+        unit = next((unit for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
+        return f"{self.metric}, {self.form}" + (f" ({unit})" if unit and self.form in ("level", "difference") else "")
 
 
 def read_claims(path: Path) -> dict[str, Claim]:
@@ -122,22 +112,22 @@ def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
 def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
     """The cells of one claim, as the rows of `judge`. A cell in which fewer than two seeds have a number says nothing.
     Raises `InputError` if no cell says anything."""
-    first, rows = _select(runs, {**USUAL, **claim.where, **claim.a}), []
+    chosen, rows = {**USUAL, **claim.where, **claim.a}, []
+    first = _select(runs, chosen)
     for cell in dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)):
         at = dict(zip(claim.by, cell, strict=True))
-        here = first[np.logical_and.reduce([first[column] == value for column, value in at.items()])]
-        sides = [_by_seed(here, claim.metric)]
+        sides = [_by_seed(_select(first, at), claim.metric)]
         if claim.form != "level":
             other = {key: value for key, value in claim.b.items() if key != "metric"}
-            there = _select(runs, {**USUAL, **claim.where, **claim.a, **at, **other})
+            there = _select(runs, {**chosen, **at, **other})
             sides.append(_by_seed(there, str(claim.b.get("metric", claim.metric))))
         values = pd.concat(sides, axis=1, join="inner").to_numpy()
         values = values[np.isfinite(values).all(axis=1)]
         if len(values) >= (4 if claim.form == "correlation" else 2):
             estimate, low, high = interval(claim.form, values)
-            word = HOLDS if claim.satisfied(low, high) else FAILS if claim.outside(low, high) else OPEN
-            numbers = {"estimate": estimate, "low": low, "high": high, "n_seeds": len(values), "verdict": word}
-            rows.append({"cell": ", ".join(str(value) for value in cell if value) or "as preset", **numbers})
+            name = ", ".join(str(value) for value in cell if value) or "as preset"
+            numbers = {"estimate": estimate, "low": low, "high": high, "n_seeds": len(values)}
+            rows.append({"cell": name, **numbers, "verdict": claim.verdict(low, high)})
     if not rows:
         raise InputError("fewer than two seeds have a number; expected runs of more seeds")
     return rows
@@ -173,19 +163,14 @@ def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
 
     A claim speaks of all its cells: it `HOLDS` if every cell does, it `FAILS` if one does, and is `OPEN` otherwise.
     """
-    counted = cells.assign(as_claimed=cells["verdict"] == HOLDS, not_as_claimed=cells["verdict"] == FAILS)
+    counts = {"as_claimed": HOLDS, "not_as_claimed": FAILS, "not_run": NOT_RUN}
+    counted = cells.assign(**{name: cells["verdict"] == verdict for name, verdict in counts.items()})
     table = counted.groupby(["name", "claim", "section", "measure"], sort=False, as_index=False).agg(
-        lowest=("estimate", "min"),
-        highest=("estimate", "max"),
-        n_seeds=("n_seeds", "max"),
-        cells=("cell", "size"),
-        as_claimed=("as_claimed", "sum"),
-        not_as_claimed=("not_as_claimed", "sum"),
-        not_run=("verdict", lambda verdict: (verdict == NOT_RUN).any()),
-    )
-    words = [NOT_RUN, FAILS, HOLDS]
-    found = [table["not_run"], table["not_as_claimed"] > 0, table["as_claimed"] == table["cells"]]
-    return table.assign(verdict=np.select(found, words, OPEN)).drop(columns="not_run")
+        lowest=("estimate", "min"), highest=("estimate", "max"), n_seeds=("n_seeds", "max"), cells=("cell", "size"),
+        **{name: (name, "sum") for name in counts},
+    )  # fmt: skip
+    found = [table["not_run"] > 0, table["not_as_claimed"] > 0, table["as_claimed"] == table["cells"]]
+    return table.assign(verdict=np.select(found, [NOT_RUN, FAILS, HOLDS], OPEN)).drop(columns="not_run")
 
 
 def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
@@ -200,13 +185,8 @@ def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
 
 def _by_seed(runs: pd.DataFrame, metric: str) -> pd.Series:
     """A metric by seed, a mean where a seed has several runs. Raises `InputError` for an unknown one."""
-    if metric in DERIVED:
-        try:
-            values = pd.Series(DERIVED[metric](runs), index=runs["seed"].to_numpy(), dtype=float)
-        except KeyError as missing:
-            raise InputError(f"no column {missing}; expected a number that runs have") from None
-    elif metric in runs and pd.api.types.is_numeric_dtype(runs[metric]):
-        values = pd.Series(runs[metric].to_numpy(dtype=float), index=runs["seed"].to_numpy())
-    else:
-        raise InputError(f"metric = {metric!r}: expected a number that runs have")
-    return values.groupby(level=0).mean()
+    try:
+        values = np.asarray(DERIVED.get(metric, lambda rows: rows[metric])(runs), dtype=float)
+    except (KeyError, ValueError):
+        raise InputError(f"metric = {metric!r}: expected a number that runs have") from None
+    return pd.Series(values, index=runs["seed"].to_numpy()).groupby(level=0).mean()

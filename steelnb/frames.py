@@ -116,12 +116,11 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     ``recall``, ``precision``, ``duplicates``, ``points`` and ``segments`` are means over its frames, a frame without
     segments has precision 0; ``angle_deg`` and ``offset_m`` are medians over all right segments, NaN without any.
     """
-    groups = _rows(trials).groupby([*CASE, "seed"], sort=False)
-    means = ("points", "bars", "segments", "recall", "precision", "duplicates")
-    columns = {"frames": ("recall", "size")} | {name: (name, "mean") for name in means}
-    return groups.agg(
-        **columns, angle_deg=("angle_deg", _median_of_all), offset_m=("offset_m", _median_of_all)
-    ).reset_index()  # fmt: skip
+    rows, by, errors = _rows(trials), [*CASE, "seed"], ["angle_deg", "offset_m"]
+    groups = rows.groupby(by, sort=False)
+    means = groups[["points", "bars", "segments", "recall", "precision", "duplicates"]].mean()
+    of_all = rows.explode(errors).astype(dict.fromkeys(errors, float)).groupby(by, sort=False)[errors].median()
+    return groups.size().to_frame("frames").join([means, of_all]).reset_index()
 
 
 def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
@@ -151,11 +150,6 @@ def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
         }
         for t in trials
     )
-
-
-def _median_of_all(arrays: pd.Series) -> float:
-    values = np.concatenate(arrays.to_list())
-    return float(np.median(values)) if len(values) else math.nan
 
 
 def frame_runs(folder: Path) -> pd.DataFrame:

@@ -2,12 +2,12 @@
 
 import io
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import matplotlib.figure
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -108,11 +108,6 @@ BAR_M = 2.0
 class Figure(matplotlib.figure.Figure):
     """A figure that notebooks show by itself: pyplot, whose state is global, is never needed."""
 
-    def savefig(self, *args: Any, **options: Any) -> None:
-        """As matplotlib's; labels of logarithmic axes are plain numbers, which is decided while drawing."""
-        with mpl.rc_context({"axes.formatter.min_exponent": 5}):
-            super().savefig(*args, **options)
-
     def _repr_png_(self) -> bytes:
         file = io.BytesIO()
         self.savefig(file, format="png", dpi=90)
@@ -123,17 +118,11 @@ def use() -> None:
     """Set the look of all figures that follow, whatever the user's matplotlibrc says, and the seed of their jitter."""
     warnings.filterwarnings("ignore", "The figure layout has changed to tight")  # seaborn's grids do so
     np.random.seed(0)  # noqa: NPY002 (of seaborn's dots)
-    mpl.rcdefaults()
-    mpl.rcParams.update(LOOK)
+    matplotlib.style.use(["default", LOOK])
 
 
-@contextmanager
-def style() -> Iterator[None]:
-    """Draw one figure with the look of all; ``@style()`` as a decorator."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(LOOK)
-        yield
+style = partial(matplotlib.style.context, ["default", LOOK])
+"""``@style()`` draws one figure with the look of all."""
 
 
 def draw_legend(
@@ -214,18 +203,13 @@ def draw_judged_bars(
     frame_perspective(panel, cloud)
 
 
-def draw_paths(
-    panel: Axes,
-    paths: Mapping[str, Array],
-    cloud: Array,
-    labels: Mapping[str, str] | None = None,
-    elevation_deg: float = 10.0,
-) -> None:
+def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_deg: float = 10.0) -> None:
     """Draw positions ``(N, 3)`` by name of their colour into a panel as `project_perspective` shows them, the truth
     wide below the others, with `frame_perspective` around them."""
     for name, positions in paths.items():
         x, y = project_perspective(positions, cloud, elevation_deg).T
-        panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=(labels or {}).get(name))
+        label = LABELS.get(name, f"{name} flight")
+        panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=label)
     frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
 
 
@@ -233,7 +217,7 @@ def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None
     """Draw positions ``(N, 3)`` by name of their colour past the members ``(M, 2, 3)`` of a tower, as
     `project_perspective` shows them."""
     draw_bars(panel, members, members.reshape(-1, 3), color=COLOURS["member"], lw=0.5)
-    draw_paths(panel, paths, members.reshape(-1, 3), LABELS)
+    draw_paths(panel, paths, members.reshape(-1, 3))
 
 
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
@@ -285,7 +269,7 @@ def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array
         draw_bars(scene, bars, tower.vertices, elevation_deg, **look)
         for across, side in enumerate(sides):
             draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
-    draw_paths(scene, paths, tower.vertices, {name: f"{name} flight" for name in paths}, elevation_deg)
+    draw_paths(scene, paths, tower.vertices, elevation_deg)
     for side, name, axis in zip(sides, ("front", "side"), "xy", strict=True):
         side.set(aspect="equal", title=name, xlabel=f"{axis} (m)", ylabel="z (m)")
         side.autoscale()

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from steelnb import experiment
@@ -15,9 +14,9 @@ from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import MappedScans, reconstruct
 from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.structure import Structure
+from steelnb.metrics.members import match_members
 from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure, toward_sensor_m
 from steelnb.odometry import SegmentOdometry
-from steelnb.parameters import check_names
 from steelnb.row import case_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 from steelnb.types import Array, Flight, IntArray, Segments
@@ -75,9 +74,7 @@ def fly_tower(
     on_progress: Callable[[float], None] | None = None,
 ) -> TowerFlight:
     """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `InputError`."""
-    settings = ExperimentSettings.preset(
-        trajectory, noise, sensor=sensor, seed=seed, duration_s=duration_s, method=method
-    )
+    settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s)
     settings = settings.replace(tower=TowerSettings.preset(tower)).override(overrides or {})
     flight, truth = experiment.simulate(settings)
     result = experiment.estimate(settings, flight, truth, on_progress)
@@ -87,11 +84,10 @@ def fly_tower(
 
 
 def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str, str], Rebuilt]:
-    """The structure from each of some `POSES` by each of `METHODS`, by (poses, method). Raises `InputError`.
+    """The structure from each of some `POSES` by each of `METHODS`, by (poses, method).
 
     The final reconstruction adjusts poses which were corrected and not smoothed; drifting ones are taken as they are.
     """
-    check_names("poses", poses, POSES)
     flight, runs = source.flight, {}
     for each, method in itertools.product(poses, METHODS):
         began = time.perf_counter()
@@ -100,8 +96,7 @@ def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str
             structure = reconstruct(flight.scans, source.poses[each], flight.T_drone_sensor, chosen)
         else:
             structure = _scan_by_scan(source, each)
-        seconds = time.perf_counter() - began
-        score = score_structure(structure, source.reference)
+        seconds, score = time.perf_counter() - began, score_structure(structure, source.reference)
         runs[each, method] = Rebuilt(source, each, method, structure, score, seconds)
     return runs
 
@@ -126,10 +121,12 @@ def structure_row(run: Rebuilt) -> dict[str, Any]:
     """
     result = run.source.result
     case = case_of(result.settings)
-    case |= {"tower": run.source.tower, "poses": run.poses, "method": run.method, "odometry": case["method"]}
     toward = pd.Series(run.source.toward_sensor_m(run.structure.segments, run.score.member))
     ate_m = {"raw": result.metrics["raw_ate_rmse_m"], "corrected": result.metrics["ate_rmse_m"], "true": 0.0}
-    values = case | run.score.metrics | {"toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses]}
+    values = {
+        **case, "tower": run.source.tower, "poses": run.poses, "method": run.method, "odometry": case["method"],
+        **run.score.metrics, "toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses],
+    }  # fmt: skip
     return {name: values[name] for name in (*CASE, *NUMBERS)} | {"seconds": run.seconds}
 
 
@@ -143,12 +140,10 @@ def near_side(run: Rebuilt) -> pd.DataFrame:
     source, s = run.source, StructureSettings()
     T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor
     middles = find_bars(MappedScans.mapped(source.flight.scans, T_world_sensor, s).voxels)[0]
-    unknown = np.full(len(middles), np.nan)
-    blank = Structure(middles, unknown, middles.count, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
     members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)
     tables = []
     for axis, bars, on in (
-        ("middle of points", middles, score_structure(blank, source.reference).member),
+        ("middle of points", middles, match_members(middles, source.reference.axes).member),
         ("section fitted", run.structure.segments, run.score.member),
     ):
         toward = source.toward_sensor_m(bars, on)[on >= 0]

@@ -21,8 +21,8 @@ from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
-from steelnb.pictures import figure_bars, figure_path
-from steelnb.plots import COLOURS, LABELS, Figure
+from steelnb.pictures import figure_bars, figure_flight
+from steelnb.plots import COLOURS, LABELS
 from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
@@ -46,8 +46,7 @@ class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
     ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``figures`` by name; ``summary`` and
-    ``warnings`` lines of text.
+    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``summary`` and ``warnings`` lines of text.
     """
 
     folder: Path
@@ -56,7 +55,6 @@ class RecordingReport:
     structure: Structure
     segments: Segments
     numbers: dict[str, float]
-    figures: dict[str, Figure]
     summary: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -122,37 +120,39 @@ def run_recording(
         on_stage("correcting the poses")
         found = odometry.correct(near, settings.odometry, observe, own)
         on_stage("reconstructing the bars")
-        built = _reconstructed(near, found, structure).moved(origin)
+        built = _reconstructed(near, found, structure)
+        bars = found.segments if len(found.segments) else built.segments
+        built, segments = built.moved(origin), bars.moved(origin)
         estimate = replace(
             found, prior=flight.prior, corrected=found.corrected.moved(origin), points=found.points + origin,
             segments=found.segments.moved(origin),
         )  # fmt: skip
-        segments = estimate.segments if len(estimate.segments) else built.segments
         numbers = measure_recording(flight, estimate, true, segments, built, *theirs.values())
+        on_stage("drawing and writing")
         paths = {"drifting": (estimate.prior, COLOURS["none"]), label: (estimate.corrected, colour)}
         paths |= {name: (path, COLOURS["incremental"]) for name, path in theirs.items()}
-        on_stage("drawing and writing")
-        figures = {"path": figure_path(paths, true, flight.name)}
+        drawn = {name: (path.moved(-origin), colour) for name, (path, colour) in paths.items()}
+        title = f"{flight.name}: map of {len(found.points)} points and {len(bars)} bars"
+        figures = {"path": figure_flight(drawn, true and true.moved(-origin), found.points, bars, title)}
         if len(found.points) > 1:
-            title = f"{flight.name}: map of {len(found.points)} points and {len(segments)} bars"
-            figures["map"] = figure_bars(found.points, segments.moved(-origin), title)
+            figures["map"] = figure_bars(found.points, bars, title)
+        for name, figure in figures.items():
+            figure.savefig(folder / f"{name}.png", dpi=150)
         write_tum(folder / "corrected.tum", estimate.corrected)
         write_segments(segments, folder / "segments.csv", _sigma_m(estimate, segments))
         write_structure(built, folder / "structure.json", {"source": flight.name, "odometry": method})
         table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
         table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
-        for name, figure in figures.items():
-            figure.savefig(folder / f"{name}.png", dpi=150)
         written = ", ".join(sorted(file.name for file in folder.iterdir()))
     notes += [f"not smoothed: {estimate.unsmoothed}"] if estimate.unsmoothed else []
     notes += [f"no uncertainty: {estimate.unsure}"] if estimate.unsure else []
     labels = dict(zip(("prior", "corrected", "estimate"), paths, strict=False))
-    lines = (*(f"note      {note}" for note in notes), *_summary(numbers, labels, built))
+    lines = [*(f"note      {note}" for note in notes), *_summary(numbers, labels, built)]
     # Method `none` corrects nothing, and a class of the user's need not have a map.
     expected = {"used": method != "none", "map_points": own is None or hasattr(own, "map_points")}
     warnings = tuple(text for name, text in WARNINGS.items() if expected[name] and not numbers[name])
     summary = (*lines, f"written   {output}/: {written}")
-    return RecordingReport(Path(output), estimate, true, built, segments, numbers, figures, summary, warnings)
+    return RecordingReport(Path(output), estimate, true, built, segments, numbers, summary, warnings)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:
@@ -174,9 +174,9 @@ def _judged(
     flight: Flight, truth: Trajectory | None, other: tuple[str, Trajectory] | None
 ) -> tuple[dict[str, Trajectory], list[str]]:
     """The truth, and another program's trajectory by its name, at the scans that all of them have; and remarks."""
-    true, notes = (None, ["no truth: nothing is said of errors"]) if truth is None else (
-        at_scans(flight.prior, truth, "the truth")
-    )  # fmt: skip
+    true, notes = None, ["no truth: nothing is said of errors"]
+    if truth is not None:
+        true, notes = at_scans(flight.prior, truth, "the truth")
     if other is None:
         return ({} if true is None else {"truth": true}), notes
     if true is None:
@@ -194,20 +194,18 @@ def at_scans(scans: Trajectory, path: Trajectory, what: str) -> tuple[Trajectory
     None where it covers fewer than two. A path in another frame is moved so that the first poses agree.
     """
     T_world_drone, known = interpolate(path, scans.stamp_s)
-    notes = []
-    if not known.all():
-        notes.append(f"{what} covers {np.count_nonzero(known)} of {len(known)} scans; errors are those there")
-    if np.count_nonzero(known) < 2:
+    covered, notes = np.count_nonzero(known), []
+    if covered < len(known):
+        notes.append(f"{what} covers {covered} of {len(known)} scans; errors are those there")
+    if covered < 2:
         return None, notes
     found = Trajectory(scans.stamp_s[known], T_world_drone[known])
     T_scans_path = scans.T_world_drone[known][0] @ np.linalg.inv(found.T_world_drone[0])
     apart_m = float(np.linalg.norm(scans.position[known][0] - found.position[0]))
     apart_rad = float(Rotation.from_matrix(T_scans_path[:3, :3]).magnitude())
     if apart_m > APART_M or apart_rad > APART_RAD:
-        notes.append(
-            f"{what} is in another frame, {apart_m:.2f} m and {math.degrees(apart_rad):.1f}° apart at the first scan: "
-            "it was moved onto the first pose"
-        )
+        apart = f"{apart_m:.2f} m and {math.degrees(apart_rad):.1f}° apart at the first scan"
+        notes.append(f"{what} is in another frame, {apart}: it was moved onto the first pose")
         found = Trajectory(found.stamp_s, T_scans_path @ found.T_world_drone)
     return found, notes
 
@@ -269,21 +267,18 @@ def opened_lines(flight: Flight) -> tuple[str, ...]:
 def _summary(numbers: dict[str, float], labels: dict[str, str], built: Structure) -> list[str]:
     """Lines of text; ``labels``: part of the numbers → the name of its path."""
     unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
-    median, p95, p99, largest, on_time = (float(numbers[name]) for name in TIMES)
     lines = [f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
     if numbers["prior_followed"]:
-        weak = f"{numbers['prior_followed']} scans of a wall or of flat ground: along it the prior was followed"
-        lines.append(f"weak      {weak}")
+        where = "of a wall or of flat ground: along it the prior was followed"
+        lines.append(f"weak      {numbers['prior_followed']} scans {where}")
     lines.append(
-        f"time      {median:.1f} ms a scan (median; 95 %: {p95:.1f}, 99 %: {p99:.1f}, most {largest:.1f}), "
-        f"{100 * on_time:.1f} % on time"
+        "time      {frame_median_ms:.1f} ms a scan (median; 95 %: {frame_p95_ms:.1f}, 99 %: {frame_p99_ms:.1f}, "
+        "most {frame_max_ms:.1f}), {on_time_share:.1%} on time".format_map(numbers)
     )
     if "prior_ate_rmse_m" in numbers:
         errors = {label: [numbers[f"{part}_{name}"] for name in ERRORS] for part, label in labels.items()}
         table = pd.DataFrame(errors, index=list(ERRORS.values())).T.to_string(float_format="{:.3f}".format)
         lines += [f"{'error (m)' if k == 0 else '':9} {line}" for k, line in enumerate(table.splitlines())]
-    if "drift_removed_percent" in numbers:
-        lines.append(f"removed   {numbers['drift_removed_percent']:.0f} % of the drift (root mean square)")
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
     found = f"{len(built)} bars, {len(built.joint)} joints"
     return [*lines, f"structure {found if len(built) else f'empty: {built.reason}'}"]

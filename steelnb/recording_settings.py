@@ -18,8 +18,6 @@ SCALE_MIN = 1.25
 """A scene up to this many times as large as that of the preset's sensor is one for the preset."""
 POINTS_MIN = 1000
 """Voxels are not made coarser than leaves so many points of the first scan."""
-REGISTERED_MIN = 100
-"""Scans with fewer points are not registered."""
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """Where more points than this share lie so far below the world's zero, that is not the ground."""
@@ -48,19 +46,17 @@ class Scene:
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
         """The scene before the first scans of a flight. Raises `InputError`, also for scans in millimetres."""
-        first = flight.first(FIRST_SCANS)
-        ranges, heights, seen = [np.zeros(0)], [np.zeros(0)], np.zeros((0, 3))
-        for scan, T_world_drone in zip(first.scans, first.prior.T_world_drone, strict=False):
-            T = T_world_drone @ flight.T_drone_sensor
+        first, clouds = flight.first(FIRST_SCANS), []
+        for scan in first.scans:
             points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
             range_m = np.linalg.norm(points, axis=1)
-            returned = np.isfinite(range_m) & (range_m > 0)  # zeros stand for no return in many files
-            ranges.append(range_m[returned])
-            heights.append(points[returned] @ T[2, :3] + T[2, 3])
-            seen = seen if len(seen) else points[returned]
-        range_m, height_m = np.concatenate(ranges), np.concatenate(heights)
+            clouds.append(points[np.isfinite(range_m) & (range_m > 0)])  # zeros stand for no return in many files
+        range_m = np.linalg.norm(np.concatenate(clouds), axis=1)
         if not len(range_m):
-            return cls(np.nan, np.nan, np.nan, seen)
+            return cls(np.nan, np.nan, np.nan, clouds[0])
+        up = (first.prior.T_world_drone @ flight.T_drone_sensor)[:, 2]
+        height_m = np.concatenate([cloud @ z[:3] + z[3] for cloud, z in zip(clouds, up, strict=True)])
+        seen = next(cloud for cloud in clouds if len(cloud))
         median_m, far_m = np.percentile(range_m, [50, 99])
         if median_m > MEDIAN_MAX_M:
             raise InputError(
@@ -122,14 +118,3 @@ def settings_line(settings: ExperimentSettings) -> str:
     seen = settings.odometry.preprocess
     floor = f"floor at {seen.floor_m:g} m" if seen.floor_m > NO_FLOOR_M else "no floor"
     return f"settings  range {seen.crop_m:g} m, {floor}, voxels of {seen.voxel_leaf_m:g} m"
-
-
-def voxel_warning(settings: ExperimentSettings, scene: Scene) -> tuple[str, ...]:
-    """A line if voxels leave too few points of a scan to register it, else nothing."""
-    leaf_m = settings.odometry.preprocess.voxel_leaf_m
-    left = len(voxel_grid(scene.points, leaf_m))
-    if left >= min(REGISTERED_MIN, len(scene.points)):
-        return ()
-    return (
-        f"voxels of {leaf_m:g} m leave {left} of the {len(scene.points)} points of a scan; expected {REGISTERED_MIN}",
-    )

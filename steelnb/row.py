@@ -27,16 +27,14 @@ Flown = tuple[Flight, Truth, float]
 """A simulated flight, its truth, and the time that the simulation took, seconds."""
 
 
-def case_of(settings: ExperimentSettings, variant: str = "") -> dict[str, Any]:
-    """Values of the columns `CASE`; ``variant``: the name of the changes to a preset."""
+def case_of(settings: ExperimentSettings) -> dict[str, Any]:
+    """The columns that name a run in tables."""
     return {
-        "sensor": settings.sensor,
-        "duration_s": settings.flight.duration_s,
         "trajectory": settings.flight.trajectory,
-        "seed": settings.seed,
         "noise": settings.noise_name,
-        "variant": variant,
         "method": settings.odometry.method,
+        "sensor": settings.sensor,
+        "seed": settings.seed,
     }
 
 
@@ -54,9 +52,9 @@ def make_row(settings: ExperimentSettings, flown: Callable[[], Flown]) -> dict[s
     begin = time.perf_counter()
     flight = experiment.redrift(settings, flight, truth)
     result = experiment.estimate(settings, flight, truth)
-    row = {**numbers(flight, result), **curves(result), **frame_times(result)}
-    seconds = time.perf_counter() - begin
-    return {**row, "seconds": seconds, "flight_seconds": flight_seconds, "machine": machine()}
+    row = {**numbers(flight, result), **curves(result)}
+    row |= {f"frame_{name}": ms for name, ms in stage_times(result)["frame"].items()}
+    return {**row, "seconds": time.perf_counter() - begin, "flight_seconds": flight_seconds, "machine": machine()}
 
 
 def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
@@ -69,25 +67,29 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
     second; ``bend_deg``: bend of the assembled cloud; ``turned_mean_deg`` and ``turned_final_deg``: angle between
     estimated and true attitude.
     """
-    error, paired = position_error_m(result.corrected, result.truth.trajectory), result.matches > 0
-    lost, interval_s = ~paired[1:], np.diff(result.corrected.stamp_s)
-    growth = np.diff(error) / interval_s
-    raw_growth = np.diff(position_error_m(result.prior, result.truth.trajectory)) / interval_s
-    true = result.truth.trajectory.at(result.corrected.stamp_s).T_world_drone[:, :3, :3]
+    stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
+    error, paired = position_error_m(result.corrected, truth), result.matches > 0
+    lost = ~paired[1:]
+    growth, raw_growth = (np.diff(each) / np.diff(stamp_s) for each in (error, position_error_m(result.prior, truth)))
+    true = truth.at(stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
     rotation_error_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     try:
         bend_deg = bend(*paired_clouds(flight, result)).bend_deg
     except ValueError:  # too few points to fit
         bend_deg = np.nan
+
+    def mean(values: np.ndarray, where: np.ndarray, of_none: float = np.nan) -> float:
+        return float(values[where].mean()) if where.any() else of_none
+
     values = {
         **result.metrics,
         "lost_share": lost.mean() if len(lost) else 0.0,
-        "growth_lost_m_s": growth[lost].mean() if lost.any() else np.nan,
-        "growth_paired_m_s": growth[~lost].mean() if (~lost).any() else np.nan,
-        "raw_growth_lost_m_s": raw_growth[lost].mean() if lost.any() else np.nan,
-        "raw_growth_paired_m_s": raw_growth[~lost].mean() if (~lost).any() else np.nan,
-        "wrong_share": (error[paired] > WRONG_M).mean() if paired.any() else 0.0,
+        "growth_lost_m_s": mean(growth, lost),
+        "growth_paired_m_s": mean(growth, ~lost),
+        "raw_growth_lost_m_s": mean(raw_growth, lost),
+        "raw_growth_paired_m_s": mean(raw_growth, ~lost),
+        "wrong_share": mean(error > WRONG_M, paired, of_none=0.0),
         "slip_m": largest_slip(error, max(1, round(result.settings.tof.rate_hz)))[1],
         "bend_deg": bend_deg,
         "turned_mean_deg": rotation_error_deg.mean(),
@@ -100,13 +102,14 @@ def paired_clouds(flight: Flight, result: experiment.Result, every: int = 4) -> 
     """The points of every fourth scan, placed by the estimated and by the true poses: two clouds ``(N, 3)``, metres,
     world frame. Rows k of both are the same return."""
     true = result.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
-    estimated_cloud: list[Array] = []
-    true_cloud: list[Array] = []
-    for k in range(0, len(flight.scans), every):
-        points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, result.settings.odometry.preprocess)
-        for T_world_drone, cloud in ((result.corrected.T_world_drone[k], estimated_cloud), (true[k], true_cloud)):
-            cloud.append(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
-    return np.concatenate(estimated_cloud), np.concatenate(true_cloud)
+    estimated, shown = result.corrected.T_world_drone, range(0, len(flight.scans), every)
+    preprocess, T_drone_sensor = result.settings.odometry.preprocess, flight.T_drone_sensor
+    scans = [preprocess_scan(flight.scans[k], true[k], T_drone_sensor, preprocess) for k in shown]
+
+    def placed(T: Array) -> Array:
+        return np.concatenate([points @ T[k, :3, :3].T + T[k, :3, 3] for k, points in zip(shown, scans, strict=True)])
+
+    return placed(estimated), placed(true)
 
 
 def curves(result: experiment.Result) -> dict[str, np.ndarray]:
@@ -121,7 +124,8 @@ def curves(result: experiment.Result) -> dict[str, np.ndarray]:
     }
 
 
-def frame_times(result: experiment.Result) -> dict[str, float]:
-    """Median and 95th percentile of the time per scan, milliseconds."""
-    median, p95 = np.percentile(1e3 * np.sum(list(result.seconds.values()), axis=0), [50, 95])
-    return {"frame_median_ms": float(median), "frame_p95_ms": float(p95)}
+def stage_times(result: experiment.Result) -> dict[str, dict[str, float]]:
+    """``median_ms`` and ``p95_ms`` (95th percentile) of the time per scan, for each stage and the whole ``frame``."""
+    stages = {**result.seconds, "frame": np.sum(list(result.seconds.values()), axis=0)}
+    times = {stage: np.percentile(1e3 * seconds, [50, 95]) for stage, seconds in stages.items()}
+    return {stage: {"median_ms": float(median), "p95_ms": float(p95)} for stage, (median, p95) in times.items()}

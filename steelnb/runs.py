@@ -39,6 +39,12 @@ class Run(NamedTuple):
     settings: ExperimentSettings
     variant: str = ""
 
+    @property
+    def case(self) -> dict[str, Any]:
+        """Values of the columns `CASE`."""
+        values = {**case_of(self.settings), "duration_s": self.settings.flight.duration_s, "variant": self.variant}
+        return {name: values[name] for name in CASE}
+
 
 class Grid(Settings):
     """Values to combine; one table of a study's file.
@@ -141,10 +147,10 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
     if sources != SOURCES:
         raise InputError("a worker has another version of steelnb or of a library than the process that started it")
     flown, rows = cache(partial(fly, runs[0].settings)), []
-    for settings, variant in runs:
-        text = settings.model_dump_json()
-        key = hashlib.sha256(f"{variant} {text}".encode()).hexdigest()[:32]
-        named = {**case_of(settings, variant), "key": key, "status": "ok", "error": ""}
+    for run in runs:
+        settings, text = run.settings, run.settings.model_dump_json()
+        key = hashlib.sha256(f"{run.variant} {text}".encode()).hexdigest()[:32]
+        named = {**run.case, "key": key, "status": "ok", "error": ""}
         try:
             row = cached(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
         except Exception:

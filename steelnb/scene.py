@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from steelnb import experiment, plots
-from steelnb.batch import at_level, caption
+from steelnb import experiment, pictures, plots
+from steelnb.batch import at_level
 from steelnb.errors import SteelnbError
 from steelnb.hough.blocks import MIN_VOTES, segment_structure
 from steelnb.hough.lines import default_dx
 from steelnb.metrics import position_error_m
 from steelnb.plots import COLOURS, LABELS
-from steelnb.row import paired_clouds
+from steelnb.row import case_of, paired_clouds
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.simulation import Truth
 from steelnb.types import Array, Flight, Segments, Trajectory
@@ -62,15 +62,14 @@ def figure_scene(
     known = {name: path for name, path in paths.items() if path is not None}
     colours = {"true": COLOURS["truth"], "drifting": COLOURS["none"], "corrected": COLOURS[method]}
     figure = make_subplots(1, 2, specs=[[{"type": "scene"}, {"type": "xy"}]], column_widths=(0.62, 0.38))
-    lines = {name: (path.position, colours[name], WIDTHS[name]) for name, path in known.items()}
-    if segments is not None:
-        lines = {"bars found": (_apart(plots.end_points(segments)), COLOURS["bars found"], 6), **lines}
+    lines = {}
     if members is not None:
         highest_m = 1 + known["drifting"].position[:, 2].max()
-        lines = {
-            "true members": (_apart(members[(members[..., 2] < highest_m).all(axis=1)]), COLOURS["member"], 2),
-            **lines,
-        }
+        shown = members[(members[..., 2] < highest_m).all(axis=1)]
+        lines["true members"] = _apart(shown), COLOURS["member"], 2
+    if segments is not None:
+        lines["bars found"] = _apart(plots.end_points(segments)), COLOURS["bars found"], 6
+    lines |= {name: (path.position, colours[name], WIDTHS[name]) for name, path in known.items()}
     for name, (points, colour, width) in lines.items():
         look = {"mode": "lines", "name": name, "legendgroup": name, "line": {"color": colour, "width": width}}
         figure.add_trace(Scatter3d(**_columns(points), **look), 1, 1)
@@ -81,13 +80,9 @@ def figure_scene(
     for name, path in known.items():
         if path is not reference:
             error_m = position_error_m(path.at(reference.stamp_s), reference)
-            line = {
-                "name": name,
-                "legendgroup": name,
-                "showlegend": False,
-                "line": {"color": colours[name], "width": 2},
-            }
-            figure.add_trace(Scatter(x=reference.stamp_s - reference.stamp_s[0], y=error_m, **line), 1, 2)
+            look = {"name": name, "legendgroup": name, "line": {"color": colours[name], "width": 2}}
+            time_s = reference.stamp_s - reference.stamp_s[0]
+            figure.add_trace(Scatter(x=time_s, y=error_m, showlegend=False, **look), 1, 2)
     axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
     figure.update_layout(
         template="plotly_white",
@@ -118,26 +113,13 @@ def plotly_bundle(figure: "PlotlyFigure") -> dict[str, Any]:
     return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": "a scene"}
 
 
-@plots.style()
 def figure_flight(view: View) -> plots.Figure:
-    """The scene on paper: cloud, bars and paths on the left, the errors over time on the right."""
-    figure = plots.Figure(figsize=(11, 5.6))
-    space, over_time = figure.subplots(1, 2, width_ratios=(1, 1.2))
-    method, around = view.result.settings.odometry.method, view.cloud
-    keys = {"true": "truth", "drifting": "none", "corrected": method}
-    flat = plots.project_perspective(around[::4], around)
-    space.scatter(*flat.T, s=0.6, lw=0, color=COLOURS["points"], label="cloud")
-    bars = plots.end_points(view.segments)
-    plots.draw_bars(space, bars, around, color=COLOURS["bars found"], lw=1.8, label="bars found")
-    plots.draw_paths(space, {keys[name]: view.paths[name].position for name in keys}, around, {"truth": "true"})
-    for name in ("drifting", "corrected"):
-        error_m = position_error_m(view.paths[name], view.paths["true"])
-        label = f"{LABELS[keys[name]]}: mean {error_m.mean():.3f} m"
-        over_time.plot(view.paths[name].stamp_s, error_m, color=COLOURS[keys[name]], label=label)
-    over_time.set(xlabel="time (s)", ylabel="distance to the truth (m)", xlim=(0, None), ylim=(0, None))
-    plots.gather_legend(figure, ncols=3, markerscale=8)
-    figure.suptitle(f"{caption([view.result])}, {LABELS[method]}")
-    return figure
+    """The scene on paper (`pictures.figure_flight`)."""
+    case, method = case_of(view.result.settings), view.result.settings.odometry.method
+    title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case)
+    names = {"drifting": "none", "corrected": method}
+    paths = {LABELS[name]: (view.paths[path], COLOURS[name]) for path, name in names.items()}
+    return pictures.figure_flight(paths, view.paths["true"], view.cloud, view.segments, title)
 
 
 class Panel:
@@ -208,11 +190,11 @@ class Panel:
         self.view = View(result, paths | {"corrected": result.corrected}, cloud, segments)
         method, numbers = settings.odometry.method, result.metrics
         self._draw(figure_scene(self.view.paths, cloud, segments, truth.tower.axes, method))
-        errors = (
-            f"{numbers['raw_ate_rmse_m']:.3f} m without correction, {numbers['ate_rmse_m']:.3f} m with {LABELS[method]}"
+        errors = [f"{numbers[name]:.3f} m" for name in ("raw_ate_rmse_m", "ate_rmse_m")]
+        self.status.value = (
+            f"computed in {time.perf_counter() - began:.1f} s: root mean square error {errors[0]} without correction, "
+            f"{errors[1]} with {LABELS[method]}; {len(segments)} bars"
         )
-        taken = f"computed in {time.perf_counter() - began:.1f} s"
-        self.status.value = f"{taken}: root mean square error {errors} ({LABELS[method]}); {len(segments)} bars"
         return self.view
 
     def _tell(self, doing: str, share: float) -> None:

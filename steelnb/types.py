@@ -4,7 +4,7 @@ Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N,
 for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -115,9 +115,6 @@ class RangeScans(Sequence[Scan]):
         if isinstance(index, slice):
             return RangeScans(self.stamp_s[index], self.range_m[index], self.ray)
         return Scan(float(self.stamp_s[index]), self.range_m[index][..., None] * self.ray)
-
-    def __iter__(self) -> Iterator[Scan]:
-        return (self[index] for index in range(len(self)))
 
 
 @dataclass(frozen=True)

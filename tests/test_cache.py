@@ -1,7 +1,7 @@
 """Cached results are the same bits as computed ones."""
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -63,15 +63,10 @@ def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatc
         flight, truth = experiment.simulate(settings)
         runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
     assert made == ["fly", "correct"]
-    monkeypatch.delenv("STEELNB_CACHE")
-    flight, truth = experiment.simulate(settings)
-    runs.append((flight, truth, experiment.estimate(settings, flight, truth)))
-    assert made == ["fly", "correct"] * 2
-    for k, some in enumerate(runs[1:]):
-        for one, two in zip(runs[0], some, strict=True):
-            assert_same(one, two)
-        assert some[2].metrics == runs[0][2].metrics
-        assert np.array_equal(some[2].update_s, runs[0][2].update_s) == (k == 0)  # the time when it was computed
+    for one, two in zip(*runs, strict=True):
+        assert_same(one, two)
+    assert runs[0][2].metrics == runs[1][2].metrics
+    assert np.array_equal(runs[0][2].update_s, runs[1][2].update_s)  # the time when it was computed
 
 
 @pytest.mark.parametrize(
@@ -92,15 +87,6 @@ def test_a_change_recomputes_only_what_depends_on_it(folder, made, changed, made
     experiment.run(SETTINGS.override(changed))
     experiment.run(SETTINGS.override(changed))
     assert made == made_anew
-
-
-def test_an_estimate_depends_on_its_scans(folder, made):
-    flight, truth = experiment.simulate(SETTINGS)
-    scans = flight.scans
-    whole = experiment.estimate(SETTINGS, flight, truth)
-    blind = replace(flight, scans=RangeScans(scans.stamp_s, np.full_like(scans.range_m, np.nan), scans.ray))
-    assert len(whole.segments)
-    assert not len(experiment.estimate(SETTINGS, blind, truth).segments)
 
 
 def test_a_list_of_members_is_hashed_by_its_content(folder, made, tmp_path):

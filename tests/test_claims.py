@@ -10,7 +10,6 @@ import pytest
 from steelnb.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, cells_of, judge, read_claims, verdict_table
 from steelnb.errors import InputError
 from steelnb.frames import frame_runs
-from steelnb.row import case_of
 from steelnb.runs import read_grids
 
 ROOT = Path(__file__).parents[1]
@@ -73,11 +72,6 @@ def test_a_difference_that_pairing_alone_shows_holds():
     # The seeds differ by twenty times as much: unpaired, nothing would show.
     apart = table.groupby("method")["error_mean_m"].std() / np.sqrt(30)
     assert apart.min() > 0.5
-
-
-def test_the_opposite_does_not_hold_and_no_difference_is_inconclusive():
-    assert judged(claim(), better(by=-0.5)).verdict == FAILS
-    assert judged(claim(), better(by=0.0)).verdict == OPEN
 
 
 def test_one_cell_against_a_claim_refutes_it_and_those_as_claimed_are_named():
@@ -164,14 +158,12 @@ def test_a_flight_that_converged_wrongly_counts_once_for_its_seed():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"comparison": "near"}, ["comparison = 'near'"]),
         ({"threshold": [1.0, 2.0]}, ["threshold = [1.0, 2.0]", "between"]),
         ({"b": {}}, ["b:", "a difference or ratio names runs"]),
         ({"form": "level"}, ["a level has none"]),
         ({"form": "correlation"}, ["a correlation a metric"]),
         ({"by": ["planet"]}, ["unknown column 'planet'", "trajectory"]),
         ({"a": {"metric": "x"}}, ["unknown column 'metric'"]),
-        ({"bye": []}, ["bye"]),
     ],
 )
 def test_bad_claims_are_one_line(changes, words):
@@ -196,7 +188,7 @@ def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
 
 def test_every_claim_of_the_project_has_runs_of_enough_seeds_in_its_study():
     claims = read_claims(ROOT / "notebooks" / "claims.toml")
-    cases = pd.DataFrame([case_of(*run) for run in read_grids(ROOT / "notebooks" / "study.toml")])
+    cases = pd.DataFrame([run.case for run in read_grids(ROOT / "notebooks" / "study.toml")])
     flown = {name: each for name, each in claims.items() if each.where.get("duration_s") != 0.0}
     assert len(flown) >= 20
     for name, each in flown.items():
@@ -244,17 +236,15 @@ def test_a_claim_without_runs_is_not_run_and_the_others_are_judged():
 
 
 @pytest.mark.parametrize(
-    ("comparison", "threshold", "outside", "undecided"),
+    ("comparison", "threshold", "inside", "outside", "undecided"),
     [
-        ("below", [1.0], (1.1, 2.0), (0.9, 1.1)),
-        ("above", [1.0], (0.1, 0.9), (0.9, 1.1)),
-        ("between", [1.0, 2.0], (2.1, 3.0), (1.9, 2.1)),
-        ("between", [1.0, 2.0], (0.1, 0.9), (0.5, 2.5)),
+        ("below", [1.0], (0.1, 0.9), (1.1, 2.0), (0.9, 1.1)),
+        ("above", [1.0], (1.1, 2.0), (0.1, 0.9), (0.9, 1.1)),
+        ("between", [1.0, 2.0], (1.1, 1.9), (2.1, 3.0), (1.9, 2.1)),
+        ("between", [1.0, 2.0], (1.1, 1.9), (0.1, 0.9), (0.5, 2.5)),
+        ("below", [0.0], (-0.1, -0.1), (0.1, 0.1), (0.0, 0.0)),
     ],
 )
-def test_an_interval_is_as_claimed_or_not_or_cannot_tell(comparison, threshold, outside, undecided):
-    found = claim(comparison=comparison, threshold=threshold)
-    assert found.outside(*outside)
-    assert not found.satisfied(*outside)
-    assert not found.outside(*undecided)
-    assert not found.satisfied(*undecided)
+def test_an_interval_is_as_claimed_or_not_or_cannot_tell(comparison, threshold, inside, outside, undecided):
+    verdict = claim(comparison=comparison, threshold=threshold).verdict
+    assert [verdict(*inside), verdict(*outside), verdict(*undecided)] == [HOLDS, FAILS, OPEN]

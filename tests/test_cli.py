@@ -14,22 +14,20 @@ import steelnb
 from steelnb import cli, settings
 from steelnb.io import read_flight, read_trajectory, read_truth, write_tum
 from tests.io.samples import Bagged, poses
-from tests.io.test_clouds import save
 from tests.lattice import lattice, scanned
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of three seconds, its truth, and complete and truncated clouds."""
+    """A bag of three seconds, its truth, a complete and a truncated cloud, and files that are refused."""
     folder = tmp_path_factory.mktemp("recorded")
     small = [f"--set={each}" for each in ("tof.columns=90", "tof.rows=120")]
     assert cli.main(["record", str(folder / "a.mcap"), "--duration", "3", *small]) == 0
     points = np.round(scanned(lattice(8, 4, 2, 3), 40, 0.06, 0.01), 3)
     trimesh.PointCloud(points).export(folder / "tower.ply")
     np.save(folder / "millimetres.npy", 1000 * points)
-    for name in ("tower.ply", "tower.pcd"):
-        whole = folder / name if name == "tower.ply" else save(folder / name, points)
-        (folder / f"half.{name[-3:]}").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    whole = (folder / "tower.ply").read_bytes()
+    (folder / "half.ply").write_bytes(whole[: len(whole) // 2])
     Bagged(folder / "no-poses.bag").clouds().write()
     Bagged(folder / "no-clouds.mcap").odometry().write()
     (folder / "folder.bag").mkdir()
@@ -82,7 +80,6 @@ BAD = (
     (["run", "nothing.bag"], "nothing.bag: does not exist; expected a recording"),
     (["segment", "nothing.ply"], "nothing.ply: does not exist; expected a PLY file of points"),
     (["segment", "half.ply"], "half.ply: not a PLY file of points: "),
-    (["segment", "half.pcd"], "half.pcd: not a PCD file of points: truncated"),
     (["segment", "folder.bag"], "folder.bag: ending '.bag'; expected one of .npy, .ply"),
     (["run", "no-poses.bag"], "no-poses.bag: no poses; expected one topic of poses"),
     (["run", "no-clouds.mcap"], "no-clouds.mcap: no clouds (PointCloud2 or depth images)"),
@@ -118,7 +115,6 @@ BAD = (
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--trajectory", "lops"], "did you mean 'loops'?"),
     (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
-    (["study"], "No such command 'study'"),
     (["fly"], "No such command 'fly'"),
 )
 
@@ -148,15 +144,6 @@ def test_a_flight_is_recorded_and_corrected(here: Path, corrected: Path) -> None
     assert np.sqrt((error_m**2).mean()) == pytest.approx(numbers["corrected_ate_rmse_m"], rel=1e-4)
 
 
-def test_without_a_correction_the_poses_are_the_prior_s(here: Path) -> None:
-    command = ["run", "a.mcap", "-o", "kept_run", "--odometry", "none", "--mount", "0.06,0,0,0,0,0"]
-    assert cli.main([*command, "--force"]) == 0
-    np.testing.assert_allclose(
-        read_trajectory(here / "kept_run" / "corrected.tum").T_world_drone,
-        read_flight(here / "a.mcap").prior.T_world_drone, atol=1e-12,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", ["Held", "Mounted"])
 def test_an_odometry_of_ones_own_is_run(here: Path, tmp_path: Path, name: str, capsys) -> None:
     command = ["run", "a.mcap", "-o", str(tmp_path / "out"), "--estimate", "theirs.tum"]
@@ -174,9 +161,7 @@ def test_an_odometry_of_ones_own_is_run(here: Path, tmp_path: Path, name: str, c
 def test_what_makes_a_run_worthless_is_a_warning(here: Path, tmp_path: Path, capsys) -> None:
     leaf = ["--set", "preprocess.voxel_leaf_m=50"]
     assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "coarse"), *leaf]) == 0
-    said = capsys.readouterr().err
-    assert "steelnb: warning: voxels of 50 m leave " in said
-    assert "steelnb: warning: no scan corrected a pose" in said
+    assert "steelnb: warning: no scan corrected a pose" in capsys.readouterr().err
     assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "high"), "--set", "preprocess.floor_m=100"]) == 0
     assert "steelnb: warning: the map has no points" in capsys.readouterr().err
     assert cli.main(["segment", "tower.ply", "-o", str(tmp_path / "bars"), "--voxel", "5"]) == 0
@@ -191,6 +176,9 @@ def test_a_folder_of_clouds_gives_the_same_result_as_its_bag(here: Path, correct
     assert cli.main(["run", str(tmp_path), "-o", str(tmp_path / "a"), "--mount", "0.06,0,0,0,0,0"]) == 0
     of_folder, of_bag = (read_trajectory(folder / "corrected.tum") for folder in (tmp_path / "a", corrected))
     np.testing.assert_allclose(of_folder.T_world_drone, of_bag.T_world_drone, atol=1e-9)
+    assert cli.main(["run", str(tmp_path), "-o", str(tmp_path / "a"), "--odometry", "none", "--force"]) == 0
+    written = read_trajectory(tmp_path / "a" / "corrected.tum")
+    np.testing.assert_allclose(written.T_world_drone, flight.prior.T_world_drone, atol=1e-12)
 
 
 def test_bars_of_a_cloud_are_found(here: Path) -> None:
@@ -207,10 +195,6 @@ def test_version_help_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(command in shown for command in ("run", "record", "segment", "Exit codes"))
-    assert cli.main(["run", "--help"]) == 0
-    first, _, more = capsys.readouterr().out.partition("More")
-    assert sum(line.startswith("│ --") for line in first.splitlines()) <= 10
-    assert all(option in more for option in ("--scans", "--poses", "--mount"))
     assert cli.METHODS == settings.METHODS
     assert cli.TRAJECTORIES == settings.TRAJECTORIES
 

@@ -7,7 +7,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.errors import InputError
-from steelnb.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings, settings_line
+from steelnb.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings
 from steelnb.settings import METHODS, ExperimentSettings
 from steelnb.types import Flight, Scan, Trajectory
 
@@ -69,11 +69,6 @@ def test_voxels_leave_enough_points():
     assert changed["preprocess.voxel_leaf_m"] > 0.2
 
 
-def test_a_scene_as_large_as_the_presets_or_smaller_changes_nothing():
-    for radius_m in (0.5, 6.0, 7.0):
-        assert Scene.of(made(shell(radius_m), height_m=100.0)).overrides(ExperimentSettings.preset()) == {}
-
-
 def test_there_is_no_floor_where_points_lie_below_the_worlds_zero():
     ground = np.column_stack([np.linspace(0, 3, 500), np.zeros(500), np.full(500, -2.0)])
     for height_m, expected in ((2.0, 0.3), (1.8, 0.3), (1.6, NO_FLOOR_M), (0.0, NO_FLOOR_M)):
@@ -93,8 +88,6 @@ def test_what_is_given_comes_first():
     assert (seen.crop_m, seen.floor_m, seen.voxel_leaf_m) == (20.0, -3.0, 0.1)
     assert (structure.range_max_m, structure.floor_m) == (20.0, -3.0)
     assert settings.odometry.map_voxel_m == pytest.approx(0.667, rel=0.01)
-    assert settings_line(settings) == "settings  range 20 m, floor at -3 m, voxels of 0.1 m"
-    assert "no floor" in settings_line(recording_settings(scene=Scene.of(flight))[0])
 
 
 def test_missing_returns_and_other_mounts_are_understood():
@@ -109,9 +102,11 @@ def test_missing_returns_and_other_mounts_are_understood():
     assert Scene.of(replace(made(below), T_drone_sensor=turned)).underground == 0.0
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 5, 3), np.nan), np.zeros((7, 3))])
-def test_without_a_return_the_preset_stays(points):
-    assert recording_settings(scene=Scene.of(made(points))) == recording_settings()
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), np.full((4, 5, 3), np.nan), np.zeros((7, 3)), shell(0.5), shell(7.0)]
+)
+def test_without_a_return_and_in_a_scene_no_larger_than_the_presets_the_preset_stays(points):
+    assert recording_settings(scene=Scene.of(made(points, height_m=100.0))) == recording_settings()
 
 
 def test_scans_in_millimetres_are_told():

@@ -141,12 +141,6 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
     assert not [data for _, data in shown if PLOTLY_TYPE in data]
 
 
-@pytest.mark.parametrize(("name", "value"), [("trajectory", "spiral"), ("noise", "wind"), ("sensor", "sonar")])
-def test_a_first_flight_that_cannot_be_chosen_is_refused_by_name(name: str, value: str) -> None:
-    with pytest.raises(InputError, match=f"'{value}'"):
-        make_panel(**{name: value})
-
-
 def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: scene.View) -> None:
     paths = {**view.paths, "true": None}
     figure = scene.figure_scene(paths)
