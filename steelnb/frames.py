@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import rng
-from steelnb.errors import InputError
+from steelnb.files import reading
 from steelnb.hough.peers import find_bars
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
@@ -160,10 +160,8 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     that the folder has for them. Raises `InputError`.
     """
     names = [*CASE, "seed"]
-    try:
+    with reading(folder / "table.csv", "results of segmentation-seeds"):
         rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
-    except OSError as fault:
-        raise InputError(f"{fault.filename}: {fault.strerror}; expected results of segmentation-seeds") from None
     times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
     rows = rows.merge(times, on=names, how="left", validate="one_to_one")
     usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])

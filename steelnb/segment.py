@@ -20,11 +20,8 @@ from steelnb.types import Segments
 
 @dataclass(frozen=True)
 class SegmentReport:
-    """Result of `segment_file`.
-
-    ``segments`` in the coordinates of the file, the longest first; ``explained``: share of the file's distinct points
-    that lie within ``dx_m`` of a segment; ``summary`` and ``warnings``: lines of text.
-    """
+    """``segments`` in the coordinates of the file, the longest first; ``explained``: share of the file's distinct
+    points that lie within ``dx_m`` of a segment; ``summary`` and ``warnings``: lines of text."""
 
     segments: Segments
     voxel_m: float
@@ -51,9 +48,9 @@ def segment_file(
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
     path, began = Path(path), time.perf_counter()
-    votes = MIN_VOTES if min_votes is None else min_votes
-    if votes < 2:
-        raise InputError(f"min_votes = {votes}: expected at least 2")
+    min_votes = MIN_VOTES if min_votes is None else min_votes
+    if min_votes < 2:
+        raise InputError(f"min_votes = {min_votes}: expected at least 2")
     with new_folder(output) as folder:
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
@@ -61,15 +58,14 @@ def segment_file(
         dx = dx_m or max(default_dx(cloud.points), math.sqrt(3) * (voxel_m or 0.0))
         voxel = voxel_m or dx / math.sqrt(3)
         points = voxel_grid(cloud.points, voxel)
-        found = segment_structure(points, dx, votes)
+        found = segment_structure(points, dx, min_votes)
         found = found.take(np.argsort(-found.length, kind="stable"))
         explained = float(within(cloud.points, found, dx).mean())
         segments = found.moved(cloud.origin)
         write_segments(segments, folder / "segments.csv")
         share = f"{100 * explained:.0f} % of the points lie within {dx:.2g} m of a bar"
-        figure_bars(cloud.points, found, f"{path.name}: {len(found)} bars; {share}").savefig(
-            folder / "segments.png", dpi=150
-        )
+        figure = figure_bars(cloud.points, found, f"{path.name}: {len(found)} bars; {share}")
+        figure.savefig(folder / "segments.png", dpi=150)
     summary = (
         f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
         f"dropped), {spacing(cloud.points):.3g} m apart",
@@ -79,8 +75,8 @@ def segment_file(
         f"explained {share}",
         f"written   {output}/: segments.csv, segments.png",
     )
-    none = f"no bar found: voxels of {voxel:.3g} m leave {len(points)} of {len(cloud)} points, and a bar needs {votes}"
-    return SegmentReport(segments, voxel, dx, explained, summary, () if len(found) else (none,))
+    left = f"voxels of {voxel:.3g} m leave {len(points)} of {len(cloud)} points, and a bar needs {min_votes}"
+    return SegmentReport(segments, voxel, dx, explained, summary, () if len(found) else (f"no bar found: {left}",))
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:

@@ -1,35 +1,19 @@
 """The seed ``report`` against what the report's figures show of its drift."""
 
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
 
+from steelnb.batch import report_curve
 from steelnb.noise import drift_errors
 from steelnb.settings import Noise, read_report_plots
-
-CURVES = pd.read_csv(Path(__file__).parents[1] / "notebooks" / "report-curves.csv", dtype={"figure": str})
-
-
-def shown_and_drawn(plot):
-    """The drift in a plot of the report, metres, and the simulated drift at the same samples."""
-    chosen = CURVES[
-        (CURVES["figure"] == plot.figure)
-        & (CURVES["trajectory"] == plot.trajectory)
-        & (CURVES["method"] == plot.method)
-        & (CURVES["curve"] == "drift")
-        & (CURVES["step"] >= plot.earlier_samples)
-    ]
-    step = plot.step_at(chosen["step"].to_numpy())
-    stamp_s = np.arange(np.ceil(step.max()) + 1) / 125
-    error = drift_errors(stamp_s, Noise.parse(plot.noise), "report")
-    return chosen["error_m"].to_numpy(), np.interp(step, np.arange(len(error)), np.linalg.norm(error[:, :3, 3], axis=1))
 
 
 @pytest.mark.parametrize("plot", read_report_plots(), ids=lambda plot: f"{plot.figure} {plot.trajectory} {plot.method}")
 def test_the_drift_is_the_report_s(plot):
-    shown, drawn = shown_and_drawn(plot)
+    time_s, shown = report_curve(plot, "drift")
+    stamp_s = np.arange(np.ceil(125 * time_s.max()) + 1) / 125
+    errors = drift_errors(stamp_s, Noise.parse(plot.noise), "report")
+    drawn = np.interp(time_s, stamp_s, np.linalg.norm(errors[:, :3, 3], axis=1))
     end = drawn[-1] / shown[-1]
     assert len(shown) > 140
     if plot.noise == "constant-drift":
