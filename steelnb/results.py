@@ -123,15 +123,13 @@ class Progress:
     file in ``STEELNB_PROGRESS_FILE``, to which the percentage of the whole is written.
     """
 
-    def __init__(self, total: int = 1, description: str = "") -> None:
+    def __init__(self, total: int = 1, description: str = "progress") -> None:
+        from tqdm.auto import tqdm
+
         self._total, self._done, self._shown_s = max(total, 1), 0, -math.inf
         self._file = os.environ.get(PROGRESS_VARIABLE)
-        self._bar: Any = None
-        if not self._file:
-            from tqdm.auto import tqdm
-
-            form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-            self._bar = tqdm(total=1.0, desc=description or "progress", bar_format=form)
+        form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+        self._bar: Any = tqdm(total=1.0, desc=description, bar_format=form, disable=self._file is not None)
 
     def update(self, fraction: float) -> None:
         """Say how much of the current run is done, 0 to 1. Shown at most five times a second."""
@@ -142,11 +140,10 @@ class Progress:
         self._shown_s = now_s
         if self._file:
             Path(self._file).write_text(f"{whole:.0%}", encoding="utf-8")
-        else:
-            self._bar.n = whole
-            self._bar.refresh()
-            if whole == 1:
-                self._bar.close()
+        self._bar.n = whole
+        self._bar.refresh()
+        if whole == 1:
+            self._bar.close()
 
     __call__ = update
 

@@ -1,6 +1,5 @@
 """The row of a run in a table: its name, its metrics, thinned curves, and measured times."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -17,14 +16,11 @@ from steelnb.types import Array, Flight
 CASE = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
 """Columns that identify a run; tables are sorted by them."""
 CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
-TIMES = ("frame_median_ms", "frame_p95_ms", "seconds", "flight_seconds", "machine")
+TIMES = ("frame_median_ms", "frame_p95_ms", "machine")
 """Columns that differ from run to run of the same settings; comparisons ignore them."""
 CURVE_SAMPLES = 100
 WRONG_M = 0.25
 """A scan with correspondences and a larger error than this counts as falsely registered."""
-
-Flown = tuple[Flight, Truth, float]
-"""A simulated flight, its truth, and the time that the simulation took, seconds."""
 
 
 def case_of(settings: ExperimentSettings) -> dict[str, Any]:
@@ -38,23 +34,14 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
     }
 
 
-def fly(settings: ExperimentSettings) -> Flown:
-    """Simulate the flight of some settings and time it. Raises `CollisionError`."""
-    begin = time.perf_counter()
-    flight, truth = experiment.simulate(settings)
-    return flight, truth, time.perf_counter() - begin
-
-
-def make_row(settings: ExperimentSettings, flown: Callable[[], Flown]) -> dict[str, Any]:
+def make_row(settings: ExperimentSettings, flown: Callable[[], tuple[Flight, Truth]]) -> dict[str, Any]:
     """`numbers`, `curves` and `TIMES` of one run: the flight from ``flown`` with the drift and method of the
     settings."""
-    flight, truth, flight_seconds = flown()
-    begin = time.perf_counter()
+    flight, truth = flown()
     flight = experiment.redrift(settings, flight, truth)
     result = experiment.estimate(settings, flight, truth)
-    row = {**numbers(flight, result), **curves(result)}
-    row |= {f"frame_{name}": ms for name, ms in stage_times(result)["frame"].items()}
-    return {**row, "seconds": time.perf_counter() - begin, "flight_seconds": flight_seconds, "machine": machine()}
+    times = {f"frame_{name}": ms for name, ms in stage_times(result)["frame"].items()}
+    return {**numbers(flight, result), **curves(result), **times, "machine": machine()}
 
 
 def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:

@@ -24,7 +24,7 @@ from steelnb import experiment
 from steelnb.cache import PACKAGE, SOURCES, cached
 from steelnb.errors import InputError, SteelnbError
 from steelnb.files import new_folder, reading
-from steelnb.row import CASE, CURVES, TIMES, case_of, fly, make_row
+from steelnb.row import CASE, CURVES, TIMES, case_of, make_row
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport
 
@@ -146,7 +146,7 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
     """Rows of runs on one flight, which is simulated if a row is not cached."""
     if sources != SOURCES:
         raise InputError("a worker has another version of steelnb or of a library than the process that started it")
-    flown, rows = cache(partial(fly, runs[0].settings)), []
+    flown, rows = cache(partial(experiment.simulate, runs[0].settings)), []
     for run in runs:
         settings, text = run.settings, run.settings.model_dump_json()
         key = hashlib.sha256(f"{run.variant} {text}".encode()).hexdigest()[:32]
