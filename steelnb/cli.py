@@ -3,7 +3,7 @@
 import signal
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -109,7 +109,7 @@ def run(
 
     Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
     """
-    with _progress() as progress:
+    with _progress() as (on_stage, on_share):
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
         from steelnb.recording import opened_lines, run_recording
@@ -123,14 +123,12 @@ def run(
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
         other = (estimate.name, read_trajectory(estimate)) if estimate else None
-        progress.stage(f"opening {recording.name}")
+        on_stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
         true = read_truth(recording, truth=truth)
         settings, structure = recording_settings(scene=Scene.of(flight), **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
-        report = run_recording(
-            flight, target, settings, structure, true, progress.share, progress.stage, own=own, other=other
-        )
+        report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)
     print("\n".join(report.summary))
     _warn(*report.warnings)
 
@@ -152,7 +150,7 @@ def record(
 
     Writes sensor data and drifting poses to FILE, and the truth to NAME.truth.tum beside it.
     """
-    with _progress() as progress:
+    with _progress() as (on_stage, on_share):
         from steelnb import experiment
         from steelnb.io import write_flight
         from steelnb.io.bag_writer import check_target
@@ -163,10 +161,10 @@ def record(
         options |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
         settings = ExperimentSettings.preset(**options)
         check_target(file, force)
-        progress.stage("flying")
-        flight, truth = experiment.simulate(settings, progress.share)
-        progress.stage(f"writing {file.name}")
-        write_flight(file, flight, truth.trajectory, progress.share, overwrite=force)
+        on_stage("flying")
+        flight, truth = experiment.simulate(settings, on_share)
+        on_stage(f"writing {file.name}")
+        write_flight(file, flight, truth.trajectory, on_share, overwrite=force)
     print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
 
 
@@ -185,12 +183,12 @@ def segment(
     force: Force = False,
 ) -> None:
     """Find the straight bars in a point cloud."""
-    with _progress() as progress:
+    with _progress() as (on_stage, _):
         from steelnb.segment import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)
-        progress.stage(f"finding bars in {cloud.name}")
+        on_stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
     _warn(*result.warnings)
@@ -201,29 +199,20 @@ def _warn(*messages: str) -> None:
         print("steelnb: warning:", message, file=sys.stderr)
 
 
-class _Progress:
-    """A tqdm progress bar on a terminal, nothing elsewhere."""
-
-    def __init__(self, bar: Any) -> None:
-        self._bar = bar
-
-    def stage(self, name: str) -> None:
-        """Start a stage."""
-        self._bar.set_description(name, refresh=False)
-        self._bar.reset(total=1.0)
-
-    def share(self, share: float) -> None:
-        """Show the completed share of the stage, 0 to 1."""
-        self._bar.update(share - self._bar.n)
-
-
 @contextmanager
-def _progress() -> Iterator[_Progress]:
+def _progress() -> Iterator[tuple[Callable[[str], None], Callable[[float], None]]]:
+    """A tqdm progress bar on a terminal, nothing elsewhere: functions that start a stage by its name, and that show the
+    completed share of the stage, 0 to 1."""
     from tqdm import tqdm
 
     bar_format = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"
     with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=bar_format) as bar:
-        yield _Progress(bar)
+
+        def on_stage(name: str) -> None:
+            bar.set_description(name, refresh=False)
+            bar.reset(total=1.0)
+
+        yield on_stage, lambda share: bar.update(share - bar.n)
 
 
 def _overrides(changed: list[str] | None) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def figure_flight(
     frame_perspective(space, around, [path.position for path, _ in paths.values()])
     what = "to the recorded poses" if truth is None else "to the truth"
     over_time.set(xlabel="time (s)", ylabel=f"distance {what} (m)", ylim=(0, None))
-    gather_legend(figure, ncols=len(paths) + 3)
+    gather_legend(figure, ncols=len(paths) + 3, markerscale=8)
     figure.suptitle(title, fontsize=12)
     return figure
 

@@ -273,7 +273,8 @@ def _summary(numbers: dict[str, float], labels: dict[str, str], built: Structure
         lines.append(f"weak      {numbers['prior_followed']} scans {where}")
     lines.append(
         "time      {frame_median_ms:.1f} ms a scan (median; 95 %: {frame_p95_ms:.1f}, 99 %: {frame_p99_ms:.1f}, "
-        "most {frame_max_ms:.1f}), {on_time_share:.1%} on time".format_map(numbers)
+        "most {frame_max_ms:.1f}), ".format_map(numbers)
+        + f"{100 * numbers['on_time_share']:.1f} % on time"
     )
     if "prior_ate_rmse_m" in numbers:
         errors = {label: [numbers[f"{part}_{name}"] for name in ERRORS] for part, label in labels.items()}
