@@ -1,5 +1,6 @@
 """Tables of short runs: their contents, resuming, failures, and a Dask cluster."""
 
+import json
 import subprocess
 import sys
 import time
@@ -25,17 +26,11 @@ AXES = {
 }  # fmt: skip
 
 
-def toml(value: object) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f'"{name}" = {toml(each)}' for name, each in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
 def study(folder: Path, *grids: dict) -> Path:
-    lines = [f"[g{k}]\n" + "".join(f"{name} = {toml(each)}\n" for name, each in g.items()) for k, g in enumerate(grids)]
-    (folder / "study.toml").write_text("".join(lines))
+    lines = []
+    for k, axes in enumerate(grids):
+        lines += [f"[g{k}]", *(f"{name} = " + json.dumps(each).replace('": ', '" = ') for name, each in axes.items())]
+    (folder / "study.toml").write_text("\n".join([*lines, ""]))
     return folder / "study.toml"
 
 
