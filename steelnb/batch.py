@@ -49,8 +49,8 @@ def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np
 def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
     """The report's plot whose flight, noise and rate of samples an experiment has, or None."""
     wanted = (settings.flight.trajectory, settings.noise_name, settings.tof.rate_hz)
-    plots = ((plot.flight or plot.trajectory, plot.noise, plot.rate_hz) for plot in read_report_plots())
-    return next((plot for plot, own in zip(read_report_plots(), plots, strict=True) if own == wanted), None)
+    plots = {(plot.flight or plot.trajectory, plot.noise, plot.rate_hz): plot for plot in reversed(read_report_plots())}
+    return plots.get(wanted)
 
 
 def at_level(noise: str, level: float) -> str:

@@ -24,13 +24,12 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
         np.interp(180.0, time, error) if time[-1] >= 179.0 else np.nan
         for time, error in zip(runs["curve_time_s"], runs["curve_raw_m"], strict=True)
     ],
-    "converged_wrongly": lambda runs: (runs["wrong_share"] > 0.05).to_numpy(),
-    "remaining_share": lambda runs: (runs["ate_rmse_m"] / runs["raw_ate_rmse_m"]).to_numpy(),
-    "growth_beyond_drift_m_s": lambda runs: (runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"]).to_numpy(),
+    "converged_wrongly": lambda runs: runs["wrong_share"] > 0.05,
+    "growth_beyond_drift_m_s": lambda runs: runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"],
 }
-"""Metrics of the runs that follow from their columns. ``converged_wrongly``: more than 5 % of the scans
-with pairs ended too far off, notebook 04's rule; ``remaining_share``: corrected by uncorrected error;
-``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less that of the drift at the same scans."""
+"""Metrics of the runs that follow from their columns. ``converged_wrongly``: more than 5 % of the scans with pairs
+ended too far off, notebook 04's rule; ``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less
+that of the drift at the same scans."""
 COLUMNS = [
     "name", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold", "threshold_to",
     "verdict",
@@ -113,10 +112,9 @@ def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
     """The cells of one claim, as the rows of `judge`. A cell in which fewer than two seeds have a number says nothing.
     Raises `InputError` if no cell says anything."""
     chosen, rows = {**USUAL, **claim.where, **claim.a}, []
-    first = _select(runs, chosen)
-    for cell in dict.fromkeys(zip(*(first[column] for column in claim.by), strict=True)):
+    for cell, here in _select(runs, chosen).groupby(claim.by, sort=False):
         at = dict(zip(claim.by, cell, strict=True))
-        sides = [_by_seed(_select(first, at), claim.metric)]
+        sides = [_by_seed(here, claim.metric)]
         if claim.form != "level":
             other = {key: value for key, value in claim.b.items() if key != "metric"}
             there = _select(runs, {**chosen, **at, **other})
