@@ -40,8 +40,8 @@ reproduce: $(READY)  ## run every notebook that is not up to date and regenerate
 smoke: $(READY)  ## the same with short flights, into results-smoke/
 	@$(BIN)/python -m workflow reproduce $(ONLY) --budget smoke
 
-check: $(READY)  ## run every notebook again, from nothing, and compare metrics and tables with the last commit (ONLY= BUDGET=)
-	@$(BIN)/python -m workflow check $(ONLY) $(if $(BUDGET),--budget "$(BUDGET)")
+check: $(READY)  ## run every notebook again, from nothing, and compare metrics and tables with the last commit (ONLY=)
+	@$(BIN)/python -m workflow check $(ONLY)
 
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (all of it: 6 hours on two cores)
 	@$(BIN)/python -m steelnb.runs notebooks/study.toml -o results/study

@@ -14,8 +14,9 @@ ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def run_in_lab(notebook: nbformat.NotebookNode) -> None:
-    """Leave in a notebook what JupyterLab does when it is run: outputs, counts, times, notes of its own."""
+def run_in_lab(path: Path) -> nbformat.NotebookNode:
+    """A notebook with what JupyterLab leaves when it is run: outputs, counts, times, notes of its own."""
+    notebook = nbformat.read(path, 4)
     notebook.metadata.kernelspec.display_name = "Python 3 (ipykernel)"
     notebook.metadata.language_info.update(version="3.11.2", mimetype="text/x-python", file_extension=".py")
     notebook.metadata["widgets"] = {"application/vnd.jupyter.widget-state+json": {"state": {}}}
@@ -25,17 +26,16 @@ def run_in_lab(notebook: nbformat.NotebookNode) -> None:
             cell.execution_count = number
             cell.outputs = [nbformat.v4.new_output("stream", text="a number")]
             cell.metadata.setdefault("tags", [])  # JupyterLab leaves an empty list where a tag was removed
+    return notebook
 
 
 @pytest.fixture
 def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The contents manager of a server on a clone of the notebooks, with the settings of `make lab`."""
-    command = re.search(r"^lab:.*\n\t@(.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert command is not None
-    settings = re.search(r'JUPYTER_CONFIG_PATH="(\S+)"', command[1])
-    assert settings is not None
     for name in ("CONFIG_DIR", "DATA_DIR", "RUNTIME_DIR"):
         monkeypatch.setenv(f"JUPYTER_{name}", str(tmp_path / name))
+    settings = re.search(r'^lab:.*\n.*JUPYTER_CONFIG_PATH="(\S+)"', (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert settings is not None
     monkeypatch.setenv("JUPYTER_CONFIG_PATH", settings[1].replace("$(CURDIR)", str(ROOT)))
     project = tmp_path / "project"
     shutil.copytree(ROOT / "notebooks", project / "notebooks", ignore=shutil.ignore_patterns(".ipynb_checkpoints"))
@@ -55,24 +55,20 @@ def save(manager, path: str, notebook: nbformat.NotebookNode) -> None:
     run_sync(manager.save)({"type": "notebook", "format": "json", "content": notebook}, path)
 
 
-def test_saving_notebooks_that_were_run_leaves_the_project_as_it_was(manager) -> None:
+def test_saving_what_was_run_changes_nothing_and_an_edit_alone_is_saved(manager) -> None:
     project = Path(manager.root_dir)
     for path in NOTEBOOKS:
-        notebook = nbformat.read(path, 4)
-        run_in_lab(notebook)
-        save(manager, f"notebooks/{path.name}", notebook)
+        save(manager, f"notebooks/{path.name}", run_in_lab(path))
     assert git(project, "diff", "--stat") == ""
-
-
-def test_an_edit_is_saved_and_other_folders_keep_their_outputs(manager) -> None:
-    project, name = Path(manager.root_dir), NOTEBOOKS[0].name
-    notebook = nbformat.read(NOTEBOOKS[0], 4)
-    run_in_lab(notebook)
-    (project / "mine").mkdir()
-    save(manager, f"mine/{name}", notebook)
-    assert nbformat.read(project / "mine" / name, 4).cells[1].outputs
+    notebook = run_in_lab(NOTEBOOKS[0])
     notebook.cells[1].source += "\nmine = 1"
-    save(manager, f"notebooks/{name}", notebook)
+    save(manager, f"notebooks/{NOTEBOOKS[0].name}", notebook)
     changed = [line for line in git(project, "diff", "-U0").splitlines() if re.match(r"[+-](?![+-])", line)]
     assert [line.strip("+- ,") for line in changed][-1] == '"mine = 1"'
     assert len(changed) == 3  # the line before it has an end now
+
+
+def test_other_folders_keep_their_outputs(manager) -> None:
+    (Path(manager.root_dir) / "mine").mkdir()
+    save(manager, "mine/a.ipynb", run_in_lab(NOTEBOOKS[0]))
+    assert nbformat.read(Path(manager.root_dir) / "mine" / "a.ipynb", 4).cells[1].outputs

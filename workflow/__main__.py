@@ -4,22 +4,19 @@ Exit code 0: done; 1: a notebook failed, or a result differs; 2: bad input; 130:
 """
 
 import difflib
-import itertools
 import json
-import os
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from steelnb.errors import InputError, OutputError, SteelnbError
 from steelnb.results import find_root
-from workflow.experiments import BUDGETS, Part, make_parts, parse_parameters
+from workflow.experiments import BUDGETS, make_parts, parse_parameters
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
@@ -36,78 +33,51 @@ def reproduce(
     jobs: Jobs = 2,
 ) -> int:
     """Run the notebooks that are not up to date, and leave metrics, tables and figures in <output>/<id>/."""
+    from workflow.task_notebooks import cache_folder, write
+
     root, given = find_root(), parse_parameters(parameters)
     parts = make_parts(root, ids or [], budget, given)
-    folder = output_folder(root, budget, given, output)
-    return write(parts, folder, cache_folder(root, folder), root / ".cache", budget, jobs)
-
-
-def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget: str, jobs: int) -> int:
-    """Run what is out of date and write ``folder/<id>/``; say what was written and what failed. Gives the exit code."""
-    from workflow.task_notebooks import merge, run, write_overview
-
-    faults = run(parts, cache, arrays, jobs)
-    for id, some in itertools.groupby(parts, lambda part: part.id):
-        own = list(some)
-        labels = {part.label for part in own} & set(faults)
-        if not any(faults[label] for label in labels):
-            merge(own, cache, folder / id, budget)
-            if labels:
-                print(f"{os.path.relpath(folder / id)}/ written")
-    write_overview(find_root(), folder)
-    failures = [fault for fault in faults.values() if fault]
-    for fault in failures:
-        print("error:", " ".join(str(fault).split()), file=sys.stderr)
-    if not faults:
-        print("everything is up to date")
-    return 0 if not failures else 2 if all(isinstance(fault, InputError) for fault in failures) else 1
-
-
-def output_folder(root: Path, budget: str, given: Mapping[str, Any], output: Path | None) -> Path:
-    """The folder of the results ``<folder>/<id>/``. Raises `InputError` if a run with parameters of its own, or a smoke
-    run, would touch the full results, and `OutputError` if nothing can be written there."""
-    if output is None and given:
-        raise InputError(f"P={next(iter(given))}: parameters of your own want an output folder, OUT=folder")
     folder, full = (output or root / BUDGETS[budget]).resolve(), (root / BUDGETS["full"]).resolve()
     if (given or budget != "full") and folder.is_relative_to(full):
-        raise InputError(f"OUT={output}: expected a folder outside {full}, which holds the default results")
+        raise InputError(f"OUT={folder}: expected a folder outside {full}, which holds the default results")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as fault:
         raise OutputError(f"{folder}: cannot be written: {fault.strerror}") from None
-    return folder
-
-
-def cache_folder(root: Path, folder: Path) -> Path:
-    """Where the parts of the results in ``folder`` are kept."""
-    return root / ".cache" / "workflow" / os.path.relpath(folder, root).replace(os.sep, "~")
+    return write(parts, folder, cache_folder(root, folder), root / ".cache", budget, jobs)
 
 
 @app.command()
-def check(ids: Ids = None, budget: Budget = "full", jobs: Jobs = 2) -> int:
+def check(ids: Ids = None, jobs: Jobs = 2) -> int:
     """Run the notebooks again, from nothing, in .cache/check/, and compare metrics and tables with the last commit."""
+    from workflow.task_notebooks import write
+
     root = find_root()
-    parts, cache = make_parts(root, ids or [], budget), root / ".cache" / "check"
-    names = [f"{part.id}/{name}" for part in parts for name in ("metrics.json", "table.csv")]
-    before = {name: committed(root, f"{BUDGETS[budget]}/{name}") for name in names}
+    parts, cache = make_parts(root, ids or [], "full"), root / ".cache" / "check"
+    names = [
+        f"{id}/{name}" for id in dict.fromkeys(part.id for part in parts) for name in ("metrics.json", "table.csv")
+    ]
+    before = {name: committed(root, f"results/{name}") for name in names}
     shutil.rmtree(cache, ignore_errors=True)
-    if code := write(parts, cache / "results", cache, cache / "arrays", budget, jobs):
+    if code := write(parts, cache / "results", cache, cache / "arrays", "full", jobs):
         return code
-    now = {name: (cache / "results" / name).read_bytes() for name in before}
-    differ = [name for name in before if before[name] != now[name]]
-    for name in differ:
-        old, new = (each[name].decode().splitlines() for each in (before, now))
-        print(*difflib.unified_diff(old, new, f"{name}, committed", f"{name}, now", n=0, lineterm=""), sep="\n")
-    print(f"{len(differ)} of {len(before)} files of metrics and tables differ from the last commit")
-    return int(bool(differ))
+    differ = 0
+    for name, old in before.items():
+        new = (cache / "results" / name).read_text(encoding="utf-8")
+        differ += old != new
+        pair = old.splitlines(), new.splitlines()
+        for line in difflib.unified_diff(*pair, f"{name}, committed", f"{name}, now", n=0, lineterm=""):
+            print(line)
+    print(f"{differ} of {len(before)} files of metrics and tables differ from the last commit")
+    return int(differ > 0)
 
 
-def committed(root: Path, path: str) -> bytes:
+def committed(root: Path, path: str) -> str:
     """A file of the last commit; of the tree where there is no git. Raises `InputError`."""
-    shown = subprocess.run(["git", "show", f"HEAD:./{path}"], cwd=root, capture_output=True, check=False)
+    shown = subprocess.run(["git", "show", f"HEAD:./{path}"], cwd=root, capture_output=True, text=True, check=False)
     try:
-        return (root / path).read_bytes() if shown.returncode else shown.stdout
+        return (root / path).read_text(encoding="utf-8") if shown.returncode else shown.stdout
     except OSError:
         raise InputError(f"{path}: nothing to compare; run `make reproduce` first") from None
 
@@ -126,14 +96,15 @@ def digests(
     if short or full:
         print(json.dumps(found))
         return 0
-    old = of.read(root, of_others=write)
+    if write:
+        of.write(root, found)
+        return 0
+    old = of.read(root)
     differ = of.changed(old, found)
     for name in differ:
         print(f"changed: {name}: {old.get(name, 'missing')}, now {found.get(name, 'missing')}")
     print(f"{len(differ)} of {len(found)} digests changed")
-    if write:
-        of.write(root, found)
-    return 0 if write else int(bool(differ))
+    return int(bool(differ))
 
 
 @app.command()
@@ -148,6 +119,7 @@ def bits() -> int:
 def pages(budget: Budget = "smoke") -> int:
     """Write the notebooks as executed, and the script of Plotly, where Sphinx takes them from: docs/notebooks/."""
     from workflow.pages import write_pages
+    from workflow.task_notebooks import cache_folder
 
     root = find_root()
     for name in write_pages(make_parts(root, [], budget), cache_folder(root, root / BUDGETS[budget]), root / "docs"):

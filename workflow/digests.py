@@ -142,13 +142,13 @@ def made_with() -> dict[str, Any]:
     return {"settings": SETTINGS, "versions": {name: importlib.metadata.version(name) for name in PACKAGES}}
 
 
-def read(root: Path, of_others: bool = False) -> dict[str, str]:
-    """The committed digests. Raises `InputError` where there are none, or unless ``of_others``, where they were made
-    with other settings or versions."""
+def read(root: Path) -> dict[str, str]:
+    """The committed digests. Raises `InputError` where there are none, or where they were made with other settings or
+    versions."""
     with reading(root / PATH, f"digests, which `{WRITE}` writes"):
         found = json.loads((root / PATH).read_text(encoding="utf-8"))
         kept = dict(found.pop("digests"))
-    if found != made_with() and not of_others:
+    if found != made_with():
         raise InputError(f"{PATH}: made with {found}, here {made_with()}; `{WRITE}` writes it anew")
     return kept
 

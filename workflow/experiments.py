@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import nbformat
 from pydantic import Field
 
 from steelnb.cache import digest_sources
@@ -45,9 +46,9 @@ class Experiment(Settings):
 class Part:
     """One execution of a notebook, for one combination of the matrix; ``name`` is empty if it is the only one."""
 
-    root: Path
     id: str
     name: str
+    notebook: Path
     experiment: Experiment
     parameters: Mapping[str, Any]
 
@@ -55,14 +56,11 @@ class Part:
     def label(self) -> str:
         return f"{self.id}/{self.name}" if self.name else self.id
 
-    @property
-    def notebook(self) -> Path:
-        return self.root / "notebooks" / self.experiment.notebook
-
     def key(self) -> str:
         """All that the results depend on: cells without outputs, parameters, files, package and Python."""
-        files = {name: file_digest(self.root / name) for name in (*self.experiment.inputs, "environment.lock")}
-        cells = [(cell["cell_type"], cell["source"]) for cell in read_cells(self.notebook)]
+        root = self.notebook.parents[1]
+        files = {name: file_digest(root / name) for name in (*self.experiment.inputs, "environment.lock")}
+        cells = [(cell.cell_type, cell.source) for cell in nbformat.read(self.notebook, 4).cells]
         versions = [digest_sources(excluded=()), *platform.python_version_tuple()[:2]]
         return json.dumps([cells, self.parameters, files, versions], sort_keys=True)
 
@@ -72,18 +70,11 @@ def read_experiments(root: Path) -> dict[str, Experiment]:
     return read_tables(root / EXPERIMENTS_FILE, Experiment, "a TOML file of experiments")
 
 
-def read_cells(notebook: Path) -> list[dict[str, Any]]:
-    """The cells of a notebook file, the source of each as one text. Raises `InputError`."""
-    with reading(notebook, "a notebook"):
-        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
-        return [{**cell, "source": "".join(cell["source"])} for cell in cells]
-
-
 def read_parameters(notebook: Path) -> dict[str, Any]:
     """Names and defaults of the cell tagged ``parameters``, which must hold plain literals. Raises `InputError`."""
-    tagged = [cell["source"] for cell in read_cells(notebook) if "parameters" in cell["metadata"].get("tags", [])]
     with reading(notebook, f"a notebook with one cell 'parameters' of plain literals and {FOLDER} = \"\""):
-        (source,) = tagged
+        cells = nbformat.read(notebook, 4).cells
+        (source,) = (cell.source for cell in cells if "parameters" in cell.metadata.get("tags", []))
         defaults = literals(source)
         defaults.pop(FOLDER)
         return defaults
@@ -113,18 +104,15 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
     check_names("BUDGET", [budget], BUDGETS)
     check_names("ONLY", ids, experiments)
     chosen = ids or [id for id, each in experiments.items() if budget == "smoke" or not each.apart]
-    return [
-        part
-        for id, each in experiments.items()
-        if id in chosen
-        for part in _combine(root, id, each, getattr(each, budget), given or {})
-    ]
+    some = [(id, each, getattr(each, budget)) for id, each in experiments.items() if id in chosen]
+    return [part for id, each, usual in some for part in _combine(root, id, each, usual, given or {})]
 
 
 def _combine(
     root: Path, id: str, experiment: Experiment, usual: Mapping[str, Any], given: Mapping[str, Any]
 ) -> list[Part]:
-    defaults = read_parameters(root / "notebooks" / experiment.notebook)
+    notebook = root / "notebooks" / experiment.notebook
+    defaults = read_parameters(notebook)
     dotted = {name: value for name, value in given.items() if "." in name and "overrides" in defaults}
     plain = {name: value for name, value in given.items() if name not in dotted}
     axes = {name: values for name, values in experiment.matrix.items() if name not in plain}
@@ -138,5 +126,5 @@ def _combine(
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
         if name in parts:
             raise InputError(f"{EXPERIMENTS_FILE}: [{id}]: matrix: {name} twice; expected distinct values")
-        parts[name] = Part(root, id, name, experiment, values)
+        parts[name] = Part(id, name, notebook, experiment, values)
     return list(parts.values())

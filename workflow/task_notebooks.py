@@ -5,6 +5,7 @@ what each part has left in ``<id>/<part>/``: results are put together from there
 """
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
@@ -18,15 +19,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import nbformat
+import pandas as pd
+import papermill
 import psutil
 import pytask
+from nbclient import NotebookClient
 
 import steelnb.errors
 from steelnb.cache import CACHE_VARIABLE
 from steelnb.errors import InputError, SteelnbError
 from steelnb.files import new_folder
 from steelnb.parameters import FOLDER
-from steelnb.results import PROGRESS_VARIABLE, RESULTS, pictures, write_json
+from steelnb.results import PROGRESS_VARIABLE, RESULTS, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
 
 EXECUTED = "executed.ipynb"
@@ -40,6 +45,35 @@ OWN = dict.fromkeys(THREADS, "1") | {
 }  # fmt: skip
 """Variables of a kernel: one thread, and nothing of the user's own set-up."""
 BEGIN, END = "<!-- table -->", "<!-- /table -->"
+
+
+def cache_folder(root: Path, folder: Path) -> Path:
+    """Where the parts of the results in ``folder`` are kept."""
+    return root / ".cache" / "workflow" / os.path.relpath(folder, root).replace(os.sep, "~")
+
+
+def part_folder(cache: Path, part: Part) -> Path:
+    """Where the results of a part and its notebook as executed are kept."""
+    return cache / part.id / (part.name or "all")
+
+
+def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget: str, jobs: int) -> int:
+    """Run what is out of date and write ``folder/<id>/``; say what was written and what failed. Gives the exit code."""
+    faults = run(parts, cache, arrays, jobs)
+    for id, some in itertools.groupby(parts, lambda part: part.id):
+        own = list(some)
+        ran = [part.label for part in own if part.label in faults]
+        if not any(faults[label] for label in ran):
+            merge(own, cache, folder / id, budget)
+            if ran:
+                print(f"{os.path.relpath(folder / id)}/ written")
+    write_overview(find_root(), folder)
+    failures = [fault for fault in faults.values() if fault]
+    for fault in failures:
+        print("error:", " ".join(str(fault).split()), file=sys.stderr)
+    if not faults:
+        print("everything is up to date")
+    return 0 if not failures else 2 if all(isinstance(fault, InputError) for fault in failures) else 1
 
 
 def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict[str, BaseException | None]:
@@ -57,16 +91,9 @@ def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict
         session = pytask.build(tasks=tasks, config=config, capture="no", disable_warnings=True, **threads)
     if session.exit_code not in (pytask.ExitCode.OK, pytask.ExitCode.FAILED):
         raise RuntimeError(f"pytask: {session.exit_code}")
-    return {
-        report.task.name: report.exc_info and report.exc_info[1]
-        for report in session.execution_reports
-        if report.outcome in (pytask.TaskOutcome.SUCCESS, pytask.TaskOutcome.FAIL)
-    }
-
-
-def part_folder(cache: Path, part: Part) -> Path:
-    """Where the results of a part and its notebook as executed are kept."""
-    return cache / part.id / (part.name or "all")
+    ran = (pytask.TaskOutcome.SUCCESS, pytask.TaskOutcome.FAIL)
+    reports = [report for report in session.execution_reports if report.outcome in ran]
+    return {report.task.name: report.exc_info and report.exc_info[1] for report in reports}
 
 
 def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.TaskWithoutPath:
@@ -78,24 +105,19 @@ def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.Ta
 
     key, name = part.key(), part.label
     about = pytask.NodeInfo(arg_name="key", path=(), task_path=None, task_name=name, value=key)  # tells keys apart
-    left = {file: pytask.PathNode(path=folder / file) for file in (*REQUIRED, EXECUTED)}
     return pytask.TaskWithoutPath(
-        name=name, function=task, produces={"left": left},
+        name=name, function=task,
+        produces={"left": {file: pytask.PathNode(path=folder / file) for file in (*REQUIRED, EXECUTED)}},
         depends_on={"key": pytask.PythonNode(name=name, value=key, hash=True, node_info=about)},
         markers=[pytask.Mark("try_first", (), {})] if part.experiment.long else [],
     )  # fmt: skip
 
 
 def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
-    """Run the notebook of a part in ``scratch``, and rename what it left to ``target``.
+    """Run the notebook of a part in ``scratch``, and rename what it left to ``target``, a folder that pytask has made.
 
-    pytask has made the folder ``target``. Raises `InputError` where the notebook refused its input, else
-    `SteelnbError`, in one line that names the cell.
+    Raises `InputError` where the notebook refused its input, else `SteelnbError`, in one line that names the cell.
     """
-    import nbformat
-    import papermill
-    from nbclient import NotebookClient
-
     begin_s, output, progress = time.monotonic(), scratch / "output", scratch / "progress"
     output.mkdir(parents=True)
     progress.write_text("0%")
@@ -104,7 +126,7 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
     notebook = papermill.execute_notebook(
         nbformat.read(part.notebook, 4), None, given, prepare_only=True, kernel_name="python3", language="python"
     )
-    begun: list[int] = []  # the cell of the parameters comes on top, so that these count from one
+    begun = [0]  # the cell of the parameters comes on top, so that these count from one
     client = NotebookClient(
         notebook, timeout=None, kernel_name="python3", resources={"metadata": {"path": str(part.notebook.parent)}},
         on_cell_start=lambda cell, cell_index: begun.append(cell_index),
@@ -118,10 +140,10 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
         failed = f"{target}.failed.ipynb"
         nbformat.write(notebook, failed)
         name, message = getattr(fault, "ename", type(fault).__name__), getattr(fault, "evalue", str(fault))
-        where = f"{part.label}: {part.notebook.name}, cell {begun[-1] if begun else 0}"
-        text = " ".join(f"{where}: {name}: {message}".split())[:400] + f" (see {failed})"
+        text = " ".join(f"{part.label}: {part.notebook.name}, cell {begun[-1]}: {name}: {message}".split())
         _tell(f"{part.label}: failed")
-        raise (InputError if hasattr(steelnb.errors, name) else SteelnbError)(text) from None
+        raised = InputError if hasattr(steelnb.errors, name) else SteelnbError
+        raise raised(f"{text[:400]} (see {failed})") from None
     finally:
         progress.unlink()
     nbformat.write(notebook, output / EXECUTED)
@@ -136,34 +158,31 @@ def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None
     Tables are joined, the names of metrics prefixed ``<part>.``, those of figures and structures suffixed ``_<part>``;
     a part without a name leaves no trace.
     """
-    import pandas as pd
-
     metrics: dict[str, Any] = {}
     provenance: dict[str, Any] = {}
+    folders = {part.name: part_folder(cache, part) for part in parts}
     with new_folder(target, stale=RESULTS) as folder:
-        for part in parts:
-            kept, prefix, suffix = (
-                part_folder(cache, part),
-                part.name and f"{part.name}.",
-                part.name and f"_{part.name}",
-            )
+        for part, kept in folders.items():
             values = json.loads((kept / "metrics.json").read_text(encoding="utf-8"))
-            metrics |= {prefix + name: value for name, value in values.items()}
+            metrics |= {f"{part}.{name}" if part else name: value for name, value in values.items()}
             provenance[kept.name] = json.loads((kept / "provenance.json").read_text(encoding="utf-8"))
             for path in pictures(kept):
-                shutil.copyfile(path, folder / path.with_stem(path.stem + suffix).name)
+                shutil.copyfile(path, folder / (f"{path.stem}_{part}{path.suffix}" if part else path.name))
         for name in ("table.csv", "timing.csv"):
-            tables = [path for part in parts if (path := part_folder(cache, part) / name).is_file()]
+            tables = [kept / name for kept in folders.values() if (kept / name).is_file()]
             if tables:  # the text of the cells is kept
                 joined = pd.concat([pd.read_csv(table, dtype=str, keep_default_na=False) for table in tables])
                 joined.to_csv(folder / name, index=False, lineterminator="\n")
-        about = {"experiment": parts[0].id, "notebook": parts[0].experiment.notebook, "budget": budget}
+        about = {"experiment": parts[0].id, "notebook": parts[0].notebook.name, "budget": budget}
         write_json(folder / "metrics.json", metrics)
         write_json(folder / "provenance.json", {**about, "parts": provenance})
 
 
 def write_overview(root: Path, folder: Path) -> None:
     """Write a row for each experiment that has results below ``folder`` between the marks of its README.md, if any."""
+    readme = folder / "README.md"
+    if not readme.is_file():
+        return
     rows = ["| Experiment | Notebook | Figures | Numbers |", "|---|---|---|---|"]
     for id, each in read_experiments(root).items():
         if (folder / id / "metrics.json").is_file():
@@ -172,11 +191,9 @@ def write_overview(root: Path, folder: Path) -> None:
             title = f"**{each.title}.** {each.about}" + f" The report's figures: {each.figures}." * bool(each.figures)
             notebook = f"[{each.notebook[:2]}](../notebooks/{each.notebook})"
             rows.append(f"| {title} | {notebook} | {shown} | [metrics]({id}/metrics.json), [table]({id}/table.csv) |")
-    readme = folder / "README.md"
-    if readme.is_file():
-        before, _, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
-        text = "\n".join([before + BEGIN, "", *rows, "", END + rest.partition(END)[2]])
-        readme.write_text(text, encoding="utf-8")
+    before, _, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
+    text = "\n".join([before + BEGIN, "", *rows, "", END + rest.partition(END)[2]])
+    readme.write_text(text, encoding="utf-8")
 
 
 @contextlib.contextmanager
@@ -194,8 +211,7 @@ def stopped(scratch: str) -> Iterator[None]:
         _tell("interrupted; nothing is half-written, and the next call goes on from here")
         os._exit(INTERRUPTED)
 
-    main = threading.current_thread() is threading.main_thread()
-    kept = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM) if main}
+    kept = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
@@ -211,12 +227,8 @@ def telling(scratch: Path) -> Iterator[None]:
     def tell() -> None:
         while not ended.wait(LINE_PERIOD_S):
             with contextlib.suppress(OSError):  # one has just ended
-                _tell(
-                    ", ".join(
-                        f"{path.parent.name.replace('~', '/')}: {path.read_text()}"
-                        for path in scratch.glob("*/progress")
-                    )
-                )
+                running = scratch.glob("*/progress")
+                _tell(", ".join(f"{path.parent.name.replace('~', '/')}: {path.read_text()}" for path in running))
 
     threading.Thread(target=tell, daemon=True).start()
     try:

@@ -1,4 +1,4 @@
-"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change, save."""
+"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change."""
 
 import os
 import shutil
@@ -73,7 +73,7 @@ def page(chromium: Browser, lab: str) -> Iterator[Page]:
         yield context.new_page()
 
 
-def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: Page, lab: str, tmp_path: Path) -> None:
+def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: Page, lab: str) -> None:
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(f"{lab}/lab/tree/notebooks/00_explore.ipynb?reset")
@@ -102,16 +102,5 @@ def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: P
     assert not np.allclose(after, before, atol=1e-6)
     assert sentence.inner_text() != text
     assert page.locator(DRAWN).count() > 0
-
-    copy, source = tmp_path / "notebooks" / "00_explore.ipynb", ROOT / "notebooks" / "00_explore.ipynb"
-    before_ns = copy.stat().st_mtime_ns
-    page.keyboard.press("Control+s")
-    for _ in range(300):  # the file is written in place
-        if copy.stat().st_mtime_ns != before_ns and copy.read_bytes() == source.read_bytes():
-            break
-        page.wait_for_timeout(100)
-    assert copy.stat().st_mtime_ns != before_ns, "nothing was saved"
-    assert copy.read_bytes() == source.read_bytes()
-    assert page.locator(DRAWN).count() > 0, "the picture stays"
     assert page.locator(".jp-Dialog").count() == 0
     assert errors == []
