@@ -39,7 +39,7 @@ def directions(granularity: int) -> Array:
             edges = [frozenset(edge) for edge in ((a, b), (b, c), (c, a))]
             for edge in (edge for edge in edges if edge not in middle):
                 middle[edge] = len(vertices)
-                x, y, z = total = sum(vertices[i] for i in edge)
+                x, y, z = total = np.sum([vertices[i] for i in edge], axis=0)
                 vertices.append(total / np.sqrt(x * x + y * y + z * z))
             d, e, f = (middle[edge] for edge in edges)
             finer += [(a, d, f), (d, b, e), (f, e, c), (f, d, e)]

@@ -9,6 +9,8 @@ from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 from steelnb.types import Array, IntArray
 
+UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+"""Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
 NEIGHBOURS = 20
 """Default number of points of a covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3

@@ -20,7 +20,7 @@ class VoxelMap:
             raise InputError(f"voxel_m = {voxel_m}: expected a positive length in metres")
         self.voxel_m, self.accumulate = float(voxel_m), accumulate
         self._key = np.zeros(1 << 12, dtype=np.int64)
-        self._table = kernels.hash_table(self._key[:0], 1 << 13)
+        self._table: tuple[IntArray, IntArray] = kernels.hash_table(self._key[:0], 1 << 13)
         self._moment = np.zeros((1 << 12, 10))  # see `points.moments`; the origin is the voxel's corner
         self._mean = np.zeros((1 << 12, 3))
         self._last_mark = np.zeros(1 << 12, dtype=np.int64)

@@ -103,7 +103,7 @@ def setting_names(kind: type[Settings]) -> list[str]:
     """The names of all single settings; those of a table are prefixed by the table's name."""
     names = []
     for name, field in kind.model_fields.items():
-        inner = field.annotation
+        inner: Any = field.annotation
         is_table = isinstance(inner, type) and issubclass(inner, Settings)
         names += [f"{name}.{each}" for each in setting_names(inner)] if is_table else [name]
     return names

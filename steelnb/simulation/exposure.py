@@ -137,8 +137,11 @@ def expose(
     with np.errstate(invalid="ignore"):  # ranges are infinite without light
         wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + faults.phase_rad)
     measured = np.where(np.isfinite(mixed), (1 + faults.scale_error) * mixed + faults.offset_m + wiggle, np.inf)
-    images = measured.astype(np.float32), equivalent.astype(np.float32), hit.range_m[MIDDLE], hit.member[MIDDLE]
-    return Exposure(*(image.reshape(settings.rows, settings.columns) for image in images))
+    shape = settings.rows, settings.columns
+    return Exposure(
+        measured.astype(np.float32).reshape(shape), equivalent.astype(np.float32).reshape(shape),
+        hit.range_m[MIDDLE].reshape(shape), hit.member[MIDDLE].reshape(shape),
+    )  # fmt: skip
 
 
 def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator) -> Floats:

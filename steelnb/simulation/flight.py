@@ -71,12 +71,11 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
         acceleration, yaws = np.zeros_like(target), [heading(settings, *target[0, :2])]
     planned = [each[:, :3].tolist() for each in (target, velocity, acceleration)]
 
-    def reference(step: int, position: Vector, _: Vector) -> Any:
+    def along_path(step: int, position: Vector, _: Vector) -> Any:
         yaw = yaws[step] if settings.waypoints else heading(settings, position[0], position[1])
         return *(each[step] for each in planned), yaw
 
-    if pilot is not None:
-        reference = _as_commanded(pilot, yaws[0], state, imu)
+    reference = along_path if pilot is None else _as_commanded(pilot, yaws[0], state, imu)
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = _make_world(pybullet, client, tower, planned[0][0], yaws[0])

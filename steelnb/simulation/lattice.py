@@ -8,7 +8,7 @@ and the two adjacent ones. A ``triangle`` is a plate with three corners.
 import csv
 import math
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -71,7 +71,8 @@ def leg_half_width(members: str, z: float) -> float:
 
 def read_members(members: str) -> MemberList:
     """Read the list of members of a preset or of a file ``FILE.csv``. Raises `InputError`."""
-    path, kinds, ends, plates = members_file(members), [], [], []
+    path, ends, plates = members_file(members), [], []
+    kinds: list[Any] = []
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
         rows = [(k, row) for k, row in enumerate(reader, 1) if row]
