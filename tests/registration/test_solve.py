@@ -117,7 +117,8 @@ def test_a_step_that_raises_the_loss_of_the_same_pairs_is_rejected(monkeypatch):
 
     def worse(linearise, source, target, limit, T, now, T_best, best, match):
         answer = really_worse(linearise, source, target, limit, T, now, T_best, best, match)
-        if now.loss > best.loss and now.loss * best.inliers > best.loss * now.inliers:
+        rose = now.loss > best.loss and now.loss * best.inliers > best.loss * now.inliers
+        if rose or now.inliers < 0.9 * best.inliers:
             before, after = (loss_of_pairs(here, target, match, T_best, pose, limit) for pose in (T_best, T))
             decisions.append((answer, after > before))
         return answer
@@ -148,7 +149,7 @@ def test_directions_that_a_floor_does_not_constrain_keep_the_start_or_follow_a_p
     result = align(floor, make_target(floor, "plane"), "plane", np.eye(6), start, 2.0, terms=terms)
     before, after = (transformed(floor.mean(axis=0)[None], T)[0] for T in (start, result.T_target_source))
     np.testing.assert_allclose(after[:2], before[:2], atol=2e-3 if known else 1e-6)
-    assert abs(after[2]) < (2e-3 if known else 1e-6) < 0.04 < abs(before[2])
+    assert abs(after[2]) < (2e-3 if known else 1e-6) < (0.5 if known else 0.04) < abs(before[2])
 
 
 @pytest.mark.filterwarnings("error")
