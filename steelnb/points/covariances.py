@@ -11,6 +11,8 @@ from steelnb.types import Array, IntArray
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 """Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
+FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Row and column → place in that order."""
 NEIGHBOURS = 20
 """Default number of points of a covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3

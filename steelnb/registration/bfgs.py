@@ -10,8 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.points.covariances import UPPER
-from steelnb.registration.normal_equations import FULL
+from steelnb.points.covariances import FULL, UPPER
 
 STEPS_MAX = 20
 GRADIENT_MAX = 1e-2
