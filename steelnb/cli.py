@@ -113,7 +113,7 @@ def run(
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
         from steelnb.recording import opened_lines, run_recording
-        from steelnb.recording_settings import Scene, recording_settings, settings_line
+        from steelnb.recording_settings import Scene, recording_settings, settings_line, voxel_warning
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}
@@ -125,12 +125,12 @@ def run(
         other = (estimate.name, read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
-        true = read_truth(recording, truth=truth)
-        settings, structure = recording_settings(scene=Scene.of(flight), **options)
+        true, scene = read_truth(recording, truth=truth), Scene.of(flight)
+        settings, structure = recording_settings(scene=scene, **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
         report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)
     print("\n".join(report.summary))
-    _warn(*report.warnings)
+    _warn(*voxel_warning(settings, scene), *report.warnings)
 
 
 @app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")

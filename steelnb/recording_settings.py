@@ -18,6 +18,8 @@ SCALE_MIN = 1.25
 """A scene up to this many times as large as that of the preset's sensor is one for the preset."""
 POINTS_MIN = 1000
 """Voxels are not made coarser than leaves so many points of the first scan."""
+REGISTERED_MIN = 100
+"""Scans with fewer points are not registered."""
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """Where more points than this share lie so far below the world's zero, that is not the ground."""
@@ -118,3 +120,12 @@ def settings_line(settings: ExperimentSettings) -> str:
     seen = settings.odometry.preprocess
     floor = f"floor at {seen.floor_m:g} m" if seen.floor_m > NO_FLOOR_M else "no floor"
     return f"settings  range {seen.crop_m:g} m, {floor}, voxels of {seen.voxel_leaf_m:g} m"
+
+
+def voxel_warning(settings: ExperimentSettings, scene: Scene) -> tuple[str, ...]:
+    """A line if voxels leave too few points of a scan to register it, else nothing."""
+    leaf_m, seen = settings.odometry.preprocess.voxel_leaf_m, len(scene.points)
+    left = len(voxel_grid(scene.points, leaf_m))
+    if left >= min(REGISTERED_MIN, seen):
+        return ()
+    return (f"voxels of {leaf_m:g} m leave {left} of the {seen} points of a scan; expected {REGISTERED_MIN}",)

@@ -160,7 +160,9 @@ def test_an_odometry_of_ones_own_is_run(here: Path, tmp_path: Path, name: str, c
 def test_what_makes_a_run_worthless_is_a_warning(here: Path, tmp_path: Path, capsys) -> None:
     leaf = ["--set", "preprocess.voxel_leaf_m=50"]
     assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "coarse"), *leaf]) == 0
-    assert "steelnb: warning: no scan corrected a pose" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "steelnb: warning: voxels of 50 m leave " in said
+    assert "steelnb: warning: no scan corrected a pose" in said
     assert cli.main(["run", "a.mcap", "-o", str(tmp_path / "high"), "--set", "preprocess.floor_m=100"]) == 0
     assert "steelnb: warning: the map has no points" in capsys.readouterr().err
     assert cli.main(["segment", "tower.ply", "-o", str(tmp_path / "bars"), "--voxel", "5"]) == 0
