@@ -45,6 +45,11 @@ class Run(NamedTuple):
         values = {**case_of(self.settings), "duration_s": self.settings.flight.duration_s, "variant": self.variant}
         return {name: values[name] for name in CASE}
 
+    @property
+    def key(self) -> str:
+        """The same for equal variants and settings."""
+        return hashlib.sha256(f"{self.variant} {self.settings.model_dump_json()}".encode()).hexdigest()[:32]
+
 
 class Grid(Settings):
     """Values to combine; one table of a study's file.
@@ -101,7 +106,7 @@ def read_grids(path: Path) -> list[Run]:
             runs += each.runs()
         except InputError as fault:
             raise InputError(f"{path}: [{name}]: {fault}") from None
-    return list(dict.fromkeys(runs))
+    return list({run.key: run for run in runs}.values())
 
 
 def run_all(
@@ -149,8 +154,7 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
     flown, rows = cache(partial(experiment.simulate, runs[0].settings)), []
     for run in runs:
         settings, text = run.settings, run.settings.model_dump_json()
-        key = hashlib.sha256(f"{run.variant} {text}".encode()).hexdigest()[:32]
-        named = {**run.case, "key": key, "status": "ok", "error": ""}
+        named = {**run.case, "key": run.key, "status": "ok", "error": ""}
         try:
             row = cached(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
         except Exception:
