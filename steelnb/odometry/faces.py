@@ -138,11 +138,10 @@ class FaceOdometry(CloudOdometry):
 
     def _start_adjustment(self) -> None:
         """Start an adjustment of the keyframes in a thread, once in `REFIT_S`."""
-        period_s = REFIT_S
-        self._refit_s = min(self._refit_s, self._stamp_s + period_s)
+        self._refit_s = min(self._refit_s, self._stamp_s + REFIT_S)
         if self._stamp_s < self._refit_s - 1e-6:
             return
-        self._refit_s, self._adopt_s = self._stamp_s + period_s, self._stamp_s + min(ADOPT_S, period_s)
+        self._refit_s, self._adopt_s = self._stamp_s + REFIT_S, self._stamp_s + min(ADOPT_S, REFIT_S)
         self._adjusted_from = self.keyframes.T_world_sensor[-1]
         pool = ThreadPoolExecutor(1)
         self._adjustment = pool.submit(self.keyframes.adjust)

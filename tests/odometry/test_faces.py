@@ -19,16 +19,21 @@ from tests.fusion.made import around, small_tower
 REFIT_S = 4.0
 
 
+@pytest.fixture(scope="module", autouse=True)
+def often():
+    """Keyframes are adjusted more often, since flights are short."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(faces, "REFIT_S", REFIT_S)
+        yield
+
+
 @pytest.fixture(scope="module")
 def world():
     """A flight of 30 s, corrected with keyframes adjusted every few seconds."""
     settings = ExperimentSettings.preset("loops", "random-walk+yaw-random-walk", "faces", seed=11, duration_s=30.0)
     flight, truth = experiment.simulate(settings)
     estimator = make_odometry(settings.odometry, flight.T_drone_sensor)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(faces, "REFIT_S", REFIT_S)
-        found = odometry.run(flight, estimator)
-    return flight, truth, estimator, found
+    return flight, truth, estimator, odometry.run(flight, estimator)
 
 
 def moved(flight: Flight, T: np.ndarray) -> Flight:
