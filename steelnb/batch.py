@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,16 @@ REPORT_CURVES = Path("notebooks", "report-curves.csv")
 """The curves of the report's plots, read off its PDF, below the root of the project."""
 
 
+@cache
+def _report_curves() -> pd.DataFrame:
+    return pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
+
+
 def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
     """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` of one of the report's plots,
     without the samples of an earlier run and those later than ``until_s``."""
     named = {"figure": plot.figure, "trajectory": plot.trajectory, "method": plot.method, "curve": curve}
-    rows = pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
+    rows = _report_curves()
     rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1) & (rows["step"] >= plot.earlier_samples)]
     time_s, error_m = plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
     return time_s[time_s <= until_s], error_m[time_s <= until_s]

@@ -70,11 +70,13 @@ class Claim(Settings):
 
     def verdict(self, low: float, high: float) -> str:
         """`HOLDS` if all of an interval is as claimed, `FAILS` if no part of it is, else `OPEN`."""
-        above = self.threshold[0] if self.comparison != "below" else -np.inf
-        below = self.threshold[-1] if self.comparison != "above" else np.inf
-        if above < low and high < below:
-            return HOLDS
-        return FAILS if high < above or below < low else OPEN
+        first, last = self.threshold[0], self.threshold[-1]
+        if self.comparison == "between":
+            inside, outside = first <= low and high <= last, high < first or last < low
+        else:
+            under, over = high < first, low > first
+            inside, outside = (under, over) if self.comparison == "below" else (over, under)
+        return HOLDS if inside else FAILS if outside else OPEN
 
     @property
     def measure(self) -> str:

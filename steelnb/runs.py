@@ -47,7 +47,7 @@ class Run(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The same for equal variants and settings."""
+        """Identifies the run: a hash of its variant and its settings."""
         return hashlib.sha256(f"{self.variant} {self.settings.model_dump_json()}".encode()).hexdigest()[:32]
 
 

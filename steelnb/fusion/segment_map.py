@@ -13,7 +13,8 @@ from steelnb.settings import FusionSettings
 from steelnb.types import Array, IntArray, Segments
 
 SIGHTINGS_MIN, FORGET_FRAMES = 5, 50
-"""A bar counts from the fifth sighting on, a second of flight; with fewer, it is dropped after ten seconds without."""
+"""A bar counts from its fifth sighting on, after a second of flight. One with fewer is dropped after ten seconds out of
+sight."""
 GAP_MAX_M = 0.2
 """Maximum gap along the axis between a segment and its bar."""
 

@@ -1,6 +1,7 @@
 """The interface of every odometry, and what those of this package share."""
 
 import time
+from abc import ABC, abstractmethod
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -42,7 +43,7 @@ class Stopwatch:
         self._last_s = now_s
 
 
-class BaseOdometry:
+class BaseOdometry(ABC):
     """An odometry of this package, which may build a map.
 
     Parameters
@@ -78,8 +79,9 @@ class BaseOdometry:
             reason = nothing_near(scan, self.settings.preprocess.crop_m) or reason
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds, unobserved)
 
+    @abstractmethod
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
-        raise NotImplementedError
+        """Correct the pose at one scan, and end each stage with a lap of the ``watch``."""
 
     def map_points(self) -> Array:
         """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""

@@ -45,7 +45,7 @@ class State(NamedTuple):
 class InertialPrediction:
     """Predicts the pose of each scan from the readings of an ``imu``; ``noise`` is that of its data sheet.
 
-    It stands in the place of a `prediction.Prediction`.
+    It has the same methods as `prediction.Prediction`.
     """
 
     known = tilted = True

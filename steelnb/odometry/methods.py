@@ -43,6 +43,8 @@ ODOMETRIES: dict[str, type[BaseOdometry]] = {
     "report_segments": ReportSegmentOdometry,
 }
 """Family of settings → its odometry."""
+GIVEN = ("T_drone_sensor", "imu", "images")
+"""Parts of a flight that the constructor of an odometry, also of the user's, may ask for by these names."""
 
 
 def make_odometry(
@@ -68,7 +70,7 @@ def correct(
     """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
-    evenly over the scans. ``on_step`` as for `run`. ``own`` is a class in place of the settings' odometry
+    evenly over the scans. ``on_step`` as for `run`. ``own`` is a class that replaces the odometry of the settings
     (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU have other
     units or axes.
     """
@@ -87,10 +89,6 @@ def correct(
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})
 
 
-GIVEN = ("T_drone_sensor", "imu", "images")
-"""Parts of a flight that the constructor of a user's class may ask for by these names."""
-
-
 def load_odometry(name: str) -> Callable[..., Odometry]:
     """The class that ``MODULE:CLASS`` names, of a module that is installed or lies in the working directory.
 
@@ -101,7 +99,7 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
     sys.path.insert(0, str(Path.cwd()))
     try:
         module = importlib.import_module(module_name)
-    except Exception as fault:
+    except Exception as fault:  # the user's module may raise anything
         raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault}") from None
     finally:
         sys.path.pop(0)

@@ -197,7 +197,7 @@ def worse(
 ) -> bool:  # fmt: skip
     """Whether the pairs of the best pose have a higher loss at T, where new pairs alone may raise it, too.
 
-    They are asked only if the total and the mean loss rose, or a tenth of the pairs was lost.
+    This is checked only if the total and the mean loss rose, or if a tenth of the pairs was lost.
     """
     rose = here.loss > best.loss and here.loss * best.inliers > best.loss * here.inliers
     if not rose and here.inliers >= 0.9 * best.inliers:
