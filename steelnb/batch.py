@@ -130,12 +130,6 @@ def run_all(
     return [results[k] for k in range(len(cases))]
 
 
-def seeds_text(seeds: Iterable[rng.Seed]) -> str:
-    """The only one of some seeds, or their number."""
-    different = set(seeds)
-    return f"seed {different.pop()}" if len(different) == 1 else f"{len(different)} seeds"
-
-
 def map_kind(settings: ExperimentSettings) -> str:
     """The map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which forgets), or
     ``bars``."""
@@ -226,9 +220,12 @@ def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
     )
 
 
-def flat(rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | None = None) -> dict[str, float]:
-    """The finite numbers of a table in one flat map ``<values of by>.<column>``, named by its index without ``by``."""
+def flat(
+    rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | None = None, prefix: str = ""
+) -> dict[str, float]:
+    """The finite numbers of a table in one flat map ``<prefix><values of by>.<column>``, named by its index without
+    ``by``."""
     keys = rows[list(by)].astype(str).agg(".".join, axis=1) if by and len(rows) else rows.index.astype(str)
     wanted = [name for name in rows if name not in by] if columns is None else columns
-    named = {f"{key}.{name}": rows[name].iloc[k] for k, key in enumerate(keys) for name in wanted}
+    named = {f"{prefix}{key}.{name}": rows[name].iloc[k] for k, key in enumerate(keys) for name in wanted}
     return {name: float(value) for name, value in named.items() if np.isfinite(value)}

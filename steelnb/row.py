@@ -62,7 +62,7 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
     cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
     rotation_error_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     try:
-        bend_deg = bend(*paired_clouds(flight, result)).bend_deg
+        bend_deg = bend(*paired_clouds(flight, result))["bend_deg"]
     except ValueError:  # too few points to fit
         bend_deg = np.nan
 

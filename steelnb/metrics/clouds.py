@@ -1,74 +1,25 @@
 """Bend of a cloud built at estimated poses, basin of convergence of a registration, and slips of an odometry."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion.poses import yaw_of
-from steelnb.types import Array, IntArray
+from steelnb.types import Array
 
 
-@dataclass(frozen=True)
-class Bend:
-    """Rigid motion from the true to the built cloud in each of S horizontal slices.
-
-    ``height_m (S,)`` of the middles of the slices; ``T_built_true (S, 4, 4)``; ``blur_m (S,)``: root mean square
-    residual of that motion, which doubled surfaces raise; ``count (S,)`` points.
-    """
-
-    height_m: Array
-    T_built_true: Array
-    blur_m: Array
-    count: IntArray
-
-    @property
-    def tilt_deg(self) -> Array:
-        """Angle ``(S,)`` between the vertical of the built and of the true cloud."""
-        up = self.T_built_true[:, :3, 2]
-        return np.asarray(np.degrees(np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])))
-
-    @property
-    def yaw_deg(self) -> Array:
-        """Rotation ``(S,)`` about the vertical, anticlockwise from above."""
-        return np.degrees(yaw_of(self.T_built_true[:, :3, :3]))
-
-    @property
-    def bend_deg(self) -> float:
-        """Angle of the rotation from the lowest slice to the highest."""
-        rotation = self.T_built_true[-1, :3, :3] @ self.T_built_true[0, :3, :3].T
-        return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
-
-    def offset_m(self, axis: Array) -> Array:
-        """Displacement ``(S, 3)``, metres, of the vertical through ``axis (2,)`` at the height of each slice."""
-        axis_points = np.column_stack([np.tile(axis, (len(self.height_m), 1)), self.height_m])
-        displaced = np.einsum("sij,sj->si", self.T_built_true[:, :3, :3], axis_points) + self.T_built_true[:, :3, 3]
-        return np.asarray(displaced - axis_points)
-
-    def slices(self, axis: Array) -> dict[str, Array]:
-        """Columns of a table with a row a slice: height, tilt, yaw, the length of `offset_m`, and blur."""
-        offset_m = np.linalg.norm(self.offset_m(axis), axis=1)
-        return {
-            "height_m": self.height_m, "tilt_deg": self.tilt_deg, "yaw_deg": self.yaw_deg, "offset_m": offset_m,
-            "blur_m": self.blur_m,
-        }  # fmt: skip
-
-    def metrics(self, axis: Array) -> dict[str, float]:
-        """``bend_deg``, the maximum tilt, yaw and offset of a slice, and the mean blur."""
-        most = {name: float(np.abs(values).max()) for name, values in self.slices(axis).items()}
-        blur_m = float(np.average(self.blur_m, weights=self.count))
-        return {
-            "bend_deg": self.bend_deg, "tilt_max_deg": most["tilt_deg"], "yaw_max_deg": most["yaw_deg"],
-            "offset_max_m": most["offset_m"], "blur_mean_m": blur_m,
-        }  # fmt: skip
-
-
-def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200) -> Bend:
-    """Fit a rigid motion (Kabsch 1976) to each horizontal slice of two clouds ``(N, 3)``, metres, world frame.
+def bend(
+    built: Array, true: Array, axis: tuple[float, float] = (0.0, 0.0), slice_m: float = 1.0, points_min: int = 200
+) -> dict[str, float]:
+    """How a cloud is bent: a rigid motion (Kabsch 1976) fitted to each horizontal slice of two clouds ``(N, 3)``, from
+    the true to the built one, metres, world frame.
 
     Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m``
     start at true height zero. Those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
     remains, or if the shapes differ.
+
+    ``bend_deg``: the angle between the rotations of the lowest and the highest slice. Of the slice where it is largest:
+    ``tilt_max_deg`` of the vertical, ``yaw_max_deg``, and ``offset_max_m``, the displacement of the vertical through
+    ``axis``. ``blur_mean_m``: mean over the points of the root mean square residual, which doubled surfaces raise.
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
@@ -77,8 +28,19 @@ def bend(built: Array, true: Array, slice_m: float = 1.0, points_min: int = 200)
     levels, counts = levels[counts >= points_min], counts[counts >= points_min]
     if not len(levels):
         raise ValueError(f"no slice of {slice_m} m has {points_min} points")
-    fits = [_rigid_fit(true[level == each], built[level == each]) for each in levels]
-    return Bend((levels + 0.5) * slice_m, np.array([T for T, _ in fits]), np.array([blur for _, blur in fits]), counts)
+    motions, blur_m = zip(*(_rigid_fit(true[level == each], built[level == each]) for each in levels), strict=True)
+    T = np.array(motions)
+    up = T[:, :3, 2]
+    upright = np.column_stack([np.tile(axis, (len(levels), 1)), (levels + 0.5) * slice_m])
+    offset = np.einsum("sij,sj->si", T[:, :3, :3], upright) + T[:, :3, 3] - upright
+    between = Rotation.from_matrix(T[-1, :3, :3] @ T[0, :3, :3].T)
+    return {
+        "bend_deg": float(np.degrees(between.magnitude())),
+        "tilt_max_deg": float(np.degrees(np.arctan2(np.linalg.norm(up[:, :2], axis=1), up[:, 2])).max()),
+        "yaw_max_deg": float(np.abs(np.degrees(yaw_of(T[:, :3, :3]))).max()),
+        "offset_max_m": float(np.linalg.norm(offset, axis=1).max()),
+        "blur_mean_m": float(np.average(blur_m, weights=counts)),
+    }
 
 
 def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:

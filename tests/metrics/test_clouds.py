@@ -19,36 +19,26 @@ def transformed(points, axis, degrees, offset):
 
 
 def test_a_tilt_is_equal_in_all_slices_and_shifts_the_top(tower):
-    fit = bend(transformed(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3]), tower)
-    assert fit.tilt_deg == pytest.approx(np.full(10, 2.0))
-    assert fit.yaw_deg == pytest.approx(np.zeros(10), abs=1e-9)
-    assert fit.bend_deg == pytest.approx(0, abs=1e-5)
-    height = fit.height_m
-    expected = np.column_stack(
-        [
-            height * np.sin(np.radians(2)) + 0.1,
-            np.full(10, -0.2),
-            height * (np.cos(np.radians(2)) - 1) + 0.3,
-        ]
-    )
-    assert fit.offset_m(np.zeros(2)) == pytest.approx(expected, abs=1e-12)
+    numbers = bend(transformed(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3]), tower)
+    angle, height = np.radians(2), 9.5  # of the middle of the highest slice
+    shift = [height * np.sin(angle) + 0.1, -0.2, height * (np.cos(angle) - 1) + 0.3]
+    assert numbers["tilt_max_deg"] == pytest.approx(2.0)
+    assert numbers["offset_max_m"] == pytest.approx(np.linalg.norm(shift))
+    assert [numbers[name] for name in ("yaw_max_deg", "bend_deg", "blur_mean_m")] == pytest.approx([0] * 3, abs=1e-5)
 
 
 def test_yaw_is_no_tilt_and_does_not_move_the_axis(tower):
-    fit = bend(transformed(tower, [0, 0, 1], -7.0, [0, 0, 0]), tower)
-    assert fit.yaw_deg == pytest.approx(np.full(10, -7.0))
-    assert fit.tilt_deg == pytest.approx(np.zeros(10), abs=1e-5)
-    assert fit.offset_m(np.zeros(2)) == pytest.approx(0, abs=1e-12)
-    assert np.linalg.norm(fit.offset_m(np.array([1.0, 0.0])), axis=1) == pytest.approx(2 * np.sin(np.radians(3.5)))
+    built = transformed(tower, [0, 0, 1], -7.0, [0, 0, 0])
+    numbers = bend(built, tower)
+    assert numbers["yaw_max_deg"] == pytest.approx(7.0)
+    assert [numbers[name] for name in ("tilt_max_deg", "offset_max_m")] == pytest.approx([0, 0], abs=1e-5)
+    assert bend(built, tower, axis=(1.0, 0.0))["offset_max_m"] == pytest.approx(2 * np.sin(np.radians(3.5)))
 
 
 def test_the_bend_is_the_rotation_between_the_lowest_and_highest_slice(tower):
     angle = np.radians(0.5 * np.floor(tower[:, 2]))  # half a degree more with every slice
-    built = Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0])).apply(tower)
-    fit = bend(built, tower)
-    assert fit.tilt_deg == pytest.approx(0.5 * np.arange(10), abs=1e-5)
-    assert fit.bend_deg == pytest.approx(4.5)
-    numbers = fit.metrics(np.zeros(2))
+    numbers = bend(Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0])).apply(tower), tower)
+    assert numbers["bend_deg"] == pytest.approx(4.5)
     assert numbers["tilt_max_deg"] == pytest.approx(4.5)
     assert numbers["offset_max_m"] == pytest.approx(2 * 9.5 * np.sin(np.radians(2.25)))
 
@@ -56,16 +46,16 @@ def test_the_bend_is_the_rotation_between_the_lowest_and_highest_slice(tower):
 def test_doubled_surfaces_are_blur_and_no_bend(tower):
     doubled = np.concatenate([tower, tower])
     side = np.repeat([[0.1, 0, 0], [-0.1, 0, 0]], len(tower), axis=0)
-    fit = bend(doubled + side, doubled)
-    assert fit.blur_m == pytest.approx(np.full(10, 0.1), rel=1e-6)
-    assert fit.tilt_deg.max() < 1e-4
-    assert fit.offset_m(np.zeros(2)) == pytest.approx(0, abs=1e-6)
+    numbers = bend(doubled + side, doubled)
+    assert numbers["blur_mean_m"] == pytest.approx(0.1, rel=1e-6)
+    assert [numbers[name] for name in ("tilt_max_deg", "offset_max_m")] == pytest.approx([0, 0], abs=1e-4)
 
 
 def test_slices_of_few_points_are_dropped_and_no_slice_is_an_error(tower):
-    points = np.concatenate([tower[tower[:, 2] < 5], tower[tower[:, 2] > 9][:10]])
-    fit = bend(points, points)
-    assert fit.height_m == pytest.approx(np.arange(5) + 0.5)
+    few = tower[tower[:, 2] > 9][:10]
+    points = np.concatenate([tower[tower[:, 2] < 5], few])
+    built = np.concatenate([tower[tower[:, 2] < 5], few + 1.0])
+    assert bend(built, points)["offset_max_m"] == pytest.approx(0, abs=1e-9)
     with pytest.raises(ValueError, match="no slice of"):
         bend(points[:50], points[:50])
     with pytest.raises(ValueError, match="expected pairs"):
