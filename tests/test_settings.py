@@ -30,6 +30,7 @@ from steelnb.simulation.tof import scan_steps
         ({"sensor": "lidar"}, "sensor = 'lidar'"),
         ({"method": "mean"}, "method = 'mean'"),
         ({"noise": "white"}, "unknown noise 'white'"),
+        ({"noise": "random-wlak"}, "did you mean 'random-walk'"),
         ({"noise": "random-walk:-0.002"}, "random_walk_m = -0.002"),
         ({"noise": "random-walk:fast"}, "'fast' is not a number"),
         ({"noise": "random-walk:nan"}, "random_walk_m"),

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from steelnb.errors import InputError
-from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, quoted
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, guess, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.types import Array
 
@@ -243,7 +243,10 @@ class Noise:
         for part in [] if text == "none" else text.split("+"):
             name, _, level = part.strip().partition(":")
             if name not in REPORT_NOISE:
-                raise InputError(f"noise = {text!r}: unknown noise {name!r}; expected one of {quoted(REPORT_NOISE)}")
+                raise InputError(
+                    f"noise = {text!r}: unknown noise {name!r}{guess(name, REPORT_NOISE)}; "
+                    f"expected one of {quoted(REPORT_NOISE)}"
+                )
             key, default, factor = REPORT_NOISE[name]
             if key in values:
                 raise InputError(f"noise = {text!r}: {key} is given twice")
