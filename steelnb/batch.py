@@ -11,7 +11,7 @@ import pandas as pd
 
 from steelnb import experiment, rng
 from steelnb.errors import InputError
-from steelnb.metrics import position_error_m
+from steelnb.metrics import bend, position_error_m
 from steelnb.noise import drifting
 from steelnb.odometry import shared_segments
 from steelnb.results import find_root
@@ -194,6 +194,12 @@ def clouds(results: Sequence[experiment.Result]) -> list[tuple[Array, Array]]:
     settings = {experiment.world(result.settings): result.settings for result in results}
     flights = {world: experiment.simulate(one)[0] for world, one in settings.items()}
     return [paired_clouds(flights[experiment.world(result.settings)], result) for result in results]
+
+
+def bends(clouds: Iterable[tuple[Array, Array]], tower: Tower) -> pd.DataFrame:
+    """How each pair of `clouds` is bent: a row a pair, the numbers of `metrics.bend` about the middle of a tower."""
+    axis = tower.vertices[:, :2].mean(axis=0)
+    return pd.DataFrame([bend(*pair, axis) for pair in clouds])
 
 
 def metrics(results: Sequence[experiment.Result], by: Sequence[str] = ("noise", "method")) -> dict[str, float]:

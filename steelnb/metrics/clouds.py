@@ -1,6 +1,7 @@
 """Bend of a cloud built at estimated poses, basin of convergence of a registration, and slips of an odometry."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion.poses import yaw_of
@@ -8,18 +9,19 @@ from steelnb.types import Array
 
 
 def bend(
-    built: Array, true: Array, axis: tuple[float, float] = (0.0, 0.0), slice_m: float = 1.0, points_min: int = 200
+    built: Array, true: Array, axis: ArrayLike = (0.0, 0.0), slice_m: float = 1.0, points_min: int = 200
 ) -> dict[str, float]:
-    """How a cloud is bent: a rigid motion (Kabsch 1976) fitted to each horizontal slice of two clouds ``(N, 3)``, from
-    the true to the built one, metres, world frame.
+    """Measure how a cloud is bent, by a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
+    slice. Both are ``(N, 3)``, metres, world frame.
 
     Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m``
     start at true height zero. Those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
     remains, or if the shapes differ.
 
-    ``bend_deg``: the angle between the rotations of the lowest and the highest slice. Of the slice where it is largest:
-    ``tilt_max_deg`` of the vertical, ``yaw_max_deg``, and ``offset_max_m``, the displacement of the vertical through
-    ``axis``. ``blur_mean_m``: mean over the points of the root mean square residual, which doubled surfaces raise.
+    Returns ``bend_deg``, the angle between the rotations of the lowest and the highest slice; the maximum over the
+    slices of the tilt and the yaw, ``tilt_max_deg`` and ``yaw_max_deg``, and of the displacement of the vertical
+    through ``axis (2,)``, ``offset_max_m``; and ``blur_mean_m``, the mean over the points of the root mean square
+    residual of their slice, which doubled surfaces raise.
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")

@@ -18,26 +18,45 @@ def transformed(points, axis, degrees, offset):
     return Rotation.from_rotvec(np.radians(degrees) * np.asarray(axis)).apply(points) + offset
 
 
+def by_slice(built, true, **options):
+    """The bend of each slice of a metre on its own."""
+    level = np.floor(true[:, 2])
+    return [bend(built[level == each], true[level == each], **options) for each in np.unique(level)]
+
+
+def column(numbers, name):
+    return np.array([each[name] for each in numbers])
+
+
 def test_a_tilt_is_equal_in_all_slices_and_shifts_the_top(tower):
-    numbers = bend(transformed(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3]), tower)
-    angle, height = np.radians(2), 9.5  # of the middle of the highest slice
-    shift = [height * np.sin(angle) + 0.1, -0.2, height * (np.cos(angle) - 1) + 0.3]
-    assert numbers["tilt_max_deg"] == pytest.approx(2.0)
-    assert numbers["offset_max_m"] == pytest.approx(np.linalg.norm(shift))
-    assert [numbers[name] for name in ("yaw_max_deg", "bend_deg", "blur_mean_m")] == pytest.approx([0] * 3, abs=1e-5)
+    built = transformed(tower, [0, 1, 0], 2.0, [0.1, -0.2, 0.3])
+    slices, angle, height = by_slice(built, tower), np.radians(2), np.arange(10) + 0.5
+    shift = np.column_stack([height * np.sin(angle) + 0.1, np.full(10, -0.2), height * (np.cos(angle) - 1) + 0.3])
+    assert column(slices, "tilt_max_deg") == pytest.approx(np.full(10, 2.0))
+    assert column(slices, "yaw_max_deg") == pytest.approx(np.zeros(10), abs=1e-9)
+    assert column(slices, "offset_max_m") == pytest.approx(np.linalg.norm(shift, axis=1), abs=1e-12)
+    whole = bend(built, tower)
+    assert whole["bend_deg"] == pytest.approx(0, abs=1e-5)
+    assert whole["blur_mean_m"] == pytest.approx(0, abs=1e-12)
+    for name in ("tilt_max_deg", "yaw_max_deg", "offset_max_m"):
+        assert whole[name] == column(slices, name).max()
 
 
 def test_yaw_is_no_tilt_and_does_not_move_the_axis(tower):
     built = transformed(tower, [0, 0, 1], -7.0, [0, 0, 0])
-    numbers = bend(built, tower)
-    assert numbers["yaw_max_deg"] == pytest.approx(7.0)
-    assert [numbers[name] for name in ("tilt_max_deg", "offset_max_m")] == pytest.approx([0, 0], abs=1e-5)
-    assert bend(built, tower, axis=(1.0, 0.0))["offset_max_m"] == pytest.approx(2 * np.sin(np.radians(3.5)))
+    slices = by_slice(built, tower)
+    assert column(slices, "yaw_max_deg") == pytest.approx(np.full(10, 7.0))
+    assert column(slices, "tilt_max_deg") == pytest.approx(np.zeros(10), abs=1e-5)
+    assert column(slices, "offset_max_m") == pytest.approx(0, abs=1e-12)
+    beside = column(by_slice(built, tower, axis=(1.0, 0.0)), "offset_max_m")
+    assert beside == pytest.approx(2 * np.sin(np.radians(3.5)))
 
 
 def test_the_bend_is_the_rotation_between_the_lowest_and_highest_slice(tower):
     angle = np.radians(0.5 * np.floor(tower[:, 2]))  # half a degree more with every slice
-    numbers = bend(Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0])).apply(tower), tower)
+    built = Rotation.from_rotvec(np.outer(angle, [1.0, 0, 0])).apply(tower)
+    assert column(by_slice(built, tower), "tilt_max_deg") == pytest.approx(0.5 * np.arange(10), abs=1e-5)
+    numbers = bend(built, tower)
     assert numbers["bend_deg"] == pytest.approx(4.5)
     assert numbers["tilt_max_deg"] == pytest.approx(4.5)
     assert numbers["offset_max_m"] == pytest.approx(2 * 9.5 * np.sin(np.radians(2.25)))
@@ -46,9 +65,11 @@ def test_the_bend_is_the_rotation_between_the_lowest_and_highest_slice(tower):
 def test_doubled_surfaces_are_blur_and_no_bend(tower):
     doubled = np.concatenate([tower, tower])
     side = np.repeat([[0.1, 0, 0], [-0.1, 0, 0]], len(tower), axis=0)
+    assert column(by_slice(doubled + side, doubled), "blur_mean_m") == pytest.approx(np.full(10, 0.1), rel=1e-6)
     numbers = bend(doubled + side, doubled)
     assert numbers["blur_mean_m"] == pytest.approx(0.1, rel=1e-6)
-    assert [numbers[name] for name in ("tilt_max_deg", "offset_max_m")] == pytest.approx([0, 0], abs=1e-4)
+    assert numbers["tilt_max_deg"] < 1e-4
+    assert numbers["offset_max_m"] == pytest.approx(0, abs=1e-6)
 
 
 def test_slices_of_few_points_are_dropped_and_no_slice_is_an_error(tower):
@@ -56,6 +77,7 @@ def test_slices_of_few_points_are_dropped_and_no_slice_is_an_error(tower):
     points = np.concatenate([tower[tower[:, 2] < 5], few])
     built = np.concatenate([tower[tower[:, 2] < 5], few + 1.0])
     assert bend(built, points)["offset_max_m"] == pytest.approx(0, abs=1e-9)
+    assert bend(built, points, points_min=10)["offset_max_m"] == pytest.approx(np.sqrt(3), rel=0.05)
     with pytest.raises(ValueError, match="no slice of"):
         bend(points[:50], points[:50])
     with pytest.raises(ValueError, match="expected pairs"):
