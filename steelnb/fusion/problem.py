@@ -36,9 +36,9 @@ FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 
 @dataclass(frozen=True)
 class Bars:
-    """B bars with their sections, angles or round tubes (`fusion.sections`): ``segments`` along their centroids, frames
-    ``across (B, 2, 3)``, ``turn (B,)`` in radians and ``flange (B,)`` in metres. A bar whose flange is NaN has no known
-    section, and no factors."""
+    """B bars with their sections, angles, tubes or plates (`fusion.sections`): ``segments`` along their centroids, with
+    frames ``across (B, 2, 3)``, ``turn (B,)`` in radians and ``flange (B,)`` in metres. A bar whose flange is NaN has
+    no known section, and no factors."""
 
     segments: Segments
     across: Array
@@ -48,7 +48,17 @@ class Bars:
     @property
     def has_section(self) -> NDArray[np.bool_]:
         """Which bars have a known section ``(B,)``."""
+        return ~np.isnan(self.flange)
+
+    @property
+    def is_bar(self) -> NDArray[np.bool_]:
+        """Which have a known section, and are no plates ``(B,)``."""
         return np.isfinite(self.flange)
+
+    @property
+    def width_m(self) -> Array:
+        """Flange or diameter ``(B,)``, NaN for a plate or without a section."""
+        return np.where(self.is_bar, self.flange, np.nan)
 
     def faces(self) -> tuple[Array, Array, Array, Array, Array]:
         """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
@@ -111,4 +121,5 @@ def _moved_bars(bars: Bars, step: Array) -> Bars:
     first = bars.across[:, 0] - (bars.across[:, 0] * segments.direction).sum(axis=1)[:, None] * segments.direction
     first /= np.linalg.norm(first, axis=1)[:, None]
     across = np.stack([first, np.cross(segments.direction, first)], axis=1)
-    return Bars(segments, across, bars.turn + step[:, 4], np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M))
+    flange = np.where(bars.is_bar, np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M), bars.flange)
+    return Bars(segments, across, bars.turn + step[:, 4], flange)

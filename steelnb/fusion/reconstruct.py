@@ -12,6 +12,7 @@ from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import PointEquations, linearised
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
+from steelnb.fusion.plate_fit import fit_plates
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
@@ -87,7 +88,7 @@ def reconstruct(
     struts = find_struts(flight.voxels, segments, TUBE_M)
     _, segments = flight.refined(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = flight.fit(trim_bends(segments), every=1)
-    fitted = fitted.take(fitted.tilt <= TILT_MAX_RAD)  # false for NaN, too few points for a section
+    fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))
     if not len(fitted.tilt):
         return Structure.empty("no bar was seen well enough to tell its direction")
     structure = _tied(fitted)
@@ -181,8 +182,8 @@ class MappedScans:
         return state, equations
 
     def fit(self, bars: Segments, every: int) -> FittedBars:
-        """Fit sections, angles or circles, to the points on each bar in one in ``every`` scans. The axes move to the
-        centroids."""
+        """Fit sections, angles, circles or planes, to the points on each bar in one in ``every`` scans. The axes move
+        to the centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = np.zeros((n, *sections.HISTOGRAM)), np.zeros(n, dtype=np.int64)
         for k, points, bar in self.bar_points(self.around(bars), every):
@@ -192,6 +193,7 @@ class MappedScans:
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
         fitted = fit_sections(histogram, bars.length)
+        fit_plates(histogram, bars.length, fitted)
         fit_rounds(histogram, bars.length, fitted)
         centre, slope, flange, turn, spread, tilt = fitted
         half = 0.5 * bars.length[:, None]
@@ -219,19 +221,20 @@ class MappedScans:
         if rise_m < math.inf:
             is_weak, moved = ~(fitted.tilt <= TILT_DETERMINED_RAD), fitted.bars.segments
             moved.start[is_weak], moved.end[is_weak] = bars.start[is_weak], bars.end[is_weak]
-        return fitted, merge_pieces(_tied(fitted).segments, fitted.bars.flange, rise_m)
+        tied = _tied(fitted)
+        return fitted, merge_pieces(tied.segments, tied.width_m, rise_m)
 
 
 def _tied(fitted: FittedBars) -> Structure:
     """The structure of fitted bars, extended to their joints."""
     bars = fitted.bars
-    width = np.where(bars.has_section, bars.flange, 2 * bars.segments.radius)
+    width = np.where(bars.is_bar, bars.flange, 2 * bars.segments.radius)
     joint, tie, segments = find_joints(bars.segments, width)
     angle = bars.turn + math.pi / 4  # of the bisector of the flanges
     opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], bars.across)
     tube = bars.has_section & np.isnan(bars.turn)
     return Structure(
-        segments, bars.flange, fitted.sightings, fitted.sigma, joint, tie, opening=opening,
+        segments, bars.width_m, fitted.sightings, fitted.sigma, joint, tie, opening=opening,
         tube=tube if tube.any() else None,
     )  # fmt: skip
 

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.section_fit import ROUND_DOF, fit_section, profiles, section_step, settle
-from steelnb.fusion.sections import cells_of, merged_cells, outline
+from steelnb.fusion.section_fit import ROUND_DOF, angle_cost, least_angle_cost, profiles, section_step, settle
+from steelnb.fusion.sections import cells_of, merged_cells
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""
@@ -39,7 +39,7 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     state, normal, cost = np.empty((n, ROUND_DOF)), np.empty((n, ROUND_DOF, ROUND_DOF + 1)), np.empty(n)
     likelihood, is_round = np.full(n, -np.inf), np.zeros(n, np.bool_)
     for b in range(n):
-        if np.isnan(fitted.flange[b]):
+        if not np.isfinite(fitted.flange[b]):
             continue
         cells = cells_of(histogram[b], length[b])
         cost[b] = fit_circle(cells, merged_cells(histogram[b]), state[b], normal[b])
@@ -47,8 +47,8 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
             continue
         likelihood[b] = np.nan  # as yet
         bound = min(COST_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
-        if cost[b] <= bound * _angle_cost(cells, fitted, b):  # false for most bars, and saves a fit
-            least = _least_angle_cost(histogram[b], cells, face, side)
+        if cost[b] <= bound * angle_cost(cells, fitted, b):  # false for most bars, and saves a fit
+            least = least_angle_cost(histogram[b], cells, face, side)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
             is_round[b] = cost[b] <= bound * least
     if not is_round.any():
@@ -57,28 +57,13 @@ def fit_rounds(histogram, length, fitted):  # type: ignore[no-untyped-def]
     for b in range(n):
         if np.isnan(likelihood[b]):
             cells = cells_of(histogram[b], length[b])
-            least = _least_angle_cost(histogram[b], cells, face, side)
+            least = least_angle_cost(histogram[b], cells, face, side)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
         if likelihood[b] > -np.inf:
             pooled += likelihood[b]
     for b in range(n):
         if is_round[b] or (pooled > 0.0 and likelihood[b] > -LIKELIHOOD_MIN):
             _make_round(fitted, b, cells_of(histogram[b], length[b]), cost[b], state[b], normal[b])
-
-
-@njit(cache=True)
-def _angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
-    """Cost of the depths at the section of bar b, which was fitted to depths and edges."""
-    corner, state = np.empty((6, 2)), np.empty(4)
-    outline(fitted.turn[b], fitted.flange[b], corner)
-    state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
-    return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
-
-
-@njit(cache=True)
-def _least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-def]
-    """Cost of an angle section that is fitted to the depths alone."""
-    return fit_section(cells, merged_cells(histogram), np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]
 
 
 @njit(cache=True)

@@ -255,3 +255,18 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
     return flange, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low
+
+
+@njit(cache=True)
+def angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
+    """Cost of the depths at the section of bar b, which was fitted to depths and edges."""
+    corner, state = np.empty((6, 2)), np.empty(4)
+    outline(fitted.turn[b], fitted.flange[b], corner)
+    state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
+    return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
+
+
+@njit(cache=True)
+def least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-def]
+    """Cost of an angle section that is fitted to the depths alone."""
+    return fit_section(cells, merged_cells(histogram), np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]

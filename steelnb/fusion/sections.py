@@ -1,4 +1,4 @@
-"""Angle sections and round tubes: their outlines, and histograms of the points of a bar by viewing direction.
+"""Angle sections, round tubes and plates: their outlines, and histograms of the points of a bar by viewing direction.
 
 A Time-of-Flight sensor measures the near face of a bar. The offset from there to the axis depends on the section and
 its rotation about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction, the points
@@ -7,6 +7,7 @@ only, so it blurs the depth, which is averaged, but not the width.
 
 The frame of a bar has two axes u and v across it and one along it (`frames`). A round tube is a section whose turn is
 NaN and whose flange is its diameter. Its outline has its radius in place of the first corner, and NaN for the others.
+A plate is a section whose flange is infinite. Its outline is a single edge, which shows towards its turn.
 """
 
 import math
@@ -17,6 +18,8 @@ from numba import njit
 from steelnb.points.ranges import range_sigma_m
 from steelnb.types import Array
 
+PLATE_M = 0.5
+"""Half of the edge of a plate: longer than the reach of a bar."""
 VIEWS, CELLS, PARTS = 24, 32, 6
 """Number of bins: directions of 15°, cells of 1 cm beside the line of sight, and parts along a bar."""
 HISTOGRAM = PARTS, VIEWS, CELLS, 4
@@ -162,6 +165,11 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
     if turn != turn:
         corner[:] = np.nan
         corner[0, 0] = 0.5 * flange
+        return
+    if flange == math.inf:
+        corner[:] = np.nan
+        corner[1, 0], corner[1, 1] = -PLATE_M * math.sin(turn), PLATE_M * math.cos(turn)
+        corner[0] = corner[5] = -corner[1]
         return
     t = THICKNESS * flange
     c = (flange * flange + flange * t - t * t) / (2.0 * (2.0 * flange - t))

@@ -70,13 +70,13 @@ def smooth(
             scans = replace(scans, T_world_sensor=state.T_world_sensor)
             state, equations = scans.adjusted(state, voxels, prior, stamp_s, steps, ratio, pixels)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
-    bars = state.bars.take(state.bars.has_section)
+    bars = state.bars.take(state.bars.is_bar)
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:
         pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)
         pose_covariance = uncertainty.pose_covariances(pose, T, mount)
         axis_covariance = uncertainty.axis_covariances(
-            bar[state.bars.has_section], bars.segments, bars.across, state.sigma_ratio
+            bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio
         )
     except InputError as fault:
         unsure = str(fault)

@@ -92,8 +92,8 @@ class FaceOdometry(CloudOdometry):
         return output, reason, matches, unobserved
 
     def map_segments(self) -> Segments:
-        """The bars with sections of the last adjustment; none before the first one."""
-        return self.faces.bars.segments if self.faces else Segments.empty()
+        """The bars of the last adjustment with the section of a bar; none before the first one."""
+        return self.faces.bars.take(self.faces.bars.is_bar).segments if self.faces else Segments.empty()
 
     def _located(self, scan: Scan, prior: Array) -> Fit | None:
         """Registration of a scan to front faces; None if it is refused."""
