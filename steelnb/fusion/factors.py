@@ -12,7 +12,7 @@ from numba import njit
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.poses import pose_size
-from steelnb.fusion.problem import BAR_DOF, Bars, Problem
+from steelnb.fusion.problem import BAR_DOF, Problem
 from steelnb.types import Array, IntArray
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
@@ -44,8 +44,12 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     """The normal equations of all points. A motion of a pose is the opposite motion of its bars, so the blocks of poses
     follow from those of bars, pair by pair."""
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
-    shares, rhs, residuals = _gathered(*observations, T, *bars.faces(), bars.flange, problem.sigma_ratio)
-    by_pose = _bar_motion(T[scan, :3, 3] - bars.segments.start[bar], bars, bar, pose_size(problem.tilt_sigma_rad))
+    start, direction, length, across, corner = bars.faces()
+    shares, rhs, residuals = _gathered(
+        *observations, T, start, direction, length, across, corner, bars.flange, problem.sigma_ratio
+    )  # fmt: skip
+    size, sensor = pose_size(problem.tilt_sigma_rad), T[scan, :3, 3] - start[bar]
+    by_pose = _bar_motion(sensor, direction[bar], length[bar], across[bar], size)
     cross, vector = by_pose @ shares, (by_pose @ rhs[:, :, None])[:, :, 0]
     return PointEquations(
         matrix=summed(cross @ by_pose.transpose(0, 2, 1), scan, len(T)), vector=summed(vector, scan, len(T)),
@@ -54,13 +58,12 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     )  # fmt: skip
 
 
-def _bar_motion(sensor: Array, bars: Bars, bar: IntArray, size: int) -> Array:
-    """Jacobians ``(P, size, 6)`` of the apparent motion of each ``bar (P,)`` by the degrees of freedom of the pose that
-    observes it; ``sensor (P, 3)``: its position from the start of the bar, world frame."""
-    across, direction = bars.across[bar], bars.segments.direction[bar]
+def _bar_motion(sensor: Array, direction: Array, length: Array, across: Array, size: int) -> Array:
+    """Jacobians ``(P, size, 6)`` of the apparent motion of the bar of each pair by the degrees of freedom of the pose
+    that observes it; ``sensor (P, 3)``: its position from the start of the bar, world frame."""
     beside = (across @ sensor[:, :, None])[:, :, 0]
-    ahead = 0.5 * bars.segments.length[bar] - (direction * sensor).sum(axis=1)
-    result = np.zeros((len(bar), size, BAR_DOF))
+    ahead = 0.5 * length - (direction * sensor).sum(axis=1)
+    result = np.zeros((len(length), size, BAR_DOF))
     result[:, -3:, :2] = -across.transpose(0, 2, 1)
     for row, axis in enumerate(range(6 - size, 3)):
         up, along = across[:, :, axis], direction[:, axis]
