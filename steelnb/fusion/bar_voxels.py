@@ -72,26 +72,24 @@ class Observations(NamedTuple):
         """From the number of each scan, its points in the sensor frame, and their bars."""
         points, counts = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int64)]
         for k, point, bar in scans:
-            by_bar, count = _sorted_by_bar(point, bar)
+            count = np.bincount(bar)
             observed = np.flatnonzero(count)
-            points.append(by_bar)
+            points.append(_sorted_by_bar(point, bar, np.cumsum(count) - count))
             counts.append(np.column_stack([np.full(len(observed), k), observed, count[observed]]))
         scan, bar, count = np.concatenate(counts).T
         return cls(np.concatenate(points), np.append(0, np.cumsum(count)), scan.copy(), bar.copy())
 
 
 @njit(cache=True, nogil=True)
-def _sorted_by_bar(points, bar):  # type: ignore[no-untyped-def]
-    """The points ``(N, 3)`` of a scan in the order of their bars ``(N,)``, float32, and the number on each bar."""
-    count = np.zeros(bar.max() + 1 if len(bar) else 0, np.int64)
-    for b in bar:
-        count[b] += 1
-    place, result = np.cumsum(count) - count, np.empty((len(points), 3), np.float32)
+def _sorted_by_bar(points, bar, place):  # type: ignore[no-untyped-def]
+    """The points ``(N, 3)`` of a scan in the order of their bars ``(N,)``, float32; ``place (B,)``: where the points of
+    each bar begin, moved to where they end. In one pass: sorting took a seventh of a frame of `faces`."""
+    result = np.empty((len(points), 3), np.float32)
     for i in range(len(points)):
         for k in range(3):
             result[place[bar[i]], k] = points[i, k]
         place[bar[i]] += 1
-    return result, count
+    return result
 
 
 @njit(cache=True, nogil=True)

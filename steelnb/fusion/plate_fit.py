@@ -1,8 +1,8 @@
 """Plates: the fit of a plane to the points of a bar, and the choice between it and an angle section.
 
 Lines in the points of decks and gussets look like bars. An angle section explains the depths of a plate about as well
-as a plane does. But its thickness sets views from either side a centimetre apart, and so the poses that they were taken
-from. A plate may be as thick as those poses drift, so it has one face, the one that most of its points lie on.
+as a plane does. But its thickness sets the views of the two sides a centimetre apart, and with them the poses. How
+thick a plate is cannot be told from the drift of those poses, so it has only one face, on the side with more points.
 """
 
 import math
@@ -10,15 +10,15 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.fusion.section_fit import DEPTH_SCALE_M, angle_cost, least_angle_cost, profiles
+from steelnb.fusion.section_fit import angle_cost, least_angle_cost, profiles, robust
 from steelnb.fusion.sections import cells_of
 
 WIDTH_MIN_M, COST_SHARE_MAX, VIEWS_MIN, FEW_VIEWS_SHARE_MAX = 0.16, 1.5, 5, 0.75
-"""Points are those of a plate if they spread at least so wide, and planes leave at most a share of the squared depths
-that the best angle section leaves: the first one, or the second if they were seen from fewer directions (`sections`),
-from which an angle may show one flange alone. Of 40 bars on plates of the report's tower (development seed 11) this
-tells 22, the largest; of 340 on angles, there and on the tapered tower, none. Two of 210 members of the tapered tower
-pass for plates up one face with seed 1."""
+"""A bar is a plate if its points spread at least this wide, and planes leave at most a share of the squared depths that
+the best angle section leaves: the first share, or the second if the bar was seen from fewer directions than
+`VIEWS_MIN`, from which an angle may show one flange alone. Of 40 bars on plates of the report's tower (development
+seed 11) this tells 22, the largest; of 340 on angles, there and on the tapered tower, none. Two of 210 members of the
+tapered tower pass for plates up one face with seed 1."""
 STEPS = 8
 
 
@@ -26,7 +26,7 @@ STEPS = 8
 def fit_plates(histogram, length, fitted):  # type: ignore[no-untyped-def]
     """Replace the `Sections` that were ``fitted`` to the bars of a histogram ``(B, PARTS, VIEWS, CELLS, 4)`` by planes
     if their points are those of plates; ``length (B,)`` metres. The flange is then infinite, and the turn is the
-    direction that the face looks in."""
+    direction that the plate faces."""
     face, side = profiles()
     for b in range(len(length)):
         if np.isnan(fitted.flange[b]):
@@ -50,26 +50,24 @@ def fit_planes(cells):  # type: ignore[no-untyped-def]
     Returns their cost and the width of the points across the bar, that of a uniform strip, metres; and of the side with
     more points, their mean ``(3,)``, across and along the bar from its middle, and the normal towards the viewer.
     """
-    points, share, bound = np.column_stack((cells[:, 0], cells[:, 1], cells[:, 5])), cells[:, 2], DEPTH_SCALE_M**2
-    weight, is_front, normal = share.copy(), np.ones(len(cells), np.bool_), np.zeros(3)
-    from_mean, middle, square = points.copy(), np.zeros(3), np.zeros(len(cells))
+    points, share = np.column_stack((cells[:, 0], cells[:, 1], cells[:, 5])), cells[:, 2].copy()
+    loss, weight, towards, from_mean = share, share, np.ones(len(cells)), points.copy()
+    normal, middle, fuller = np.zeros(3), np.zeros(3), np.ones(len(cells), np.bool_)
     for _ in range(STEPS):
         most = 0.0
         for front in (True, False):
-            chosen = is_front == front
-            total = weight[chosen].sum()
+            side = (towards > 0.0) == front
+            total = weight[side].sum()
             if total > 0.0:
-                mean = weight[chosen] @ points[chosen] / total
-                from_mean[chosen] = points[chosen] - mean
+                mean = weight[side] @ points[side] / total
+                from_mean[side] = points[side] - mean
                 if total > most:
-                    most = total
-                    middle[:] = mean
+                    most, middle, fuller = total, mean, side
         normal = np.linalg.eigh((from_mean * weight.reshape(-1, 1)).T @ from_mean)[1][:, 0].copy()
-        square = (from_mean @ normal) ** 2
-        weight = share * (bound / (bound + square)) ** 2  # Geman-McClure, as for angle sections
-        is_front = cells[:, 3] * normal[0] + cells[:, 4] * normal[1] > 0.0
-    if share[is_front].sum() < 0.5 * share.sum():
+        loss, weight = robust(from_mean @ normal, share)
+        towards = cells[:, 3] * normal[0] + cells[:, 4] * normal[1]
+    if towards[fuller].sum() < 0.0:
         normal = -normal
     beside = (from_mean[:, 1] * normal[0] - from_mean[:, 0] * normal[1]) / math.hypot(normal[0], normal[1])
     width = math.sqrt(12.0 * (share * beside * beside).sum() / share.sum())
-    return (share * bound * square / (bound + square)).sum(), width, middle, normal
+    return loss.sum(), width, middle, normal

@@ -105,7 +105,7 @@ def start(
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
     T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
     moved = Bars(bars.segments.transformed(T_correction), bars.across @ R.T, bars.turn, bars.flange)
-    fitted = np.column_stack([bars.turn, bars.flange])
+    fitted = np.column_stack([bars.turn, bars.width_m])
     inertial = inertial and inertial.rotated(R)
     return Problem(T_correction @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
 

@@ -50,7 +50,8 @@ def reconstruct(
 
     There are two passes: the bars that stand out, then the shorter ones between them, which show once their sections
     are fitted. The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or
-    circles (`fusion.round_fit`). A bar with too few points for its section or direction is dropped.
+    circles (`fusion.round_fit`). A bar with too few points for its section or direction is dropped, and so are lines in
+    plates (`fusion.plate_fit`).
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def reconstruct(
     struts = find_struts(flight.voxels, segments, TUBE_M)
     _, segments = flight.refined(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = flight.fit(trim_bends(segments), every=1)
-    fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))
+    fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))  # a tilt is NaN if points are too few
     if not len(fitted.tilt):
         return Structure.empty("no bar was seen well enough to tell its direction")
     structure = _tied(fitted)

@@ -32,7 +32,7 @@ TELL_APART_M = 0.003
 
 
 class Sections(NamedTuple):
-    """Angle sections fitted to B bars, NaN for a bar with too few points.
+    """Sections fitted to B bars (`fusion.sections`), NaN for a bar with too few points.
 
     ``centre (B, 2)``: position of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)``,
     metres per metre; ``flange (B,)``, metres; ``turn (B,)``, radians; ``spread (B,)`` and ``tilt (B,)``: standard
@@ -82,8 +82,8 @@ def profiles():  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _robust(residual, weight):  # type: ignore[no-untyped-def]
-    """Cost and weight of a residual under Geman-McClure with the scale `DEPTH_SCALE_M`."""
+def robust(residual, weight):  # type: ignore[no-untyped-def]
+    """Cost and weight of a residual, or of an array of them, under Geman-McClure with the scale `DEPTH_SCALE_M`."""
     square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
     return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
 
@@ -110,7 +110,7 @@ def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # ty
             else:
                 residual = beside - (low if beside <= low else high)
                 ju, jv = sine, -cosine
-            loss, weight = _robust(residual, weight)
+            loss, weight = robust(residual, weight)
             cost += loss
             uu += weight * ju * ju
             uv += weight * ju * jv
@@ -123,7 +123,7 @@ def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # ty
             middle = -sine * state[0] + cosine * state[1]
             for end in range(2):
                 residual = rows[k, end] - middle - flange * side[view, end]
-                loss, weight = _robust(residual, OUTLINE_WEIGHT * rows[k, 4])
+                loss, weight = robust(residual, OUTLINE_WEIGHT * rows[k, 4])
                 cost += loss
                 uu += weight * sine * sine
                 uv -= weight * sine * cosine
@@ -181,9 +181,9 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
 
 @njit(cache=True)
 def _add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untyped-def]
-    """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``; returns its `_robust` cost."""
+    """Add a residual with its Jacobian ``(D,)`` to normal equations ``(D, D + 1)``; returns its `robust` cost."""
     size = len(jacobian)
-    loss, weight = _robust(residual, weight)
+    loss, weight = robust(residual, weight)
     for i in range(size):
         for j in range(size):
             normal[i, j] += weight * jacobian[i] * jacobian[j]

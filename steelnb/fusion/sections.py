@@ -7,7 +7,7 @@ only, so it blurs the depth, which is averaged, but not the width.
 
 The frame of a bar has two axes u and v across it and one along it (`frames`). A round tube is a section whose turn is
 NaN and whose flange is its diameter. Its outline has its radius in place of the first corner, and NaN for the others.
-A plate is a section whose flange is infinite. Its outline is a single edge, which shows towards its turn.
+A plate is a section whose flange is infinite. Its outline is one edge, visible from the side that its turn points to.
 """
 
 import math

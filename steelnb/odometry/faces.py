@@ -92,7 +92,7 @@ class FaceOdometry(CloudOdometry):
         return output, reason, matches, unobserved
 
     def map_segments(self) -> Segments:
-        """The bars of the last adjustment with the section of a bar; none before the first one."""
+        """The bars of the last adjustment that have a section and are no plates; none before the first one."""
         return self.faces.bars.take(self.faces.bars.is_bar).segments if self.faces else Segments.empty()
 
     def _located(self, scan: Scan, prior: Array) -> Fit | None:
