@@ -4,6 +4,7 @@ The residual of a point is its distance to the front face of its bar (`fusion.se
 scan, and on position, direction, rotation and flange of the bar.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -75,8 +76,8 @@ def _bar_motion(sensor: Array, direction: Array, length: Array, across: Array, s
 
 def summed(values: Array, group: IntArray, count: int) -> Array:
     """Sums ``(count, …)`` of the values ``(P, …)`` in each ``group (P,)``."""
-    result = np.zeros((count, *values.shape[1:]))
-    np.add.at(result, group, values)
+    result, size = np.zeros((count, *values.shape[1:])), math.prod(values.shape[1:])
+    _add_rows(result.reshape(count, size), group, np.ascontiguousarray(values).reshape(len(values), size))
     return result
 
 
@@ -88,6 +89,13 @@ def noise_ratio(residuals: Array, ratio: float) -> float:
         return ratio
     median = (np.searchsorted(np.cumsum(residuals), 0.5 * total) + 0.5) * MEDIAN_MAX / MEDIAN_BINS
     return float(ratio * median / 0.6745)
+
+
+@njit(cache=True, nogil=True)
+def _add_rows(result, group, values):  # type: ignore[no-untyped-def]
+    for p in range(len(group)):
+        for i in range(values.shape[1]):
+            result[group[p], i] += values[p, i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -25,22 +25,25 @@ MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
-SHARE_MIN, MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 0.4, 4, 10, 100
-"""Minimum share of the points on front faces, number of bars, points a bar, and points a scan; below them a
-registration is rejected."""
+MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 4, 10, 100
+"""Minimum number of bars, points a bar, and points a scan; below them a registration is rejected."""
+SHARE_MIN = 0.5
+"""Minimum share of the points near bars that lie on front faces, of one bar and of a scan. Points far from all bars do
+not count: they are on structure that no bar describes yet, and say nothing about the pose."""
+POSITION_SIGMA_MAX_M = 0.004
+"""Largest accepted standard deviation of the position along an axis."""
 RATIO_BOUNDS = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 
 
 class Fit(NamedTuple):
     """A registration: the pose of the sensor; its information ``(D, D)``, D = 4 or 6, about a step from it
-    (`fusion.poses`); the number of matched bars, the share of the points on them, and the range noise as a multiple of
-    that in `points.ranges`. ``reason``: why it is rejected, else empty."""
+    (`fusion.poses`); the number of matched bars, and the range noise as a multiple of that in `points.ranges`.
+    ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array
     information: Array
     bars: int
-    share: float
     ratio: float
     reason: str
 
@@ -83,10 +86,12 @@ class Locator:
             if (np.abs(step) < STEP_MIN[-size:]).all():
                 break
         near, on = self._matched(points, T)
-        bars, share = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum()), float(on.sum() / len(points))
-        enough = bars >= MATCHED_BARS_MIN and share >= SHARE_MIN
-        reason = "" if enough else f"too little of the map in sight: {bars} bars, {100 * share:.0f} % of the points"
-        return Fit(T, information, bars, share, noise_ratio(residuals, self.ratio), reason)
+        bars = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum())
+        share = float(on.sum() / max(near.sum(), 1))
+        sigma_m = float(np.sqrt(np.diag(np.linalg.inv(information))[-3:].max()))
+        enough = bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= POSITION_SIGMA_MAX_M
+        reason = f"{bars} bars with {100 * share:.0f} % of the points near them leave {1e3 * sigma_m:.1f} mm"
+        return Fit(T, information, bars, noise_ratio(residuals, self.ratio), "" if enough else reason)
 
     def accept(self, fit: Fit) -> None:
         """Adopt range noise and variance of an accepted registration."""

@@ -19,6 +19,8 @@ the best angle section leaves: the first share, or the second if the bar was see
 `VIEWS_MIN`, from which an angle may show one flange alone. Of 40 bars on plates of the report's tower (development
 seed 11) this tells 22, the largest; of 340 on angles, there and on the tapered tower, none. Two of 210 members of the
 tapered tower pass for plates up one face with seed 1."""
+SLOPE_MAX = 0.3
+"""Largest slope of a plate along the bar: a line lies in its plate. A plane that the line pierces is none."""
 STEPS = 8
 
 
@@ -48,7 +50,8 @@ def fit_planes(cells):  # type: ignore[no-untyped-def]
     """Fit a pair of parallel planes to the `cells_of` a bar, one to those seen from either side.
 
     Returns their cost and the width of the points across the bar, that of a uniform strip, metres; and of the side with
-    more points, their mean ``(3,)``, across and along the bar from its middle, and the normal towards the viewer.
+    more points, their mean ``(3,)``, across and along the bar from its middle, and the normal towards the viewer. The
+    cost is infinite if the planes lie across the bar (`SLOPE_MAX`).
     """
     points, share = np.column_stack((cells[:, 0], cells[:, 1], cells[:, 5])), cells[:, 2].copy()
     loss, weight, towards, from_mean = share, share, np.ones(len(cells)), points.copy()
@@ -68,6 +71,9 @@ def fit_planes(cells):  # type: ignore[no-untyped-def]
         towards = cells[:, 3] * normal[0] + cells[:, 4] * normal[1]
     if towards[fuller].sum() < 0.0:
         normal = -normal
-    beside = (from_mean[:, 1] * normal[0] - from_mean[:, 0] * normal[1]) / math.hypot(normal[0], normal[1])
+    across = math.hypot(normal[0], normal[1])
+    if abs(normal[2]) > SLOPE_MAX * across:
+        return np.inf, 0.0, middle, normal
+    beside = (from_mean[:, 1] * normal[0] - from_mean[:, 0] * normal[1]) / across
     width = math.sqrt(12.0 * (share * beside * beside).sum() / share.sum())
     return loss.sum(), width, middle, normal

@@ -57,6 +57,14 @@ def test_planes_follow_the_front_of_a_plate_whatever_its_thickness(turn_rad, thi
     assert math.sqrt(cost / cells[:, 2].sum()) == pytest.approx(0.003, rel=0.1)
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 0.003])
+def test_points_across_a_line_are_no_plate_that_it_lies_in(noise_m):
+    rng = np.random.default_rng(4)
+    cells = seen_plate(rng, 0.4, 0.0)
+    cells[:, :2], cells[:, 5] = rng.uniform(-0.2, 0.2, (len(cells), 2)), noise_m * rng.standard_normal(len(cells))
+    assert plate_fit.fit_planes(cells)[0] == np.inf
+
+
 def test_the_face_of_a_plate_is_seen_from_its_front_alone():
     turn = 0.7
     corner = sections.outlines(np.array([turn]), np.array([np.inf]))[0]

@@ -125,6 +125,27 @@ def test_bars_that_lie_elsewhere_do_not_lead_a_scan_astray(world):
     assert apart[40] < 0.03
 
 
+def test_points_on_unknown_structure_are_no_reason_to_refuse_a_scan_but_free_directions_are(world):
+    flight, _, estimator, _ = world
+    scan, prior = flight.scans[-1], flight.prior.T_world_drone[-1]
+    points, T = _points_and_start(estimator, scan, prior)
+    bars, variance = estimator.faces.bars, estimator.faces.variance
+
+    def located(kept, variance=variance):
+        some = Locator(bars.take(kept), ratio=estimator.faces.ratio)
+        some.variance = variance
+        return some.fit(points, T), some._matched(points, T)[1].sum() / len(points)
+
+    every = np.ones(len(bars.turn), dtype=bool)
+    whole, share = located(every)
+    assert not whole.reason
+    some, share = located(np.arange(len(every)) % 3 == 0)
+    assert not some.reason
+    assert share < 0.4
+    assert np.linalg.norm(some.T_world_sensor[:3, 3] - whole.T_world_sensor[:3, 3]) < 0.01
+    assert "mm" in located(np.abs(bars.segments.direction[:, 2]) > 0.9, np.full(4, 0.05**2))[0].reason
+
+
 def _points_and_start(estimator, scan, prior):
     T = estimator.prediction.pose(prior, scan.stamp_s) @ estimator.T_drone_sensor
     return points_in_range(scan, T, 6.0, 0.3, 2000), T
