@@ -44,7 +44,7 @@ def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -
 def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
     """A panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``; dashed lines are
     the thresholds. Panels have scales of their own."""
-    rows = cells.assign(title=cells["title"].str.wrap(95))
+    rows = cells.assign(title=cells["title"].str.wrap(80))
     heights = rows.groupby("title", sort=False).size() + 2
     shape = {"sharex": False, "sharey": False, "aspect": 9, "height": 1}
     grid = sns.FacetGrid(
