@@ -43,7 +43,7 @@ smoke: $(READY)  ## the same with short flights, into results-smoke/
 check: $(READY)  ## run every notebook again, from nothing, and compare metrics and tables with the last commit (ONLY=)
 	@$(BIN)/python -m workflow check $(ONLY)
 
-study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (all of it: 6 hours on two cores)
+study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (all of it: 7 hours on two cores)
 	@$(BIN)/python -m steelnb.runs notebooks/study.toml -o results/study
 
 test: $(READY) lint  ## lint, types, import contracts, tests, notebooks at their smoke budget, on two workers
