@@ -38,11 +38,12 @@ RATIO_BOUNDS = (1.0, 6.0)
 
 class Fit(NamedTuple):
     """A registration: the pose of the sensor; its information ``(D, D)``, D = 4 or 6, about a step from it
-    (`fusion.poses`); the number of matched bars, and the range noise as a multiple of that in `points.ranges`.
-    ``reason``: why it is rejected, else empty."""
+    (`fusion.poses`), and its variance ``(D,)``; the number of matched bars, and the range noise as a multiple of that
+    in `points.ranges`. ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array
     information: Array
+    variance: Array
     bars: int
     ratio: float
     reason: str
@@ -87,16 +88,19 @@ class Locator:
                 break
         near, on = self._matched(points, T)
         bars = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum())
-        share = float(on.sum() / max(near.sum(), 1))
-        sigma_m = float(np.sqrt(np.diag(np.linalg.inv(information))[-3:].max()))
-        enough = bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= POSITION_SIGMA_MAX_M
-        reason = f"{bars} bars with {100 * share:.0f} % of the points near them leave {1e3 * sigma_m:.1f} mm"
-        return Fit(T, information, bars, noise_ratio(residuals, self.ratio), "" if enough else reason)
+        share, variance = float(on.sum() / max(near.sum(), 1)), np.diag(np.linalg.inv(information))
+        sigma_m, reason = float(np.sqrt(variance[-3:].max())), ""
+        if not (bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= POSITION_SIGMA_MAX_M):
+            reason = (
+                f"too little to tell the pose by: {bars} bars in sight, {100 * share:.0f} % of the points near bars on "
+                f"their faces, position known to {1e3 * sigma_m:.1f} mm"
+            )
+        return Fit(T, information, variance, bars, noise_ratio(residuals, self.ratio), reason)
 
     def accept(self, fit: Fit) -> None:
         """Adopt range noise and variance of an accepted registration."""
         self.ratio = float(np.clip(fit.ratio, *RATIO_BOUNDS))
-        self.variance = np.diag(np.linalg.inv(fit.information))
+        self.variance = fit.variance
 
     def _equations(self, points: Array, T_world_sensor: Array) -> tuple[Array, Array, Array]:
         """Normal equations ``(D, D)``, ``(D,)`` of the pose by ``points (N, 3)``, sensor frame, and the histogram of

@@ -137,7 +137,7 @@ def test_points_on_unknown_structure_are_no_reason_to_refuse_a_scan_but_free_dir
         return some.fit(points, T), some._matched(points, T)[1].sum() / len(points)
 
     every = np.ones(len(bars.turn), dtype=bool)
-    whole, share = located(every)
+    whole, _ = located(every)
     assert not whole.reason
     some, share = located(np.arange(len(every)) % 3 == 0)
     assert not some.reason
