@@ -61,7 +61,6 @@ lint: $(READY)
 	@$(BIN)/lint-imports
 
 docs: $(READY)  ## pages to read offline, with every notebook as executed: docs/_build/html/index.html (BUDGET=full: as published)
-	@$(BIN)/python -m workflow reproduce --budget "$(or $(BUDGET),smoke)"
 	@$(BIN)/python -m workflow pages --budget "$(or $(BUDGET),smoke)"
 	@$(BIN)/python -m sphinx -W --keep-going -q -j 2 docs docs/_build/html
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from steelnb.claims import read_claims
-from workflow.experiments import make_parts
+from workflow.experiments import first_parts, make_parts
 from workflow.task_notebooks import cache_folder, merge, run
 
 ROOT = Path(__file__).parents[1]
@@ -42,8 +42,8 @@ def smoke(tmp_path_factory):
     Of a notebook that several parts or experiments share the first part alone is run: the others run the same cells.
     """
     folder, cache = tmp_path_factory.mktemp("smoke"), cache_folder(ROOT, ROOT / "results-smoke")
-    parts = {part.experiment.notebook: part for part in reversed(make_parts(ROOT, [], "smoke"))}.values()
-    faults = run([*parts], cache, ROOT / ".cache")
+    parts = first_parts(make_parts(ROOT, [], "smoke"))
+    faults = run(parts, cache, ROOT / ".cache")
     assert not any(faults.values()), faults
     for part in parts:
         merge([part], cache, folder / part.id, "smoke")

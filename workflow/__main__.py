@@ -16,7 +16,7 @@ import typer
 
 from steelnb.errors import InputError, OutputError, SteelnbError
 from steelnb.results import find_root
-from workflow.experiments import BUDGETS, make_parts, parse_parameters
+from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
@@ -116,14 +116,17 @@ def bits() -> int:
 
 
 @app.command()
-def pages(budget: Budget = "smoke") -> int:
-    """Write the notebooks as executed, and the script of Plotly, where Sphinx takes them from: docs/notebooks/."""
+def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
+    """Run the first part of every notebook if it is not up to date, and write the notebooks as executed, and the script
+    of Plotly, where Sphinx takes them from: docs/notebooks/."""
     from workflow.pages import write_pages
-    from workflow.task_notebooks import cache_folder
+    from workflow.task_notebooks import cache_folder, run
 
     root = find_root()
-    for name in write_pages(make_parts(root, [], budget), cache_folder(root, root / BUDGETS[budget]), root / "docs"):
-        print(f"{name}: no page, since it has not been run")
+    parts, cache = first_parts(make_parts(root, [], budget)), cache_folder(root, root / BUDGETS[budget])
+    for fault in filter(None, run(parts, cache, root / ".cache", jobs).values()):
+        raise fault
+    write_pages(parts, cache, root / "docs")
     return 0
 
 

@@ -108,6 +108,11 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
     return [part for id, each, usual in some for part in _combine(root, id, each, usual, given or {})]
 
 
+def first_parts(parts: Sequence[Part]) -> list[Part]:
+    """The first part of each notebook: the others run the same cells."""
+    return [*{part.notebook: part for part in reversed(parts)}.values()][::-1]
+
+
 def _combine(
     root: Path, id: str, experiment: Experiment, usual: Mapping[str, Any], given: Mapping[str, Any]
 ) -> list[Part]:

@@ -18,20 +18,17 @@ ELSEWHERE = re.compile(r"\[([^]]*)\]\((?!https?:|#|[\w.-]+\.ipynb)[^)\s]+\)")
 """A link to a file of the project that is no page here."""
 
 
-def write_pages(parts: Sequence[Part], cache: Path, docs: Path) -> list[str]:
-    """Write each notebook, as its first part left it, and Plotly's own script. Gives those that have not been run."""
+def write_pages(parts: Sequence[Part], cache: Path, docs: Path) -> None:
+    """Write each part's notebook, as it has run, and Plotly's own script."""
     shutil.rmtree(docs / "notebooks", ignore_errors=True)
     (docs / "notebooks").mkdir()
     (docs / "_static" / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
-    first = {part.experiment.notebook: part_folder(cache, part) / EXECUTED for part in reversed(parts)}
-    for name, path in first.items():
-        if path.is_file():
-            notebook = nbformat.read(path, as_version=4)
-            notebook.metadata.pop("widgets", None)
-            for cell in notebook.cells:
-                _show(cell)
-            nbformat.write(notebook, docs / "notebooks" / name)
-    return [name for name, path in first.items() if not path.is_file()]
+    for part in parts:
+        notebook = nbformat.read(part_folder(cache, part) / EXECUTED, as_version=4)
+        notebook.metadata.pop("widgets", None)
+        for cell in notebook.cells:
+            _show(cell)
+        nbformat.write(notebook, docs / "notebooks" / part.notebook.name)
 
 
 def _show(cell: nbformat.NotebookNode) -> None:
