@@ -21,6 +21,8 @@ ROOT = Path(__file__).parents[2]
 FOR_PAGE_MS = 60_000
 FOR_FLIGHT_MS = 300_000  # kernels are compiled where the cache is empty
 HEIGHT_PX = 1000
+LONG, SHORT = "duration_s = 40.0", "duration_s = 15.0"
+"""Of the flight: software draws the scene here."""
 DRAWN = ".js-plotly-plot canvas"
 STATUS = ".widget-html"
 DONE = f"{STATUS} >> text=computed in"
@@ -34,8 +36,10 @@ def lab(tmp_path: Path) -> Iterator[str]:
     """The address of a JupyterLab on a copy of the notebook, with the project's settings and nobody else's; ended with
     all its kernels."""
     (tmp_path / "notebooks").mkdir()
-    for name in ("00_explore.ipynb", "runs.toml"):
-        shutil.copy(ROOT / "notebooks" / name, tmp_path / "notebooks")
+    shutil.copy(ROOT / "notebooks" / "runs.toml", tmp_path / "notebooks")
+    notebook = (ROOT / "notebooks" / "00_explore.ipynb").read_text(encoding="utf-8")
+    assert LONG in notebook
+    (tmp_path / "notebooks" / "00_explore.ipynb").write_text(notebook.replace(LONG, SHORT), encoding="utf-8")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -91,14 +95,14 @@ def test_the_notebook_to_explore_runs_and_its_picture_follows_the_slider(page: P
     assert box is not None
     assert 0 < box["y"] < box["y"] + box["height"] < HEIGHT_PX, "the picture is seen without scrolling"
     before, sentence = page.evaluate(ERRORS), page.locator(STATUS)
-    assert len(before) == 100
+    assert len(before) > 30
     text = sentence.inner_text()
     page.locator(".jupyter-widgets.widget-slider", has_text="level ×").locator(".noUi-handle").focus()
     page.keyboard.press("PageUp")
     page.wait_for_function(CHANGED, arg=before, timeout=FOR_FLIGHT_MS)
     page.wait_for_selector(DONE, timeout=FOR_FLIGHT_MS)
     after = page.evaluate(ERRORS)
-    assert len(after) == 100
+    assert len(after) == len(before)
     assert not np.allclose(after, before, atol=1e-6)
     assert sentence.inner_text() != text
     assert page.locator(DRAWN).count() > 0
