@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from steelnb.points.voxel_kernels import bucket_of
+from steelnb.points.voxel_kernels import find, hash_table, put
 from steelnb.settings import PreprocessSettings
 from steelnb.types import Array, Scan
 
@@ -43,53 +43,41 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
     if not len(points):
         return np.zeros((0, 3))
     points = np.ascontiguousarray(points, dtype=np.float64)
-    voxel, low, high = _voxel_indices(points, leaf_m)
-    if np.prod(high - low + 1.0) >= 2.0**62:
+    coordinates = np.ascontiguousarray(points.T)  # rows have fast extremes
+    low, high = np.floor(coordinates.min(axis=1) / leaf_m), np.floor(coordinates.max(axis=1) / leaf_m)
+    if not np.prod(high - low + 1.0) < 2.0**62:
         raise ValueError(f"leaf_m = {leaf_m}: expected a larger leaf, as one integer cannot number so many voxels")
-    grouped, first = _group_by_voxel(points, voxel, low, high - low + 1)
+    grouped, first = _group_by_voxel(points, leaf_m, low.astype(np.int64), (high - low + 1.0).astype(np.int64))
     count = np.diff(np.append(first, len(points)))
     return np.add.reduceat(grouped, first, axis=0) / count[:, None]
 
 
 @njit(cache=True)
-def _voxel_indices(points, leaf_m):
-    """Voxel indices ``(N, 3)`` of the points, and the lowest and highest index along each axis."""
-    voxel = np.empty(points.shape, np.int64)
-    low, high = np.full(3, np.int64(2) ** 62), np.full(3, -(np.int64(2) ** 62))
-    for i in range(len(points)):
-        for k in range(3):
-            voxel[i, k] = np.int64(math.floor(points[i, k] / leaf_m))
-            low[k], high[k] = min(low[k], voxel[i, k]), max(high[k], voxel[i, k])
-    return voxel, low, high
-
-
-@njit(cache=True)
-def _group_by_voxel(points, voxel, low, extent):
+def _group_by_voxel(points, leaf_m, low, extent):
     """Points stably sorted by voxel, and the index of the first point of each voxel.
 
     The voxels are found by a hash table and only they are sorted, since they are far fewer than the points.
     """
-    n, size = len(voxel), 1024
-    while size < 2 * n:
-        size *= 2
-    table, mask = np.full(size, -1, np.int64), size - 1
-    group, key, count = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
+    n = len(points)
+    table_key, table_slot = hash_table(np.empty(0, np.int64), n)
+    group, voxel_key, count = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
     voxels, last, g = 0, np.int64(-1), np.int64(-1)
     for i in range(n):
-        voxel_key = ((voxel[i, 0] - low[0]) * extent[1] + voxel[i, 1] - low[1]) * extent[2] + voxel[i, 2] - low[2]
-        if voxel_key != last:  # neighbouring pixels mostly share a voxel
-            bucket = bucket_of(voxel_key, mask)
-            while table[bucket] >= 0 and key[table[bucket]] != voxel_key:
-                bucket = (bucket + 1) & mask
-            if table[bucket] < 0:
-                table[bucket], key[voxels] = voxels, voxel_key
+        key = np.int64(0)
+        for k in range(3):
+            key = key * extent[k] + np.int64(math.floor(points[i, k] / leaf_m)) - low[k]
+        if key != last:  # neighbouring pixels mostly share a voxel
+            last, g = key, find(key, table_key, table_slot)
+            if g < 0:
+                g = np.int64(voxels)
+                put(key, g, table_key, table_slot)
+                voxel_key[voxels] = key
                 voxels += 1
-            g, last = table[bucket], voxel_key
         group[i] = g
         count[g] += 1
     first, free = np.empty(voxels, np.int64), np.empty(voxels, np.int64)
     begin = 0
-    for rank, g in enumerate(np.argsort(key[:voxels])):
+    for rank, g in enumerate(np.argsort(voxel_key[:voxels])):
         first[rank] = free[g] = begin
         begin += count[g]
     grouped = np.empty_like(points)
