@@ -63,17 +63,23 @@ class PlaneCovariances:
         _fill(self.tree, self.neighbours, self._leaf_of, index, self.value, True)
 
 
-def normals(covariances: Array) -> Array:
+@njit(cache=True, error_model="numpy")
+def normals(covariances):
     """Unit normals ``(N, 3)``, the smallest eigenvectors of ``covariances (N, 6)``; their sign is arbitrary."""
     result = np.empty((len(covariances), 3))
-    _normals(np.ascontiguousarray(covariances), result)
+    for i in range(len(covariances)):
+        c = covariances[i]
+        _, result[i, 0], result[i, 1], result[i, 2] = eigen(c[0], c[1], c[2], c[3], c[4], c[5])[0]
     return result
 
 
 @njit(cache=True, error_model="numpy")
 def _fill(tree, k_most, leaf_of, index, value, plane):
     """Write the missing covariances of the leaves of the points ``index (N,)``, `regularised` if ``plane``."""
-    scratch = _scratch(len(tree.point), k_most)
+    n = len(tree.point)
+    xyz_distance = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
+    stack = np.empty(64, np.int64), np.empty((64, 4))
+    scratch = np.empty(k_most, np.int64), np.empty(k_most), np.empty(n + 1, np.int64), xyz_distance, stack
     for i in index:
         if i < 0 or not np.isnan(value[i, 0]):
             continue
@@ -103,14 +109,6 @@ def _leaves(tree):
     return leaf_of
 
 
-@njit(cache=True)
-def _scratch(n, k):
-    """Buffers of `_covariances_of_leaf`."""
-    xyz_distance = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
-    stack = np.empty(64, np.int64), np.empty((64, 4))
-    return np.empty(k, np.int64), np.empty(k), np.empty(n + 1, np.int64), xyz_distance, stack
-
-
 @njit(cache=True, error_model="numpy")
 def _covariances_of_leaf(tree, node, k_most, result, scratch):
     """Covariances of all points of a leaf by one search of the tree.
@@ -120,8 +118,6 @@ def _covariances_of_leaf(tree, node, k_most, result, scratch):
     """
     found, nearest, chosen, (xs, ys, zs, distance), (node_of, node_distance) = scratch
     point, first, last = tree.point, tree.left[node], tree.right[node]
-    if first == last:
-        return
     cx = cy = cz = 0.0
     for i in range(first, last):
         cx += point[i, 0]
@@ -191,11 +187,3 @@ def _smallest_k(distance, n, k, initial_bound, limit, chosen):
             chosen[size] = c
             size += np.uint64(low < distance[c] <= bound and size < k)
     return bound
-
-
-@njit(cache=True, error_model="numpy")
-def _normals(covariances, result):
-    for i in range(len(covariances)):
-        a = covariances[i]
-        least, _, _ = eigen(a[0], a[1], a[2], a[3], a[4], a[5])
-        result[i, 0], result[i, 1], result[i, 2] = least[1], least[2], least[3]
