@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from steelnb.hough.blocks import EXCLUDE_DX
 from steelnb.hough.pieces import filter_pieces, merge
 from steelnb.hough.segments import cut_and_sort
 from steelnb.hough.transform import fit_line
@@ -17,8 +18,6 @@ PCA_RATIO_MIN, RADIUS_MAX_M = 0.9, 0.07
 """Minimum share of the variance of a bar's points along it, and their maximum root mean square distance to its axis."""
 ASSIGN_DX = 1.2
 """Maximum distance of a bar's points from its axis, in dx. It exceeds 1 since lines miss the edges of wide sections."""
-EXCLUDE_DX = 1.25
-"""Points within this many dx of a bar do not enter the second pass, or wide bars would be found twice."""
 END_MARGIN_M = 0.05
 """A bar also takes points up to this far past its ends."""
 OWN_SHARE_MIN = 0.33

@@ -10,7 +10,6 @@ share them.
 
 import itertools
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -19,15 +18,15 @@ from numpy.typing import NDArray
 from steelnb.hough.cubes import sort_into_cubes, walk
 from steelnb.hough.growth import grow, run_along, trim
 from steelnb.hough.pieces import span
-from steelnb.hough.segments import detect_segments
+from steelnb.hough.segments import GAP, detect_segments
 from steelnb.hough.transform import fit_line
 from steelnb.types import Array, Segments
 
 BLOCK = 12.0
 """Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by up to dx/2."""
 GRANULARITY = 3
-GAP, LENGTH, PCA_RATIO = 4.0, 5.0, 0.9
-"""Bounds of a segment: maximum gap and minimum length in dx, minimum share of the variance along it."""
+LENGTH, PCA_RATIO = 5.0, 0.9
+"""Bounds of a segment: minimum length in dx, minimum share of the variance along it."""
 RING_WEIGHT = 0.75
 """Weight of a point in the ring from dx to 2 dx. At 1 a planar surface scores zero, but so do bars whose points scatter
 by dx: on ten surveyed towers, 1 loses up to 60 % of the points that 0.75 explains. At 0.5, a third of a tower jittered
@@ -58,7 +57,7 @@ def segment_structure(
     Returns `Segments` in the frame of the points, strongest first. Raises as `steelnb.hough.detect_segments`.
     """
     points = points[np.argsort(points[:, 2], kind="stable")]
-    proposed = propose(points, dx, min_votes, length_min, SHIFTS[:grids])
+    proposed = propose(points, dx, min_votes, length_min, grids)
     start, direction, length = proposed.start, proposed.direction, proposed.length
     cubes = sort_into_cubes(points, 2 * dx)
     first_pair, pair = _pairs(cubes, start, direction, length, dx)
@@ -74,18 +73,12 @@ def within(points: Array, segments: Segments, distance: float) -> NDArray[np.boo
     return near
 
 
-def propose(
-    points: Array, dx: float, min_votes: int, length_min: float, shifts: Sequence[tuple[int, int, int]]
-) -> Segments:
-    """Segments of every block of the cloud ``(N, 3)``, in one grid of blocks for each of the ``shifts``.
-
-    Arguments as in `segment_structure`, which selects among them. The bounds are looser than the final ones, since a
-    block may hold only part of a bar.
-    """
+def propose(points: Array, dx: float, min_votes: int, length_min: float, grids: int) -> Segments:
+    """Segments of every block, for `segment_structure`. The bounds are looser: a block may hold only part of a bar."""
     edge = BLOCK * dx
     low = points.min(axis=0)
     found = [Segments.empty()]
-    for shift in shifts:
+    for shift in SHIFTS[:grids]:
         block = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
         order = np.lexsort(block.T[::-1])
         new = (np.diff(block[order], axis=0) != 0).any(axis=1)
@@ -99,8 +92,7 @@ def propose(
                 found.append(
                     detect_segments(
                         block_points, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
-                        gap_max=GAP * dx, pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx,
-                        length_min=(length_min - 1) * dx,
+                        pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx, length_min=(length_min - 1) * dx,
                     )
                 )  # fmt: skip
     return Segments.joined(found)

@@ -10,7 +10,7 @@ from steelnb.settings import HoughSettings
 from steelnb.types import Array, Lines, Segments
 
 GAP = 4.0
-"""Default of ``gap_max`` in dx."""
+"""Maximum gap of a segment in dx: default of ``gap_max``."""
 
 
 def detect_segments(
