@@ -48,9 +48,7 @@ def frames() -> list[Array]:
     tower = build_tower(s.tower)
     flight, _ = fly(tower, s.flight, s.seed)
     poses = flight.at(np.array([*AT_S, AT_S[-1]])).T_world_drone  # a flight has one pose after its last scan
-    scans, _ = scan_flight(
-        tower, Trajectory(np.arange(len(poses), dtype=np.float64), poses), tof.T_drone_sensor, tof, s.seed
-    )
+    scans, _ = scan_flight(tower, Trajectory(np.arange(len(poses), dtype=np.float64), poses), tof, s.seed)
     found = []
     for scan, T in zip(scans, poses @ tof.T_drone_sensor, strict=False):
         points = np.asarray(scan.points, dtype=np.float64).reshape(-1, 3)

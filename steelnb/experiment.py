@@ -52,7 +52,7 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     def flown() -> tuple[Trajectory, Imu, RangeScans, Visibility]:
         pilot = OnboardPilot(settings, tower, on_progress) if settings.flight.trajectory == "planned" else None
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
-        return trajectory, imu, *scan_flight(tower, trajectory, tof.T_drone_sensor, tof, settings.seed)
+        return trajectory, imu, *scan_flight(tower, trajectory, tof, settings.seed)
 
     trajectory, exact, scans, visibility = cached(flown, "flight", *world(settings))
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact

@@ -1,6 +1,6 @@
 """Settings → `Tower`, true flight, scans: the role of the report's Webots simulation."""
 
-from steelnb.simulation.cameras import FORWARD, TRACKING, Camera, photograph
+from steelnb.simulation.cameras import FORWARD, Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.sections import Member
@@ -9,7 +9,6 @@ from steelnb.simulation.tower import Tower, build_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "FORWARD", "TRACKING", "Camera", "Command", "Member", "Pilot", "Tower", "Truth",
-    "Visibility", "build_tower", "filtered_attitude", "fly", "measured_imu",
-    "photograph", "scan_flight",
+    "FORWARD", "Camera", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower",
+    "filtered_attitude", "fly", "measured_imu", "photograph", "scan_flight",
 ]  # fmt: skip

@@ -4,7 +4,6 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,29 +45,9 @@ def intrinsics(camera: CameraSettings) -> Array:
     return np.array([[f, 0, (camera.columns - 1) / 2], [0, f, (camera.rows - 1) / 2], [0, 0, 1]])
 
 
-def with_square_pixels(camera: CameraSettings) -> CameraSettings:
-    """The camera with the vertical field of view that square pixels give it."""
-    return camera.replace(fov_vertical_rad=2 * math.atan(camera.rows / (2 * focal_px(camera))))
-
-
-FORWARD = with_square_pixels(
-    CameraSettings(columns=422, rows=320, fov_horizontal_rad=1.74, mount_m=(0.06, 0.0, 0.02))
-)  # fmt: skip
-TRACKING = with_square_pixels(
-    CameraSettings(
-        columns=640, rows=480, fov_horizontal_rad=2.32, mount_m=(0.06, 0.0, -0.02), mount_rpy_deg=(0.0, 45.0, 0.0)
-    )
-)
-"""The two cameras of the report's drone, with global shutters; the second one looks down."""
-
-
-class Rendered(NamedTuple):
-    """Images ``(H, W)``: ``grey`` float32 without noise; ``range_m`` along the centre ray of each pixel, infinite for
-    no hit; and the ``member`` that it hits, −1 for the ground and for no hit."""
-
-    grey: Floats
-    range_m: Floats
-    member: IntArray
+FORWARD = CameraSettings(columns=422, rows=320, fov_horizontal_rad=1.74, mount_m=(0.06, 0.0, 0.02))
+FORWARD = FORWARD.replace(fov_vertical_rad=2 * math.atan(FORWARD.rows / (2 * focal_px(FORWARD))))
+"""The forward camera of the report's drone, with square pixels and a global shutter."""
 
 
 def photograph(tower: Tower, trajectory: Trajectory, camera: CameraSettings, seed: rng.Seed) -> CameraImages:
@@ -98,8 +77,9 @@ class Camera:
         self._direction = (direction / np.linalg.norm(direction, axis=2)[..., None]).astype(np.float32)
         self.moments_s = EXPOSURE_S * np.append(0.0, np.linspace(-0.5, 0.5, count))
 
-    def render(self, T_world_camera: Array) -> Rendered:
-        """An image without noise from the poses ``T_world_camera (SAMPLES, 4, 4)`` at `moments_s` from its stamp.
+    def render(self, T_world_camera: Array) -> Floats:
+        """Grey levels ``(H, W)`` float32, without noise, from the poses ``T_world_camera (SAMPLES, 4, 4)`` at
+        `moments_s` from the stamp.
 
         At edges, and everywhere if the image is blurred, all rays of a pixel are cast; elsewhere only the centre ray.
         """
@@ -109,7 +89,7 @@ class Camera:
         chosen = np.arange(grey.size) if blurred else np.flatnonzero(_edges(range_m, member))
         more, _ = self._cast(T_world_camera[1:], self._direction[1:, chosen])
         grey[chosen] = (grey[chosen] + more.sum(axis=0)) / SAMPLES
-        return Rendered(grey.reshape(self._shape), range_m, member)
+        return grey.reshape(self._shape)
 
     def _cast(self, T_world_camera: Array, direction: Floats) -> tuple[Floats, Hits]:
         """Grey levels ``(S, N)`` and hits of rays ``(S, N, 3)`` from the poses ``(S, 4, 4)``."""
@@ -156,7 +136,7 @@ class _Images(Sequence[GreyImage]):
     def __getitem__(self, index: int) -> GreyImage:  # type: ignore[override]
         k = range(len(self))[index]
         T_world_drone = self.trajectory.between(float(self.stamp_s[k]) + self.camera.moments_s)
-        grey = self.camera.render(T_world_drone @ self.settings.T_drone_sensor).grey
+        grey = self.camera.render(T_world_drone @ self.settings.T_drone_sensor)
         sigma = np.sqrt(np.float32(READ_NOISE**2) + np.float32(GAIN) * grey)
         noise = rng.stream(self.seed, "camera", k).standard_normal(grey.shape, dtype=np.float32)
         return np.clip(np.rint(grey + sigma * noise), 0, 255).astype(np.uint8)

@@ -22,7 +22,7 @@ AMPLITUDE_SCATTER = 0.1
 
 
 def scan_flight(
-    tower: Tower, trajectory: Trajectory, T_drone_sensor: Array, settings: TofSettings, seed: rng.Seed
+    tower: Tower, trajectory: Trajectory, settings: TofSettings, seed: rng.Seed
 ) -> tuple[RangeScans, Visibility]:
     """Range images along a true trajectory, and the parts of the members that they show.
 
@@ -30,8 +30,7 @@ def scan_flight(
     ----------
     tower: world frame.
     trajectory: true poses of the drone at equal time steps, the first at t = 0.
-    T_drone_sensor: ``(4, 4)``, the mount; the optical axis is the sensor's x axis.
-    settings: pinhole, rate, noise, limits and faults of the sensor.
+    settings: pinhole, mount, rate, noise, limits and faults of the sensor, whose optical axis is its x axis.
     seed: scan k takes its noise from the stream ``("tof", k)``, so a longer flight begins with the scans of a shorter
         one. With faults, the camera is drawn from ``("tof-camera",)`` and its rays from ``("tof-rays", k)``.
 
@@ -42,8 +41,8 @@ def scan_flight(
     index = index[index < len(trajectory) - 1] if len(index) > 1 else index
     stamp_s, camera, counter = trajectory.stamp_s[index], TofCamera(tower, settings, seed), SliceCounter(tower.axes)
     range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
-    poses = camera.exposure_poses(trajectory, stamp_s, T_drone_sensor)
-    for k, T in enumerate(trajectory.T_world_drone[index] @ T_drone_sensor):
+    poses = camera.exposure_poses(trajectory, stamp_s)
+    for k, T in enumerate(trajectory.T_world_drone[index] @ settings.T_drone_sensor):
         range_m[k], exposure = camera.scan_image(k, float(stamp_s[k]), poses[k])
         steel = np.flatnonzero(np.isfinite(range_m[k]) & (exposure.member >= 0))
         distance, direction = exposure.exact_m.ravel()[steel], camera.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
@@ -69,12 +68,12 @@ class TofCamera:
         self._exposure_s = self._faults.exposure_s if self._faults else 0.0
         self.latency_s = self._exposure_s * float(MOMENTS.max())
 
-    def exposure_poses(self, trajectory: Trajectory, stamp_s: Array, T_drone_sensor: Array) -> Array:
+    def exposure_poses(self, trajectory: Trajectory, stamp_s: Array) -> Array:
         """True poses of the sensor ``(K, 9, 4, 4)`` at the nine moments of each exposure, centred on ``stamp_s
         (K,)``."""
         if self._exposure_s > 0:
-            return trajectory.between(stamp_s[:, None] + self._exposure_s * MOMENTS) @ T_drone_sensor
-        T_world_sensor = trajectory.at(stamp_s).T_world_drone @ T_drone_sensor
+            return trajectory.between(stamp_s[:, None] + self._exposure_s * MOMENTS) @ self.settings.T_drone_sensor
+        T_world_sensor = trajectory.at(stamp_s).T_world_drone @ self.settings.T_drone_sensor
         return np.broadcast_to(T_world_sensor[:, None], (len(stamp_s), len(MOMENTS), 4, 4))
 
     def measure(
@@ -100,7 +99,7 @@ class TofCamera:
 
     def scan(self, k: int, stamp_s: float, trajectory: Trajectory) -> Scan:
         """Scan k, bit for bit as in `scan_flight`, during a flight. The true ``trajectory`` covers its exposure."""
-        (poses,) = self.exposure_poses(trajectory, np.array([stamp_s]), self.settings.T_drone_sensor)
+        (poses,) = self.exposure_poses(trajectory, np.array([stamp_s]))
         return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.ray)
 
 

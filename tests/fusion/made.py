@@ -67,9 +67,10 @@ def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).as_matrix()
     T[:, :3, 3] = np.stack([-3.2 * np.cos(angle), -3.2 * np.sin(angle), np.linspace(1.2, 3.4, poses)], axis=1)
     path, tof = Trajectory(0.2 * np.arange(poses + 1), np.concatenate([T, T[-1:]])), TofSettings(
-        columns=120, rows=120, fov_horizontal_rad=1.5, fov_vertical_rad=1.5, range_max_m=6.0, sigma_floor_m=noise_m
+        columns=120, rows=120, fov_horizontal_rad=1.5, fov_vertical_rad=1.5, range_max_m=6.0, sigma_floor_m=noise_m,
+        mount_m=(0.0, 0.0, 0.0),
     )  # fmt: skip
-    scans, _ = scan_flight(tower, path, np.eye(4), tof, seed)
+    scans, _ = scan_flight(tower, path, tof, seed)
     return Flight(scans, Trajectory(scans.stamp_s, T[: len(scans)]), np.eye(4))
 
 

@@ -79,8 +79,8 @@ def test_scans_without_faults_are_exact_ranges_with_noise():
     trajectory = Trajectory(*(each[:251] for each in (np.arange(300) * 0.008, np.tile(HERE, (300, 1, 1)))))
     trajectory.T_world_drone[:, 0, 3] -= 3.5
     tof = TofSettings.preset("starling2").replace(columns=45, rows=60)
-    scans, _ = scan_flight(TOWER, trajectory, np.eye(4), tof, 6)
-    exact, _ = cast_rays(make_scene(TOWER), trajectory.at(scans.stamp_s).T_world_drone, rays(tof))
+    scans, _ = scan_flight(TOWER, trajectory, tof, 6)
+    exact, _ = cast_rays(make_scene(TOWER), trajectory.at(scans.stamp_s).T_world_drone @ tof.T_drone_sensor, rays(tof))
     for k in range(len(scans)):
         np.testing.assert_array_equal(scans.range_m[k], measured_ranges(exact[k], tof, rng.stream(6, "tof", k)))
 
@@ -170,9 +170,7 @@ def test_exposures_are_centred_on_the_stamps():
         axes=np.array([[(4.0, 0, 0), (4.0, 0, 10)]]),
         settings=TOWER.settings,
     )
-    blurred, sharp = (
-        scan_flight(tower, trajectory, np.eye(4), SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ())
-    )
+    blurred, sharp = (scan_flight(tower, trajectory, SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ()))
     np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm
 
 

@@ -246,19 +246,20 @@ def test_plates_of_a_list_return_light_and_are_no_members(tmp_path):
     T = np.eye(4)
     T[2, 3] = 1.0
     flight = Trajectory(np.arange(51) / 125, np.tile(T, (51, 1, 1)))
-    tof = TofSettings(columns=24, rows=24, fov_horizontal_rad=1.0, fov_vertical_rad=1.0, sigma_floor_m=0.0)
-    plain, visibility = scan_flight(tower, flight, np.eye(4), tof, 1)
+    tof = TofSettings(
+        columns=24, rows=24, fov_horizontal_rad=1.0, fov_vertical_rad=1.0, sigma_floor_m=0.0, mount_m=(0, 0, 0)
+    )
+    plain, visibility = scan_flight(tower, flight, tof, 1)
     points = plain[0].points.reshape(-1, 3)
     np.testing.assert_allclose(points[:, 0], 1.5, rtol=1e-5)
     assert visibility.returns.sum() == 0
     faulty = tof.replace(faults=("multipath",))
-    np.testing.assert_allclose(scan_flight(tower, flight, np.eye(4), faulty, 1)[0].range_m, plain.range_m, rtol=0.05)
+    np.testing.assert_allclose(scan_flight(tower, flight, faulty, 1)[0].range_m, plain.range_m, rtol=0.05)
     member = np.full(len(points), PLATE)
     assert not seen_members(tower.axes, points, member).visibility.returns.any()
     camera = CameraSettings(columns=80, rows=80, fov_horizontal_rad=0.8, fov_vertical_rad=0.8)
-    rendered = Camera(tower, camera).render(np.tile(T, (SAMPLES, 1, 1)))
-    assert (rendered.member == PLATE).all()
-    assert min(rendered.grey.std(axis=0).min(), rendered.grey.std(axis=1).min()) > 1.0  # no stripes
+    grey = Camera(tower, camera).render(np.tile(T, (SAMPLES, 1, 1)))
+    assert min(grey.std(axis=0).min(), grey.std(axis=1).min()) > 1.0  # no stripes
 
 
 @pytest.mark.parametrize(

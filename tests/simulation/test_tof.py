@@ -108,10 +108,9 @@ def test_rays_have_the_fields_of_view_of_a_pinhole_camera():
 
 
 def test_exact_returns_lie_on_the_structure_or_the_ground(flight):
-    T_drone_sensor = np.eye(4)
-    T_drone_sensor[:3, 3] = [0.06, 0.02, -0.01]
-    scans, visibility = scan_flight(TOWER, flight, T_drone_sensor, EXACT, 1)
-    poses = flight.at(scans.stamp_s).T_world_drone @ T_drone_sensor
+    mounted = EXACT.replace(mount_m=(0.06, 0.02, -0.01), mount_rpy_deg=(0.0, 10.0, 0.0))
+    scans, visibility = scan_flight(TOWER, flight, mounted, 1)
+    poses = flight.at(scans.stamp_s).T_world_drone @ mounted.T_drone_sensor
     steel = 0
     for scan, T in zip(scans, poses, strict=True):
         points = scan.points.reshape(-1, 3)
@@ -172,8 +171,8 @@ def test_a_ray_hits_the_reported_member(seed):
 def test_noise_has_the_sigma_of_its_settings(flight):
     flight = Trajectory(flight.stamp_s[:501], flight.T_world_drone[:501])
     for sensor in (TofSettings.preset("report-4cm"), TofSettings.preset("starling2")):
-        exact, _ = scan_flight(TOWER, flight, np.eye(4), sensor.replace(sigma_floor_m=0.0, sigma_relative=0.0), 1)
-        noisy, _ = scan_flight(TOWER, flight, np.eye(4), sensor, 1)
+        exact, _ = scan_flight(TOWER, flight, sensor.replace(sigma_floor_m=0.0, sigma_relative=0.0), 1)
+        noisy, _ = scan_flight(TOWER, flight, sensor, 1)
         np.testing.assert_array_equal(np.isnan(exact.range_m), np.isnan(noisy.range_m))
         sigma = np.maximum(sensor.sigma_floor_m, sensor.sigma_relative * exact.range_m)
         score = ((noisy.range_m - exact.range_m) / sigma)[np.isfinite(exact.range_m)]
@@ -207,7 +206,7 @@ def test_the_report_s_sensor_scans_every_26_steps_from_its_start(flight):
     sensor = TofSettings.preset("report").replace(rows=2, columns=2)
 
     def steps(**changes):
-        return scan_flight(TOWER, flight, np.eye(4), sensor.replace(**changes), 1)[0].stamp_s / 0.008
+        return scan_flight(TOWER, flight, sensor.replace(**changes), 1)[0].stamp_s / 0.008
 
     np.testing.assert_allclose(steps(), 26 * np.arange(49), atol=1e-6)
     np.testing.assert_allclose(steps(start_s=1.0), 125 + 26 * np.arange(44), atol=1e-6)
@@ -221,8 +220,7 @@ def test_scans_depend_on_the_seed_and_a_longer_flight_begins_with_those_of_a_sho
     shorter = Trajectory(flight.stamp_s[:251], flight.T_world_drone[:251])
     tof = TofSettings.preset(sensor).replace(columns=40, rows=40)
     longer, short, other = (
-        scan_flight(TOWER, flown, np.eye(4), tof, seed)[0].range_m
-        for flown, seed in ((flight, 4), (shorter, 4), (shorter, 5))
+        scan_flight(TOWER, flown, tof, seed)[0].range_m for flown, seed in ((flight, 4), (shorter, 4), (shorter, 5))
     )
     assert (len(longer), len(short)) == (50, 10)
     np.testing.assert_array_equal(longer[:10], short)
