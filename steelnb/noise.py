@@ -92,10 +92,10 @@ def drift_size(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
     return np.asarray(np.linalg.norm(error[:, :3, 3], axis=1))
 
 
-def drift_size_rms(stamp_s: Array, settings: Noise, rate_hz: float = 125.0) -> Array:
-    """Root mean square ``(N,)`` of `drift_size` by the model: σ·√(3·rate·t) of a random walk, rate·t times its step of
-    a constant drift, σ·√(rate·t) of a yaw walk alone."""
-    steps = rate_hz * stamp_s
+def drift_size_rms(stamp_s: Array, settings: Noise) -> Array:
+    """Root mean square ``(N,)`` of `drift_size` by the model: σ·√(3n) of a random walk, n times its step of a constant
+    drift, σ·√n of a yaw walk alone, after n steps at 125 Hz."""
+    steps = 125.0 * stamp_s
     if turns_only(settings):
         return np.asarray(settings.yaw_random_walk_rad * np.sqrt(steps))
     return np.hypot(settings.random_walk_m * np.sqrt(3 * steps), settings.constant_drift_m * steps)

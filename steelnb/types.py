@@ -260,12 +260,8 @@ class Estimate:
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
-    def period_s(self) -> Array:
-        """Time ``(K,)`` from each scan to the next, the deadline of its update; the last scan has the median."""
-        gaps = np.diff(self.prior.stamp_s)
-        return np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
-
-    @property
     def on_time_share(self) -> float:
-        """Share of the updates, 0 to 1, that are done before the next scan."""
-        return float((self.update_s <= self.period_s).mean())
+        """Share of the updates, 0 to 1, that are done before the next scan; the last one has the median interval."""
+        gaps = np.diff(self.prior.stamp_s)
+        deadline_s = np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
+        return float((self.update_s <= deadline_s).mean())
