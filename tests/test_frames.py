@@ -6,7 +6,7 @@ import pytest
 from steelnb.frames import Scenes, attempt, trial_table, trial_timing
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
-from steelnb.simulation.paths import pose_on_path, waypoints
+from steelnb.simulation.paths import path, pose_on_path
 from steelnb.simulation.tof import TofCamera, take_view
 
 
@@ -48,7 +48,7 @@ def test_range_noise_has_its_standard_deviation(scenes):
 
 def test_poses_follow_the_path():
     tower, flight = build_tower(), FlightSettings.preset("loops")
-    corner = waypoints(flight, tower.settings)
+    corner, _ = path(flight, tower.settings)
     np.testing.assert_allclose(pose_on_path(tower, flight, 0.0)[:3, 3], corner[0])
     np.testing.assert_allclose(pose_on_path(tower, flight, 1.0)[:3, 3], corner[-1])
     T = pose_on_path(tower, flight, 0.4, np.array([0.0, 0.1, 0.0]))

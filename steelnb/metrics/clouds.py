@@ -7,16 +7,17 @@ from scipy.spatial.transform import Rotation
 from steelnb.fusion.poses import yaw_of
 from steelnb.types import Array
 
+SLICE_M, POINTS_MIN = 1.0, 200
+"""Height of the slices in which a bend is measured, and minimum number of points of a slice."""
 
-def bend(
-    built: Array, true: Array, axis: ArrayLike = (0.0, 0.0), slice_m: float = 1.0, points_min: int = 200
-) -> dict[str, float]:
+
+def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, float]:
     """Measure how a cloud is bent, by a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
     slice. Both are ``(N, 3)``, metres, world frame.
 
-    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of ``slice_m``
-    start at true height zero. Those with fewer than ``points_min`` points are dropped. Raises ValueError if no slice
-    remains, or if the shapes differ.
+    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of `SLICE_M` start
+    at true height zero. Those with fewer than `POINTS_MIN` points are dropped. Raises ValueError if no slice remains,
+    or if the shapes differ.
 
     Returns ``bend_deg``, the angle between the rotations of the lowest and the highest slice; the maximum over the
     slices of the tilt and the yaw, ``tilt_max_deg`` and ``yaw_max_deg``, and of the displacement of the vertical
@@ -25,15 +26,15 @@ def bend(
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
-    level = np.floor(true[:, 2] / slice_m).astype(int)
+    level = np.floor(true[:, 2] / SLICE_M).astype(int)
     levels, counts = np.unique(level, return_counts=True)
-    levels, counts = levels[counts >= points_min], counts[counts >= points_min]
+    levels, counts = levels[counts >= POINTS_MIN], counts[counts >= POINTS_MIN]
     if not len(levels):
-        raise ValueError(f"no slice of {slice_m} m has {points_min} points")
+        raise ValueError(f"no slice of {SLICE_M} m has {POINTS_MIN} points")
     motions, blur_m = zip(*(_rigid_fit(true[level == each], built[level == each]) for each in levels), strict=True)
     T = np.array(motions)
     up = T[:, :3, 2]
-    upright = np.column_stack([np.tile(axis, (len(levels), 1)), (levels + 0.5) * slice_m])
+    upright = np.column_stack([np.tile(axis, (len(levels), 1)), (levels + 0.5) * SLICE_M])
     offset = np.einsum("sij,sj->si", T[:, :3, :3], upright) + T[:, :3, 3] - upright
     between = Rotation.from_matrix(T[-1, :3, :3] @ T[0, :3, :3].T)
     return {

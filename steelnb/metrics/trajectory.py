@@ -8,6 +8,8 @@ from steelnb.types import Array, Trajectory
 
 GRACE_S = 2.0
 """Time to recover after a gap in the scans."""
+RPE_S = 1.0
+"""Time over which the relative pose error is measured."""
 
 
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
@@ -15,17 +17,17 @@ def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
     return np.asarray(np.linalg.norm(estimate.position - truth.at(estimate.stamp_s).position, axis=1))
 
 
-def score_trajectory(estimate: Trajectory, truth: Trajectory, rpe_delta_s: float = 1.0) -> dict[str, float]:
+def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Absolute trajectory error and relative pose error of an estimate, metres, as evo computes them.
 
     ``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m`` of the position, and ``rpe_rmse_m`` of the
-    translation over ``rpe_delta_s``, all pairs. Raises ValueError if the truth has no pose at a stamp of the estimate.
+    translation over `RPE_S`, all pairs. Raises ValueError if the truth has no pose at a stamp of the estimate.
     Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
     """
     error = position_error_m(estimate, truth)
     ate_m = np.sqrt((error**2).mean())
     result = dict(ate_rmse_m=ate_m, error_mean_m=error.mean(), error_max_m=error.max(), error_final_m=error[-1])
-    frames = max(1, round(rpe_delta_s / float(np.median(np.diff(estimate.stamp_s)))))
+    frames = max(1, round(RPE_S / float(np.median(np.diff(estimate.stamp_s)))))
     if len(estimate) > frames:
         P, Q = estimate.T_world_drone, truth.at(estimate.stamp_s).T_world_drone
         estimated_motion, true_motion = (inverse(T[:-frames]) @ T[frames:] for T in (P, Q))

@@ -79,21 +79,21 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = _make_world(pybullet, client, tower, planned[0][0], yaws[0])
-        wind = gusts(settings, seed, steps, STEP_S).tolist()
+        wind = gusts(settings, seed, steps).tolist()
         steps = _loop(pybullet, client, body, reference, settings, wind, state, imu)
     finally:
         pybullet.disconnect(client)
     return _flown(state[: steps + 1], imu[: steps + 1])
 
 
-def gusts(settings: FlightSettings, seed: rng.Seed, steps: int, step_s: float) -> Array:
+def gusts(settings: FlightSettings, seed: rng.Seed, steps: int) -> Array:
     """Wind velocity at each step, ``(steps, 3)`` m/s in the world frame, from the stream ``gust`` of the seed.
 
     Each axis is an Ornstein-Uhlenbeck process with standard deviation ``gust_sigma_m_s`` and correlation time
     `GUST_TIME_S`.
     """
     shocks = rng.stream(seed, "gust").standard_normal((steps, 3))
-    decay = math.exp(-step_s / GUST_TIME_S)
+    decay = math.exp(-STEP_S / GUST_TIME_S)
     shocks = shocks * settings.gust_sigma_m_s * math.sqrt(1 - decay**2)
     # scipy.signal.lfilter gives the same bits, but its import takes longer than a short flight.
     return np.array(list(itertools.accumulate(shocks, lambda wind, shock: decay * wind + shock)))

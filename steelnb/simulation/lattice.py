@@ -8,7 +8,7 @@ and the two adjacent ones. A ``triangle`` is a plate with three corners.
 import csv
 import math
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -35,32 +35,24 @@ UPRIGHT, IN_FACE = 0.3, 0.5
 of at most `IN_FACE` to it."""
 
 
-class MemberList(NamedTuple):
-    """``kinds`` and ``ends (M, 2, 3)`` of the members; ``plates (P, 3, 3)``: the triangles of the plates."""
-
-    kinds: list[Kind]
-    ends: Array
-    plates: Array
-
-
 def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]:
     """Joints ``(J, 3)`` and members of the list ``settings.members``, and the triangles ``(P, 3, 3)`` of its plates.
 
     Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
-    listed = read_members(settings.members or "")
-    joints, joints_of = find_joints(listed.ends)
-    middle, members = (listed.ends.min(axis=(0, 1)) + listed.ends.max(axis=(0, 1))) / 2, []
-    for kind, ends, own in zip(listed.kinds, listed.ends - middle, joints_of, strict=True):
-        axis = unit(ends[1] - ends[0])
-        members.append(make_member(settings, kind, own, axis, *_flanges(axis, ends.mean(axis=0))))
-    return joints, members, listed.plates
+    kinds, ends, plates = read_members(settings.members or "")
+    joints, joints_of = find_joints(ends)
+    middle, members = (ends.min(axis=(0, 1)) + ends.max(axis=(0, 1))) / 2, []
+    for kind, (start, end), own in zip(kinds, ends - middle, joints_of, strict=True):
+        axis = unit(end - start)
+        members.append(make_member(settings, kind, own, axis, *_flanges(axis, (start + end) / 2)))
+    return joints, members, plates
 
 
 def leg_half_width(members: str, z: float) -> float:
     """Half the distance along x between the outermost legs at height ``z``, metres. Raises `InputError`."""
-    listed = read_members(members)
-    legs = listed.ends[np.array(listed.kinds) == "leg"]
+    kinds, ends, _ = read_members(members)
+    legs = ends[np.array(kinds) == "leg"]
     if not len(legs):
         raise InputError(f"tower.members = {members!r}: no leg in the list; expected one, for the width of the body")
     legs = np.take_along_axis(legs, legs[..., 2].argsort(axis=1)[..., None], axis=1)
@@ -69,8 +61,9 @@ def leg_half_width(members: str, z: float) -> float:
     return float(max(x) - min(x)) / 2
 
 
-def read_members(members: str) -> MemberList:
-    """Read the list of members of a preset or of a file ``FILE.csv``. Raises `InputError`."""
+def read_members(members: str) -> tuple[list[Kind], Array, Array]:
+    """Kinds and ends ``(M, 2, 3)`` of the members, and the triangles ``(P, 3, 3)`` of the plates, of a list of a preset
+    or of a file ``FILE.csv``. Raises `InputError`."""
     path, ends, plates = members_file(members), [], []
     kinds: list[Any] = []
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -88,7 +81,7 @@ def read_members(members: str) -> MemberList:
                 plates += [[corners[i] for i in triangle] for triangle in PLATES[row[0]]]
     if not kinds:
         raise InputError(f"{path}: no member; expected one of {quoted(KINDS)}")
-    return MemberList(kinds, np.array(ends), np.array(plates).reshape(-1, 3, 3))
+    return kinds, np.array(ends), np.array(plates).reshape(-1, 3, 3)
 
 
 def _points(path: Path, line: int, row: list[str]) -> Array:

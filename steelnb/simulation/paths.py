@@ -9,34 +9,27 @@ from steelnb.simulation.tower import Tower, half_width
 from steelnb.types import Array
 
 
-def waypoints(flight: FlightSettings, tower: TowerSettings) -> Array:
-    """Corner points of the flight's path, ``(N, 3)`` metres in the world frame: the waypoints of its settings, or else
-    points derived from the tower.
+def path(flight: FlightSettings, tower: TowerSettings) -> tuple[Array, Array]:
+    """Corners ``(N, 3)`` of the path of a flight without waypoints, and its length ``(N,)`` up to each, metres, world
+    frame.
 
     ``zigzag`` zigzags up in front of the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
     ``standoff_m`` from the body at every height. A ``planned`` flight has its starting point only.
     """
-    if flight.waypoints:
-        return np.array(flight.waypoints)[:, :3]
     heights = np.linspace(flight.height_min_m, flight.height_max_m, flight.levels)
     points: list[tuple[float, float, float]] = []
     for level, z in enumerate(heights):
         half = half_width(tower, z)
         reach = half + flight.standoff_m
         if flight.trajectory == "planned":
-            return np.array([(0.0, -reach, z)])
+            return np.array([(0.0, -reach, z)]), np.zeros(1)
         if flight.trajectory == "zigzag":
             side = 0.8 * half * (-1) ** level
             points += [(-side, -reach, z), (side, -reach, z)]
         else:
             points += [(0, -reach, z), (reach, -reach, z), (reach, reach, z), (-reach, reach, z), (-reach, -reach, z)]
             points += [(0, -reach, z)]
-    return np.array(points)
-
-
-def path(flight: FlightSettings, tower: TowerSettings) -> tuple[Array, Array]:
-    """`waypoints` ``(N, 3)`` and the length of the path ``(N,)`` up to each of them, metres."""
-    corner = waypoints(flight, tower)
+    corner = np.array(points)
     return corner, np.append(0.0, np.cumsum(np.linalg.norm(np.diff(corner, axis=0), axis=1)))
 
 

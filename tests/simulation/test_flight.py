@@ -7,7 +7,7 @@ from steelnb.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.flight import gusts
-from steelnb.simulation.paths import setpoints, waypoints
+from steelnb.simulation.paths import path, setpoints
 from steelnb.simulation.tower import half_width
 
 TOWER = build_tower()
@@ -58,7 +58,7 @@ def test_the_seed_changes_only_the_gusts():
 def test_gusts_follow_their_recursion_and_those_of_a_longer_flight_begin_alike():
     shocks = rng.stream(3, "gust").standard_normal((50, 3))
     keep, wind = np.exp(-0.008 / 2.0), np.zeros(3)
-    found = gusts(FlightSettings(), 3, 80, 0.008)[:50]
+    found = gusts(FlightSettings(), 3, 80)[:50]
     for k, expected in enumerate(found):
         wind = keep * wind + 0.3 * np.sqrt(1 - keep**2) * shocks[k]
         np.testing.assert_allclose(expected, wind, rtol=1e-12)
@@ -71,10 +71,10 @@ def test_touching_the_structure_is_an_error_with_time_and_place(name):
         fly(TOWER, settings, 1)
 
 
-def test_the_path_goes_through_its_waypoints_slowly():
+def test_the_path_goes_through_its_corners_slowly():
     settings, tower = FlightSettings.preset("loops"), TowerSettings()
     position, velocity = setpoints(settings, tower, 25_000, 0.008)
-    corner = waypoints(settings, tower)
+    corner, _ = path(settings, tower)
     nearest = [np.linalg.norm(position - point, axis=1).min() for point in corner]
     assert max(nearest) < 0.3  # rounded corners
     assert np.linalg.norm(velocity, axis=1).max() < 1.02 * settings.speed_m_s

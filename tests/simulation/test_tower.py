@@ -6,7 +6,7 @@ import pytest
 from steelnb.settings import TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.tower import half_width
-from tests.lattice import build_tubes, pieces_of
+from tests.lattice import pieces_of
 
 
 @pytest.fixture(scope="module")
@@ -74,19 +74,3 @@ def test_other_towers_can_be_built():
     assert pieces_of(tower)[1] == 1
     assert tower.joints[:, 2].max() == 30.0
     assert half_width(tower.settings, 18.0) == pytest.approx(0.85)
-
-
-def test_tubes_lie_around_their_axes_and_have_the_area_of_the_circle():
-    axes = np.array([[[0.0, 0, 0], [0, 0, 2]], [[1, 0, 1], [2, 1, 2]]])
-    tubes = build_tubes(axes, 0.05)
-    np.testing.assert_array_equal(tubes.axes, axes)
-    corner = tubes.vertices[tubes.triangles]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    for m, (start, end) in enumerate(axes):
-        mine, length = tubes.triangle_member == m, np.linalg.norm(end - start)
-        away = corner[mine].mean(axis=1) - start
-        outward = away - (away @ (end - start))[:, None] * (end - start) / length**2
-        assert (np.einsum("ij,ij->i", normal[mine], outward) > 0).all()
-        # Each wall and the axis span a triangular prism, of half the wall's area times its distance to the axis.
-        doubled = np.einsum("ij,ij->i", normal[mine], corner[mine, 0] - start)  # a normal is as long as twice the area
-        assert 0.5 * 0.5 * doubled.sum() == pytest.approx(np.pi * 0.05**2 * length, rel=1e-9)
