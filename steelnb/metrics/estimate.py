@@ -1,5 +1,6 @@
 """All metrics of an estimate: of its trajectory, and of the segments of its map if it has any."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from steelnb.metrics.members import score_segments
 from steelnb.metrics.trajectory import score_gaps, score_trajectory
 from steelnb.simulation import Truth
-from steelnb.types import Estimate
+from steelnb.types import Array, Estimate
 
 
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
@@ -27,7 +28,11 @@ def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[flo
             "segments": float(len(segments)),
             "segment_recall": score.recall,
             "segment_precision": score.precision,
-            "segment_angle_median_deg": float(np.degrees(score.angle_median_rad)),
-            "segment_offset_median_m": score.offset_median_m,
+            "segment_angle_median_deg": float(np.degrees(_median(score.angle_rad))),
+            "segment_offset_median_m": _median(score.offset_m),
         }
     return numbers
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else math.nan

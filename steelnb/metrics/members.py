@@ -79,16 +79,13 @@ def match_members(
 class SegmentScore:
     """Recall over the observed members, precision over the segments, and errors of the right segments.
 
-    ``recall`` and ``precision``: 0–1; ``found (M,)``: which members are found; ``right (S,)``: which segments lie on a
-    member; ``duplicates``: number of these beside a longer one on the same member; ``angle_rad`` and ``offset_m``:
-    angle and mean distance to the axis of each right segment, with their medians, NaN if there is none.
+    ``recall`` and ``precision``: 0–1; ``right (S,)``: which segments lie on a member; ``duplicates``: number of these
+    beside a longer one on the same member; ``angle_rad`` and ``offset_m``: angle and mean distance to the axis of each
+    right segment.
     """
 
     recall: float
     precision: float
-    angle_median_rad: float
-    offset_median_m: float
-    found: NDArray[np.bool_]
     right: NDArray[np.bool_]
     duplicates: int
     angle_rad: Array
@@ -122,18 +119,13 @@ def score_segments(
             covered[m] |= parts
     seen = np.ones_like(covered) if seen is None else seen
     found = (covered & seen).sum(axis=1) >= np.maximum(SHARE_MIN * seen.sum(axis=1), 1)
-    angle, offset = match.angle_rad[right], match.offset_m[right]
     recall = share(found if observed is None else found[observed])
-    return SegmentScore(recall, share(right), _median(angle), _median(offset), found, right, duplicates, angle, offset)
+    return SegmentScore(recall, share(right), right, duplicates, match.angle_rad[right], match.offset_m[right])
 
 
 def share(values: NDArray[np.bool_]) -> float:
     """Share of true ``values (N,)``; NaN if there are none."""
     return float(values.mean()) if len(values) else math.nan
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if len(values) else math.nan
 
 
 @dataclass(frozen=True)

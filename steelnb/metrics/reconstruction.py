@@ -40,13 +40,10 @@ class Reference:
 
 @dataclass(frozen=True)
 class StructureScore:
-    """``metrics``: numbers with units in their names, NaN without a match; ``member (B,)`` of each bar, or −1;
-    ``found (M,)``: which members are found; ``offset_m (B,)`` of each bar from its member, or NaN."""
+    """``metrics``: numbers with units in their names, NaN without a match; ``member (B,)`` of each bar, or −1."""
 
     metrics: dict[str, float]
     member: IntArray
-    found: NDArray[np.bool_]
-    offset_m: Array
 
 
 def reference(tower: Tower, visibility: Visibility) -> Reference:
@@ -116,7 +113,7 @@ def score_structure(structure: Structure, truth: Reference) -> StructureScore:
         **_spread("end", "m", np.array(ends)),
         **_score_graph(structure, truth),
     }
-    return StructureScore(numbers, member, found, match.offset_m)
+    return StructureScore(numbers, member)
 
 
 def toward_sensor_m(bars: Segments, member: IntArray, axes: Array, T_world_sensor: Array, tof: TofSettings) -> Array:
