@@ -6,7 +6,7 @@ front of a face with a fixed heading and climbs one level at each edge. Velocity
 removed. When it loses sight of the structure, it stops, turns towards the map, and then flies back along its path.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,16 +41,15 @@ NEAR_M = 0.35
 
 @dataclass(frozen=True)
 class Decision:
-    """``velocity (3,)`` along the axes of the levelled drone, m/s; ``yaw_rate``, rad/s; ``state``: "wait", "follow",
-    "stop", "turn", "return", "search" or "end"; ``reason``: why the drone waits, searches or ends."""
+    """``velocity (3,)`` along the axes of the levelled drone, m/s; ``yaw_rate``, rad/s; ``state``: "wait" for the first
+    scan, "search" until a structure is in sight, "end" if none is after a full turn, "follow", and after loss of sight
+    "stop", "turn" and "return"."""
 
     velocity: Array
     yaw_rate: float
     state: str
-    reason: str = ""
 
 
-@dataclass
 class Planner:
     """Makes ten decisions a second; `see` adds a scan to its map.
 
@@ -58,21 +57,17 @@ class Planner:
     range of the camera. All poses are estimates, in the world frame of the map.
     """
 
-    flight: FlightSettings
-    fov_rad: float
-    range_max_m: float
-    map: VoxelMap = field(default_factory=lambda: VoxelMap(VOXEL_M))
-    bars: Segments = field(default_factory=Segments.empty)
-
-    def __post_init__(self) -> None:
-        if self.flight.trajectory != "planned":
-            raise InputError(f"trajectory {self.flight.trajectory!r}: expected 'planned'")
+    def __init__(self, flight: FlightSettings, fov_rad: float, range_max_m: float) -> None:
+        if flight.trajectory != "planned":
+            raise InputError(f"trajectory {flight.trajectory!r}: expected 'planned'")
+        self.flight, self.fov_rad, self.range_max_m = flight, fov_rad, range_max_m
+        self.map, self.bars = VoxelMap(VOXEL_M), Segments.empty()
         self._scans, self._last_scan = 0, np.zeros((0, 3))  # world frame
         self._lost_s: float | None = None
         self._start: tuple[float, float] | None = None  # time and heading of the first decision
         self._searched_rad = self._last_s = 0.0
         self._path: list[Array] = []  # poses with the structure in sight
-        self._side, self._blocked_s, self._target_height = 1.0, 0.0, self.flight.height_min_m
+        self._side, self._blocked_s, self._target_height = 1.0, 0.0, flight.height_min_m
 
     def see(self, points: Array, T_world_drone: Array, bars: Segments) -> None:
         """Add a scan: preprocessed points ``(N, 3)`` in the drone frame, the corrected pose, and the ``bars`` mapped so
@@ -91,12 +86,12 @@ class Planner:
         self._start = self._start or (stamp_s, yaw)
         elapsed_s, self._last_s = stamp_s - self._last_s, stamp_s
         if not self._scans:
-            return Decision(np.zeros(3), 0.0, "wait", "no scan yet")
+            return Decision(np.zeros(3), 0.0, "wait")
         if not len(self.map):
             self._searched_rad += SEARCH_RAD_S * elapsed_s
             if self._searched_rad > 2 * np.pi:
-                return Decision(np.zeros(3), 0.0, "end", "no structure seen in a full turn")
-            return Decision(np.zeros(3), SEARCH_RAD_S, "search", "no structure in sight")
+                return Decision(np.zeros(3), 0.0, "end")
+            return Decision(np.zeros(3), SEARCH_RAD_S, "search")
         if len(self._last_scan) >= SIGHT_MIN:
             self._lost_s = None
         elif self._lost_s is None:

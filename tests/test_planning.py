@@ -144,7 +144,6 @@ def test_it_waits_for_a_scan_and_turns_until_it_sees_a_structure():
 def test_with_nothing_in_sight_it_turns_once_and_ends():
     poses, decisions = fly(planner_of(AROUND), np.zeros((0, 3)), pose(0, 0, 1, 0), 30.0)
     assert decisions[-1].state == "end"
-    assert decisions[-1].reason == "no structure seen in a full turn"
     assert {each.state for each in decisions[:-1]} == {"search"}
     assert np.ptp(poses[:, :3, 3], axis=0).max() == 0
     assert np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))[-1] == pytest.approx(2 * np.pi, abs=0.2)
