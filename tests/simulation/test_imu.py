@@ -96,10 +96,9 @@ def test_the_filter_follows_a_turn_of_the_drone():
     assert lean(truth, filtered_attitude(truth, exact)).max() < 0.1
 
 
-@pytest.mark.parametrize("name", ["zigzag", "loops"])
-def test_roll_and_pitch_drift_as_on_a_drone(name):
+def test_roll_and_pitch_drift_as_on_a_drone():
     """From zero error at the start, by tenths of a degree to a few degrees in flight."""
-    trajectory, exact = fly(build_tower(), FlightSettings.preset(name, 40.0), 2)
+    trajectory, exact = fly(build_tower(), FlightSettings.preset("loops", 40.0), 2)
     filtered = filtered_attitude(trajectory, measured_imu(exact, STARLING2, 2))
     wrong = lean(trajectory, filtered)
     assert wrong[0] < 1e-4
