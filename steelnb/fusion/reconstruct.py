@@ -12,12 +12,10 @@ from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import PointEquations, linearised
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
-from steelnb.fusion.plate_fit import fit_plates
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
-from steelnb.fusion.round_fit import fit_rounds
-from steelnb.fusion.section_fit import fit_sections
+from steelnb.fusion.section_choice import fit_sections
 from steelnb.fusion.solver import improve
 from steelnb.fusion.structure import Structure
 from steelnb.points import VoxelMap, smooth_ranges
@@ -49,9 +47,8 @@ def reconstruct(
     """Bars and joints of a structure from all scans of a flight and their smoothed or corrected poses.
 
     There are two passes: the bars that stand out, then the shorter ones between them, which show once their sections
-    are fitted. The axis of a bar is the line through the centroids of its sections, angles (`fusion.section_fit`) or
-    circles (`fusion.round_fit`). A bar with too few points for its section or direction is dropped, and so are lines in
-    plates (`fusion.plate_fit`).
+    are fitted. The axis of a bar is the line through the centroids of its sections, angles or circles. A bar with too
+    few points for its section or direction is dropped, and so are lines in plates (`fusion.section_choice`).
 
     Parameters
     ----------
@@ -193,10 +190,7 @@ class MappedScans:
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        fitted = fit_sections(histogram, bars.length)
-        fit_plates(histogram, bars.length, fitted)
-        fit_rounds(histogram, bars.length, fitted)
-        centre, slope, flange, turn, spread, tilt = fitted
+        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)

@@ -6,14 +6,12 @@ grid search over flanges and rotations, with the faces from a table, is followed
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from steelnb.fusion import sections
-from steelnb.fusion.sections import VIEWS, cells_of, front_face, merged_cells, outline
-from steelnb.types import Array
+from steelnb.fusion.sections import VIEWS, front_face, outline
 
 TURNS = VIEWS
 """Number of rotations in the search. A section rotated by one of them looks the same from the next direction."""
@@ -29,38 +27,6 @@ RADIUS_MIN_M, RADIUS_MAX_M = 0.005, 0.15
 """Bounds of the radius."""
 TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less are equally likely, and averaged."""
-
-
-class Sections(NamedTuple):
-    """Sections fitted to B bars (`fusion.sections`), NaN for a bar with too few points.
-
-    ``centre (B, 2)``: position of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)``,
-    metres per metre; ``flange (B,)``, metres; ``turn (B,)``, radians; ``spread (B,)`` and ``tilt (B,)``: standard
-    deviations of the position of the axis, metres, and of its direction, radians.
-    """
-
-    centre: Array
-    slope: Array
-    flange: Array
-    turn: Array
-    spread: Array
-    tilt: Array
-
-
-@njit(cache=True, nogil=True)
-def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
-    """Fit an angle section to each bar's histogram ``(B, PARTS, VIEWS, CELLS, 4)``; ``length (B,)`` metres."""
-    n = len(length)
-    centre, slope, turn = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
-    flange, spread, tilt = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    face, side = profiles()
-    for b in range(n):
-        cells, rows = cells_of(histogram[b], length[b]), sections.edges_of(histogram[b])
-        if len(cells) >= 8 and len(rows) >= 1:
-            flange[b], turn[b], spread[b], tilt[b], _ = fit_section(
-                cells, merged_cells(histogram[b]), rows, face, side, centre[b], slope[b]
-            )
-    return Sections(centre, slope, flange, turn, spread, tilt)
 
 
 @njit(cache=True)
@@ -212,7 +178,8 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search with its `merged_cells` and the
     tables `profiles`.
 
-    Returns flange, turn, spread and tilt (`Sections`), and the least cost; fills ``centre (2,)`` and ``slope (2,)``.
+    Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
+    ``slope (2,)``.
     """
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
     inside = cells[:, 2].sum()
@@ -255,18 +222,3 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
     return flange, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low
-
-
-@njit(cache=True)
-def angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
-    """Cost of the depths at the section of bar b, which was fitted to depths and edges."""
-    corner, state = np.empty((6, 2)), np.empty(4)
-    outline(fitted.turn[b], fitted.flange[b], corner)
-    state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
-    return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
-
-
-@njit(cache=True)
-def least_angle_cost(histogram, cells, face, side):  # type: ignore[no-untyped-def]
-    """Cost of an angle section that is fitted to the depths alone."""
-    return fit_section(cells, merged_cells(histogram), np.empty((0, 6)), face, side, np.empty(2), np.empty(2))[4]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from steelnb.fusion import section_fit, sections
 from steelnb.fusion.bar_voxels import BarVoxels, world_points
 from steelnb.fusion.problem import Bars
+from steelnb.fusion.section_choice import fit_sections
 from tests.fusion.made import bars_of, random_bars, rigid
 
 
@@ -94,11 +95,11 @@ def test_the_axis_of_an_angle_section_is_found_from_its_near_faces(flange, turn)
                 point[None] - T[:3, 3], T, np.zeros(1, int), bar.start, bar.direction, bar.length,
                 across, 0.05, histogram,
             )  # fmt: skip
-    found = section_fit.fit_sections(histogram, bar.length)
+    found = fit_sections(histogram, bar.length)
     assert np.linalg.norm(found.centre[0] - off) < 0.005
     assert found.flange[0] == pytest.approx(flange, rel=0.12)
     assert np.abs(found.slope).max() < 0.006
-    assert np.isnan(section_fit.fit_sections(0 * histogram, bar.length).flange[0])
+    assert np.isnan(fit_sections(0 * histogram, bar.length).flange[0])
 
 
 def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
