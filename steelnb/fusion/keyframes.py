@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from steelnb.fusion import problem
+from steelnb.errors import InputError
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
-from steelnb.fusion.reconstruct import ADJUST_STEPS, MappedScans, insert_scan
+from steelnb.fusion.reconstruct import MappedScans, insert_scan
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
 
-FITS = 2
-"""Number of fits of the bars before an adjustment."""
+FITS, STAGES = 2, ((1, 2),)
+"""Number of fits of the bars before an adjustment, and its stages (`reconstruct.Stages`)."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. It bounds the time of
 an adjustment."""
@@ -53,17 +53,17 @@ class Keyframes:
         if not len(self.voxels):
             return None
         mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
-        fitted, _ = mapped.find_and_fit(FITS, every=1)
-        if fitted is None or fitted.bars.has_section.sum() < BARS_MIN:
-            return None
         stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
         if self.readings:
             imu, noise, mount = self.readings
             inertial = Inertial.started(
                 imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
             )
-        state = problem.start(self.T_world_sensor, self._prior, fitted.bars, self.tilt_sigma_rad, inertial)
-        voxels = mapped.around(fitted.bars.segments)
-        state, _ = mapped.adjusted(state, voxels, self._prior, stamp_s, ADJUST_STEPS, self._ratio)
+        try:
+            state, _ = mapped.adjusted(
+                self._prior, stamp_s, STAGES, FITS, 1, BARS_MIN, self.tilt_sigma_rad, inertial, self._ratio
+            )
+        except InputError:
+            return None
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
         return state

@@ -1,5 +1,6 @@
 """The final reconstruction: all scans of a flight with corrected poses → `Structure`."""
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from steelnb.errors import InputError
 from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import PointEquations, linearised
+from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
 from steelnb.fusion.poses import DRIFT_PERIOD_S
 from steelnb.fusion.problem import Bars, Problem
@@ -27,8 +29,8 @@ END_TUBES = 1.2
 TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
 the end runs from joint to joint; above the second it is dropped."""
-ADJUST_STEPS, ADJUST_PIXELS = 2, 4
-"""Number of steps of an adjustment; and one in so many pixels takes part in that of `reconstruct`."""
+Stages = tuple[tuple[int, int], ...]
+"""The stages of an adjustment: one in so many pixels takes part, and the number of steps."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
@@ -71,12 +73,9 @@ def reconstruct(
     T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
     if settings.adjust:
         flight = MappedScans.mapped(scans, T_world_sensor, settings, every=3)
-        fitted, _ = flight.find_and_fit(fits=2)
-        if fitted is not None:
-            prior, stamp_s = T_world_sensor, DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
-            state, voxels = problem.start(prior, prior, fitted.bars), flight.around(fitted.bars.segments)
-            state, _ = flight.adjusted(state, voxels, prior, stamp_s, ADJUST_STEPS, pixels=ADJUST_PIXELS)
-            T_world_sensor = state.T_world_sensor
+        stamp_s = DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
+        with contextlib.suppress(InputError):  # too few bars
+            T_world_sensor = flight.adjusted(T_world_sensor, stamp_s, ((4, 2),), fits=2)[0].T_world_sensor
     flight = MappedScans.mapped(scans, T_world_sensor, settings)
     segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(segments):
@@ -166,17 +165,29 @@ class MappedScans:
             yield k, points, bar
 
     def adjusted(
-        self, state: Problem, voxels: BarVoxels, prior: Array, stamp_s: Array, steps: int,
-        sigma_ratio: float | None = None, pixels: int = 1,
+        self, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
+        tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, sigma_ratio: float | None = None,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
-        """The state after a number of ``steps`` with the same `bar_points`, and the equations of the last one;
-        ``prior`` and ``stamp_s`` as for `solver.improve`. Without a ``sigma_ratio``, points far from the front faces
-        take part, too."""
-        chosen = (state.bars, sigma_ratio) if sigma_ratio is not None else ()
-        observations = Observations.gathered(self.bar_points(voxels, 1, pixels, *chosen))
-        for _ in range(steps):
-            equations = linearised(state, observations)
-            state = improve(state, equations, prior, stamp_s)
+        """The bars of `find_and_fit` and the poses, adjusted together; and the equations of the last step.
+
+        ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad`` and ``inertial`` as for `Problem`. All
+        steps of a stage have the same `bar_points`. Without a ``sigma_ratio``, those far from the front faces take
+        part, too.
+
+        Raises `InputError` if fewer than ``bars_min`` bars have a known section.
+        """
+        bars = self.find_and_fit(fits, every).bars
+        if bars.has_section.sum() < bars_min:
+            raise InputError("too few bars whose sections are known")
+        state = problem.start(self.T_world_sensor, prior, bars, tilt_sigma_rad, inertial)
+        voxels = self.around(bars.segments)
+        for pixels, steps in stages:
+            flight = replace(self, T_world_sensor=state.T_world_sensor)
+            chosen = (state.bars, sigma_ratio) if sigma_ratio is not None else ()
+            observations = Observations.gathered(flight.bar_points(voxels, 1, pixels, *chosen))
+            for _ in range(steps):
+                equations = linearised(state, observations)
+                state = improve(state, equations, prior, stamp_s)
         return state, equations
 
     def fit(self, bars: Segments, every: int) -> FittedBars:
@@ -197,16 +208,15 @@ class MappedScans:
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
         return FittedBars(Bars(replace(bars, start=start, end=end), across, turn, flange), sigma, tilt, sightings)
 
-    def find_and_fit(self, fits: int, every: int = 5) -> tuple[FittedBars | None, str]:
-        """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans; or None, and the reason.
-
-        Bars extended to their joints have more points, so a second fit is more exact.
-        """
+    def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:
+        """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans. Bars extended to their joints have
+        more points, so a second fit is more exact. Raises `InputError` if there are none."""
         segments, reason = find_bars(self.voxels, grids=1)
-        fitted = None
-        for _ in range(fits if len(segments) else 0):
+        if not len(segments):
+            raise InputError(reason)
+        for _ in range(fits):
             fitted, segments = self.refined(segments, every)
-        return fitted if len(segments) else None, reason
+        return fitted
 
     def refined(self, bars: Segments, every: int = 5, rise_m: float = math.inf) -> tuple[FittedBars, Segments]:
         """The bars fitted, and then extended to their joints and merged (`merge_pieces`). With a bound ``rise_m``, bars

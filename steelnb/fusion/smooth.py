@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.errors import InputError
-from steelnb.fusion import problem, uncertainty
+from steelnb.fusion import uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
-from steelnb.fusion.reconstruct import MappedScans
+from steelnb.fusion.reconstruct import MappedScans, Stages
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
-Stages = tuple[tuple[int, int], ...]
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
-"""Of each round, the number of fits of sections, and its stages: one in so many pixels, and the number of steps. Half
-of the pixels in the last stage makes aligned errors larger by a fifth, one fit of sections in both rounds by half."""
+"""Of each round, the number of fits of sections, and its stages. Half of the pixels in the last stage makes aligned
+errors larger by a fifth, one fit of sections in both rounds by half."""
 BARS_MIN = 3
 """Minimum number of bars with a section."""
 
@@ -59,16 +58,12 @@ def smooth(
     for fits, stages in ROUNDS:
         try:
             scans = MappedScans.mapped(flight.scans, T, settings, every=3)
+            state, equations = scans.adjusted(
+                prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad, inertial=inertial,
+                sigma_ratio=ratio,
+            )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
-        fitted, reason = scans.find_and_fit(fits)
-        if fitted is None or fitted.bars.has_section.sum() < BARS_MIN:
-            return replace(estimate, unsmoothed=reason or "too few bars whose sections are known")
-        state = problem.start(T, prior, fitted.bars, tilt_sigma_rad, inertial)
-        voxels = scans.around(fitted.bars.segments)
-        for pixels, steps in stages:
-            scans = replace(scans, T_world_sensor=state.T_world_sensor)
-            state, equations = scans.adjusted(state, voxels, prior, stamp_s, steps, ratio, pixels)
         T, ratio, inertial = state.T_world_sensor, state.sigma_ratio, state.inertial
     bars = state.bars.take(state.bars.is_bar)
     pose_covariance, axis_covariance, unsure = None, None, ""

@@ -165,7 +165,7 @@ def test_the_face_of_a_plate_is_seen_from_its_front_alone():
 def test_a_deck_is_told_from_bars(turn_rad):
     settings, flight = StructureSettings(floor_m=0.1), around(decked_tower(), 160, 0.01, 11, turn_rad)
     T = flight.prior.T_world_drone
-    fitted, _ = MappedScans.mapped(flight.scans, T, settings).find_and_fit(2)
+    fitted = MappedScans.mapped(flight.scans, T, settings).find_and_fit(2)
     bars, is_plate = fitted.bars, np.isinf(fitted.bars.flange)
     height = deck_distance(bars.segments)
     assert is_plate.any()
