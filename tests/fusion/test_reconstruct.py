@@ -81,11 +81,10 @@ def test_a_flight_gives_right_bars_and_adjusting_undoes_a_drift(flown):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_poses_that_move_take_the_structure_along(flown, seed):
+def test_poses_that_move_take_the_structure_along(flown):
     """Another place and heading, so other voxels and blocks: the same bars to some millimetres, but for weak ones."""
     flight, poses, true, _ = flown
-    rng, T = np.random.default_rng(seed), np.eye(4)
+    rng, T = np.random.default_rng(1), np.eye(4)
     T[:3, :3] = Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)]).as_matrix()
     T[:2, 3] = rng.uniform(-50, 50, 2)
     one, other = true.segments, rebuilt(flight, T @ poses).segments
