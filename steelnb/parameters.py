@@ -44,8 +44,7 @@ def validate() -> None:
     tagged = [cell for cell in cells[:place] if f"\n{FOLDER} = " in cell and not cell.startswith(INJECTED)]
     if tagged:
         defaults, given = literals(tagged[-1]), [name for name in assigned(cells[place]) if name != FOLDER]
-        values = fit_parameters("parameters", {name: names[name] for name in given}, defaults)
-        check_settings("parameters", {**defaults, **values})
+        values = check_parameters("parameters", {name: names[name] for name in given}, defaults)
         names.update(values)
         short_s, whole_s = values.get("duration_s"), defaults.get("duration_s")
         if short_s is not None and (whole_s is None or short_s < whole_s):
@@ -54,12 +53,8 @@ def validate() -> None:
 
 def assigned(source: str) -> dict[str, ast.expr]:
     """The names that the code of a cell assigns, and the expressions. Raises SyntaxError."""
-    found: dict[str, ast.expr] = {}
-    for statement in ast.parse(source).body:
-        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
-            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-            found |= {target.id: statement.value for target in targets if isinstance(target, ast.Name)}
-    return found
+    pairs = [(each.targets[0], each.value) for each in ast.parse(source).body if isinstance(each, ast.Assign)]
+    return {target.id: value for target, value in pairs if isinstance(target, ast.Name)}
 
 
 def literals(source: str) -> dict[str, Any]:
@@ -67,10 +62,22 @@ def literals(source: str) -> dict[str, Any]:
     return {name: ast.literal_eval(value) for name, value in assigned(source).items()}
 
 
-def fit_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """``given`` with every name known and every value of its default's type. Raises `InputError`."""
+def check_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` with every name known and every value of its default's type.
+
+    The settings that the parameters stand for are built, every combination where they are lists, so that a value out
+    of range is refused before a notebook starts. Raises `InputError`.
+    """
     kinds: dict[str, Any] = {name: (_kind(name, value), value) for name, value in defaults.items() if name != FOLDER}
     fitted = create_model(experiment, __base__=Settings, **kinds)(**given)
+    names = [name for name in PRESET_ARGUMENTS if name in kinds]
+    values = [getattr(fitted, name) for name in names]
+    choices = [value if isinstance(value, list | tuple) else [value] for value in values]
+    for combination in itertools.product(*choices) if names else ():
+        try:
+            ExperimentSettings.preset(**dict(zip(names, combination, strict=True)))
+        except InputError as fault:
+            raise InputError(f"{experiment}: {fault}") from None
     return {name: getattr(fitted, name) for name in given}
 
 
@@ -83,15 +90,3 @@ def _kind(name: str, default: Any) -> Any:
     if name in ("seed", "seeds"):
         return SeedOrReport
     return {float: Finite, dict: dict[str, Any]}.get(type(default), type(default))
-
-
-def check_settings(experiment: str, values: Mapping[str, Any]) -> None:
-    """Build the settings that the parameters stand for, every combination where they are lists, so that a value out of
-    range is refused before a notebook starts. Raises `InputError`."""
-    names = [name for name in PRESET_ARGUMENTS if name in values]
-    choices = [values[name] if isinstance(values[name], list | tuple) else [values[name]] for name in names]
-    for combination in itertools.product(*choices) if names else ():
-        try:
-            ExperimentSettings.preset(**dict(zip(names, combination, strict=True)))
-        except InputError as fault:
-            raise InputError(f"{experiment}: {fault}") from None

@@ -15,7 +15,7 @@ from pydantic import Field
 from steelnb.cache import digest_sources
 from steelnb.errors import InputError
 from steelnb.files import reading
-from steelnb.parameters import FOLDER, check_names, check_settings, fit_parameters, literals
+from steelnb.parameters import FOLDER, check_names, check_parameters, literals
 from steelnb.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, parse_parameter, read_tables
 
@@ -126,8 +126,7 @@ def _combine(
         values = {**usual, **plain, **dict(zip(axes, combination, strict=True))}
         if dotted:
             values["overrides"] = {**values.get("overrides", defaults["overrides"]), **dotted}
-        values = fit_parameters(id, values, defaults)
-        check_settings(id, {**defaults, **values})
+        values = check_parameters(id, values, defaults)
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
         if name in parts:
             raise InputError(f"{EXPERIMENTS_FILE}: [{id}]: matrix: {name} twice; expected distinct values")
