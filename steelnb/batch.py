@@ -60,14 +60,13 @@ def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
 
 
 def at_level(noise: str, level: float) -> str:
-    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError`."""
+    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError` for an
+    unknown noise."""
     Noise.parse(noise)
     if noise == "none" or level == 1:
         return noise
     parts = (part.strip().partition(":") for part in noise.split("+"))
-    scaled = "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
-    Noise.parse(scaled)
-    return scaled
+    return "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
 
 
 def report_cases(

@@ -236,7 +236,3 @@ def _mount(text: str | None) -> Any:
     except ValueError:
         raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
     return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -52,7 +52,6 @@ class RecordingReport:
     folder: Path
     estimate: Estimate
     truth: Trajectory | None
-    structure: Structure
     segments: Segments
     numbers: dict[str, float]
     summary: tuple[str, ...]
@@ -152,7 +151,7 @@ def run_recording(
     expected = {"used": method != "none", "map_points": own is None or hasattr(own, "map_points")}
     warnings = tuple(text for name, text in WARNINGS.items() if expected[name] and not numbers[name])
     summary = (*lines, f"written   {output}/: {written}")
-    return RecordingReport(Path(output), estimate, true, built, segments, numbers, summary, warnings)
+    return RecordingReport(Path(output), estimate, true, segments, numbers, summary, warnings)
 
 
 def _reconstructed(flight: Flight, estimate: Estimate, settings: StructureSettings) -> Structure:

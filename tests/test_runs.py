@@ -111,10 +111,9 @@ def test_a_dask_cluster_gives_the_same_table(plain, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_study_loses_only_the_current_runs(tmp_path, made, monkeypatch):
+def test_a_killed_study_loses_only_the_current_runs(plain, tmp_path, made, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    axes = {**AXES, "seeds": "1-6", "noises": ["random-walk", "constant-drift"]}
-    path, stored = study(tmp_path, axes), []
+    path, stored = study(tmp_path, {**AXES, "seeds": "1-6"}), []
     command = [sys.executable, "-m", "steelnb.runs", str(path), "-o", "out", "-j", "2"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while len(stored) < 3:
@@ -127,10 +126,9 @@ def test_a_killed_study_loses_only_the_current_runs(tmp_path, made, monkeypatch)
     process.wait()
     stored = [*tmp_path.glob(f"{runs.KEPT}/**/output.pkl")]
     table = runs.run_all(runs.read_grids(path))
-    assert len(made) == len(table) - len(stored) == 24 - len(stored)
-    pd.testing.assert_frame_equal(
-        numbers(table), numbers(runs.run_all(runs.grid(**axes), folder=tmp_path / "whole")), check_exact=True
-    )
+    assert len(made) == len(table) - len(stored) == 12 - len(stored)
+    assert (table["status"] == "ok").all()
+    pd.testing.assert_frame_equal(numbers(table.iloc[:4]), numbers(plain), check_exact=True)
 
 
 def test_tables_survive_writing_and_reading(plain, tmp_path):

@@ -44,7 +44,7 @@ def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float,
 @pytest.mark.parametrize(("noise", "level"), [("random-walk", -1.0), ("random-walk", float("nan")), ("wind", 1.0)])
 def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> None:
     with pytest.raises(InputError):
-        batch.at_level(noise, level)
+        make_panel(noise=noise, level=level)
 
 
 def test_a_flight_is_the_experiment_of_the_same_settings(view: scene.View) -> None:
