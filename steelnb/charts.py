@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 import seaborn as sns
 
-from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, LABELS, draw_legend
+from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
 
 def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
@@ -25,19 +25,22 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
         rows, kind="strip", dodge=dodge > 0, jitter=0.06, palette=COLOURS, legend=False, **dots, **facets
     )
     mean = {"marker": "|", "ms": 12, "mew": 2, "ls": ""}
-    grid.map_dataframe(sns.pointplot, dodge=dodge or False, errorbar=None, palette="dark:black", **mean, **dots)
+    means = {"dodge": dodge or False, "errorbar": None, "palette": "dark:black", "legend": False}
+    grid.map_dataframe(sns.pointplot, **means, **mean, **dots)
     grid.map_dataframe(_draw_drift, case=case, order=dots["order"])
     grid.set(xscale="log", xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
-    keys: dict[str, Any] = {LABELS[name]: {"color": COLOURS[name], "marker": "o", "ls": ""} for name in methods}
-    keys |= {"mean": {"color": BLACK, **mean}, LABELS["none"]: {name: DRIFT[name] for name in ("fc", "ec", "alpha")}}
-    draw_legend(grid.figure, keys if case != "method" else dict(list(keys.items())[-2:]), ncols=4)
+    panel = grid.axes.flat[0]
+    for name in methods if case != "method" else ():
+        panel.plot([], [], "o", color=COLOURS[name], label=name)
+    panel.plot([], [], color=BLACK, label="mean", **mean)
+    gather_legend(grid.figure, ncols=4)
     return grid
 
 
 def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -> None:
     """The range of errors without correction in the current panel, for each value of ``case``."""
     low, high = (data.groupby(case, observed=True)["drift_cm"].agg(name).reindex(order) for name in ("min", "max"))
-    plt.gca().barh(low.index, high - low, left=low, zorder=0, **DRIFT)
+    plt.gca().barh(low.index, high - low, left=low, zorder=0, label="none", **DRIFT)
     plt.gca().use_sticky_edges = False
 
 
@@ -56,5 +59,5 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
         panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
     grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
     grid.figure.set_figheight(0.23 * heights.sum() + 1)
-    draw_legend(grid.figure, {word: {"marker": "o", "ls": "", "color": colour} for word, colour in colours.items()})
+    gather_legend(grid.figure, ncols=len(colours))
     return grid.figure

@@ -95,8 +95,7 @@ def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
 
     The columns are ``name``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text), ``estimate``
     with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range, ``threshold_to``, and
-    ``verdict``: a cell `HOLDS` if its whole interval is as claimed, it `FAILS` if no part of it is, and is `OPEN`
-    otherwise. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell`` says what is missing.
+    its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell`` says what is missing.
     """
     good, rows = runs[runs["status"] == "ok"], []
     for name, claim in claims.items():

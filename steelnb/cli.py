@@ -38,13 +38,18 @@ Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrit
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and return the exit code. User errors go to stderr, in one line each."""
+    """Run the command line and return the exit code."""
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # so that hidden folders are removed
+    return call(app, "steelnb", arguments or sys.argv[1:] or ["--help"])
+
+
+def call(app: typer.Typer, name: str, arguments: list[str] | None) -> int:
+    """Run a command line and return the exit code. User errors go to stderr, in one line each."""
     try:
-        code = app(arguments or sys.argv[1:] or ["--help"], prog_name="steelnb", standalone_mode=False)
+        code = app(arguments, prog_name=name, standalone_mode=False)
     except (SteelnbError, typer.TyperException) as fault:
         message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
-        print("steelnb: error:", " ".join(message.split())[:1000], file=sys.stderr)
+        print(f"{name}: error:", " ".join(message.split())[:1000], file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         code = 130

@@ -11,8 +11,6 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from steelnb.types import Array, Segments
@@ -123,22 +121,6 @@ def use() -> None:
 
 style = partial(matplotlib.style.context, ["default", LOOK])
 """``@style()`` draws one figure with the look of all."""
-
-
-def draw_legend(
-    figure: matplotlib.figure.Figure,
-    keys: Mapping[str, Mapping[str, Any]],
-    loc: str = "outside lower center",
-    **more: Any,
-) -> None:
-    """A legend of the figure from label → properties of a line, or of a patch where they have an ``fc``."""
-    handles = [
-        Patch(label=label, **look) if "fc" in look else Line2D([], [], label=label, **look)
-        for label, look in keys.items()
-    ]
-    options: dict[str, Any] = {"loc": loc, "ncols": len(keys), **more}
-    figure.set_layout_engine("constrained")  # seaborn's tight one leaves no room for it
-    figure.legend(handles=handles, **options)
 
 
 def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:

@@ -8,13 +8,14 @@ import json
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from steelnb.errors import InputError, OutputError, SteelnbError
+from steelnb.cli import call
+from steelnb.errors import InputError
+from steelnb.files import new_folder
 from steelnb.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters
 
@@ -40,11 +41,8 @@ def reproduce(
     folder, full = (output or root / BUDGETS[budget]).resolve(), (root / BUDGETS["full"]).resolve()
     if (given or budget != "full") and folder.is_relative_to(full):
         raise InputError(f"OUT={folder}: expected a folder outside {full}, which holds the default results")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-    except OSError as fault:
-        raise OutputError(f"{folder}: cannot be written: {fault.strerror}") from None
+    with new_folder(folder):
+        pass  # raises if nothing can be written there
     return write(parts, folder, cache_folder(root, folder), root / ".cache", budget, jobs)
 
 
@@ -131,13 +129,8 @@ def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and give the exit code; errors of the user's go to stderr as one line each."""
-    try:
-        return int(app(arguments, prog_name="workflow", standalone_mode=False) or 0)
-    except (SteelnbError, typer.TyperException) as fault:
-        text = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
-        print("error:", " ".join(text.split()), file=sys.stderr)
-        return 2
+    """Run the command line and give the exit code."""
+    return call(app, "workflow", arguments)
 
 
 if __name__ == "__main__":
