@@ -88,10 +88,10 @@ def _plain(value: Any) -> Any:
 
 def find_root(start: Path | None = None) -> Path:
     """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/runs.toml``,
-    else the parent of the package."""
-    start, package = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
+    else the project that the package lies in."""
+    start, project = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
     folders = (start, *start.parents)
-    return next((folder for folder in folders if (folder / EXPERIMENTS_FILE).is_file()), package.parent)
+    return next((folder for folder in folders if (folder / EXPERIMENTS_FILE).is_file()), project)
 
 
 def file_digest(path: Path) -> str | None:
