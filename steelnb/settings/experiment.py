@@ -28,14 +28,10 @@ class ExperimentSettings(Settings):
     odometry: Family
 
     @model_validator(mode="after")
-    def _pilot_without_images(self) -> Self:
+    def _consistent(self) -> Self:
         if self.flight.trajectory == "planned" and isinstance(self.odometry, OrbSettings):
             raise ValueError(f"method {self.odometry.method!r}: a planned flight has no images during the flight; "
                              "expected an odometry by clouds or segments")  # fmt: skip
-        return self
-
-    @model_validator(mode="after")
-    def _as_the_report(self) -> Self:
         noise = self.noise  # raises for an unknown name
         if self.seed == "report":
             noise.check_report()

@@ -135,7 +135,7 @@ class RegistrationSettings(MapSettings):
     """
 
     prior_sigma: tuple[Positive, Positive] | None = None
-    error: Literal["point", "plane", "gicp"] = "gicp"
+    error: Literal["point", "gicp"] = "gicp"
     dof: Literal["xyz", "xyz_yaw", "se3"] = "se3"
     robust_scale: Positive | None = None
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"

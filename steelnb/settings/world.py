@@ -231,8 +231,7 @@ class Noise:
     def parse(cls, text: str) -> "Noise":
         """Parse ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
 
-        The default levels are the report's, and one degree for ``tilt``. ``constant-drift-per-axis`` gives the level
-        per axis, so the step is √3 longer. ``none`` is no noise. Raises `InputError`.
+        The default levels are the report's, and one degree for ``tilt``. ``none`` is no noise. Raises `InputError`.
 
         >>> Noise.parse("random-walk+yaw-random-walk:0.001")
         Noise(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
@@ -247,11 +246,11 @@ class Noise:
                     f"noise = {text!r}: unknown noise {name!r}{guess(name, REPORT_NOISE)}; "
                     f"expected one of {quoted(REPORT_NOISE)}"
                 )
-            key, default, factor = REPORT_NOISE[name]
+            key, default = REPORT_NOISE[name]
             if key in values:
                 raise InputError(f"noise = {text!r}: {key} is given twice")
             try:
-                values[key] = factor * (float(level) if level else default)
+                values[key] = float(level) if level else default
             except ValueError:
                 raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
             if not 0 <= values[key] < math.inf:
@@ -273,10 +272,9 @@ class Noise:
 
 
 REPORT_NOISE = {
-    "random-walk": ("random_walk_m", 0.002, 1.0),
-    "constant-drift": ("constant_drift_m", 0.0001, 1.0),
-    "constant-drift-per-axis": ("constant_drift_m", 0.0001, math.sqrt(3)),
-    "yaw-random-walk": ("yaw_random_walk_rad", 0.0005, 1.0),
-    "tilt": ("tilt_rad", math.radians(1.0), 1.0),
+    "random-walk": ("random_walk_m", 0.002),
+    "constant-drift": ("constant_drift_m", 0.0001),
+    "yaw-random-walk": ("yaw_random_walk_rad", 0.0005),
+    "tilt": ("tilt_rad", math.radians(1.0)),
 }
-"""Name → setting, default level (the report's, except for ``tilt``), and factor from the level to the setting."""
+"""Name → setting, and default level (the report's, except for ``tilt``)."""
