@@ -5,7 +5,6 @@ networks" (ICRA 2017), for range images instead of colour, and without its recur
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -58,21 +57,14 @@ def derotated(points: Array, R_level_sensor: Array) -> np.ndarray:
     return image.reshape(2, ROWS + 2, width)[:, 1:-1, 1:-1].astype(np.float32)
 
 
-class Pair(NamedTuple):
-    """Derotated images ``(4, ROWS, COLUMNS)`` of two scans, as seen by a levelled camera with the mean of their
-    headings, and the attitude of that camera, ``R_world_level (3, 3)``."""
-
-    images: np.ndarray
-    R_world_level: Array
-
-
-def level_pair(points: tuple[Array, Array], R_world_sensor: tuple[Array, Array]) -> Pair:
-    """The derotated images of two scans with the attitudes ``R_world_sensor``, each ``(3, 3)``."""
+def level_pair(points: tuple[Array, Array], R_world_sensor: tuple[Array, Array]) -> tuple[np.ndarray, Array]:
+    """Derotated images ``(4, ROWS, COLUMNS)`` of two scans with the attitudes ``R_world_sensor``, each ``(3, 3)``, as
+    seen by a levelled camera with the mean of their headings; and that camera's attitude ``R_world_level (3, 3)``."""
     ahead = R_world_sensor[0][:2, 0] + R_world_sensor[1][:2, 0]
     c, s = ahead / max(float(np.hypot(*ahead)), 1e-9)
     R_world_level = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     images = [derotated(p, R_world_level.T @ R) for p, R in zip(points, R_world_sensor, strict=True)]
-    return Pair(np.concatenate(images), R_world_level)
+    return np.concatenate(images), R_world_level
 
 
 def motions(network: Network, images: np.ndarray) -> tuple[Array, Array]:
@@ -114,9 +106,9 @@ class DeepVoOdometry(BaseOdometry):
         if self._position is None:
             self._position = T_world_sensor[:3, 3]
         reason, matches, last = "", 0, self._last
-        pair = level_pair((last[1] if last else scan.points, scan.points), (last[2] if last else R, R))
+        images, R_world_level = level_pair((last[1] if last else scan.points, scan.points), (last[2] if last else R, R))
         watch.lap("image")
-        has_returns = pair.images[[0, 2]].reshape(2, -1) > 0.1
+        has_returns = images[[0, 2]].reshape(2, -1) > 0.1
         too_few = has_returns[1].mean() < COVERAGE_MIN
         if too_few:
             reason = "too few returns"
@@ -126,8 +118,8 @@ class DeepVoOdometry(BaseOdometry):
             reason = f"{abs(scan.stamp_s - last[0]):.2f} s since the last scan with returns"
         else:
             matches = int(np.count_nonzero(has_returns.all(axis=0)))
-            (translation,), _ = motions(self.network, pair.images[None])
-            self._position = self._position + pair.R_world_level @ translation
+            (translation,), _ = motions(self.network, images[None])
+            self._position = self._position + R_world_level @ translation
         if not too_few:
             self._last = scan.stamp_s, scan.points, R
         T_world_drone = prior.copy()

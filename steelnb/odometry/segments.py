@@ -20,7 +20,7 @@ from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Array, Scan, Segments
 
 Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
-_shared: ContextVar[Found | None] = ContextVar("shared", default=None)
+_shared: ContextVar[Found] = ContextVar("shared")
 
 
 class SegmentOdometry(BaseOdometry):
@@ -99,9 +99,7 @@ def shared_segments() -> Iterator[None]:
 
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
     """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
-    begin, shared = time.perf_counter(), _shared.get()
-    if shared is None:
-        return segments_in(points, settings), time.perf_counter() - begin
+    shared = _shared.get({})
     key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
     if key not in shared:
         begin = time.perf_counter()
