@@ -6,7 +6,7 @@ method. Lengths are in metres, angles in radians, times in seconds; the unit is 
 
 from typing import get_args
 
-from steelnb.settings.base import Positive, Settings, parse_parameter
+from steelnb.settings.base import Settings, parse_parameter
 from steelnb.settings.experiment import ExperimentSettings
 from steelnb.settings.odometry import (
     CloudSettings,
@@ -25,7 +25,7 @@ from steelnb.settings.odometry import (
     SegmentSettings,
     StructureSettings,
 )
-from steelnb.settings.presets import METHODS, SENSORS, read_tables, read_toml
+from steelnb.settings.presets import METHODS, SENSORS, read_tables
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.world import (
     REPORT_NOISE,
@@ -44,8 +44,8 @@ TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings",
-    "Positive", "PreprocessSettings", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
-    "SegmentSettings", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
-    "parse_parameter", "read_report_plots", "read_tables", "read_toml",
+    "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
+    "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",
+    "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "parse_parameter",
+    "read_report_plots", "read_tables",
 ]  # fmt: skip
