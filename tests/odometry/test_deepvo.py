@@ -150,10 +150,9 @@ def test_only_first_pose_and_attitude_of_the_prior_are_used(world):
     np.testing.assert_array_equal(places(flown(flight, prior=prior)[1]), places(steps))
 
 
-def test_a_flight_is_deterministic_and_better_than_constant_velocity(world):
+def test_a_flight_is_better_than_constant_velocity(world):
     flight, truth = world
     estimate = run(flight, make_odometry(OdometrySettings.preset("deepvo"), flight.T_drone_sensor))
-    np.testing.assert_allclose(estimate.corrected.position, places(flown(flight)[1]), atol=1e-12)
     assert len(estimate.points) == len(estimate.segments) == 0
     stamp_s, T = flight.prior.stamp_s, flight.prior.T_world_drone
     second = np.searchsorted(stamp_s, 5.0)

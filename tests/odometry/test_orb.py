@@ -102,12 +102,6 @@ def test_no_image_after_the_scan_is_used_and_without_one_the_prior_is_followed(l
             np.testing.assert_array_equal([step.T_world_drone for step in steps], flight.prior.T_world_drone[:4])
 
 
-def test_the_same_images_give_the_same_estimate(loops_with_images, estimate):
-    settings, flight, _ = loops_with_images
-    again = run(flight.first(12), make_odometry(settings.odometry, flight.T_drone_sensor, images=flight.images))
-    np.testing.assert_array_equal(again.corrected.T_world_drone, estimate.corrected.T_world_drone[:12])
-
-
 def wall(edge_m=None):
     """Points of an inclined wall 2 m ahead; its right half is ``edge_m`` farther away."""
     ray = rays(TOF)

@@ -13,7 +13,7 @@ PEERS = {"kiss-icp": "kiss_icp", "small-gicp": "small_gicp"}
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("zigzag", "constant-drift:0.0004+random-walk", seed=3, duration_s=8.0)
+    settings = ExperimentSettings.preset("zigzag", "constant-drift:0.0008+random-walk", seed=3, duration_s=4.0)
     return experiment.simulate(settings)
 
 
