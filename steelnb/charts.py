@@ -7,6 +7,7 @@ import matplotlib.figure
 import matplotlib.pyplot as plt
 import pandas as pd
 import seaborn as sns
+from matplotlib.lines import Line2D
 
 from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
@@ -59,5 +60,7 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
         panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
     grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
     grid.figure.set_figheight(0.23 * heights.sum() + 1)
-    gather_legend(grid.figure, ncols=len(colours))
+    grid.figure.set_layout_engine("constrained")
+    verdicts = [Line2D([], [], color=colour, marker="o", ls="", label=verdict) for verdict, colour in colours.items()]
+    grid.figure.legend(handles=verdicts, loc="outside lower center", ncols=len(verdicts))
     return grid.figure
