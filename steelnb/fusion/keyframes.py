@@ -61,8 +61,9 @@ class Keyframes:
             )
         try:
             state, _ = mapped.adjusted(
-                self._prior, stamp_s, STAGES, FITS, 1, BARS_MIN, self.tilt_sigma_rad, inertial, self._ratio
-            )
+                self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN, tilt_sigma_rad=self.tilt_sigma_rad,
+                inertial=inertial, sigma_ratio=self._ratio,
+            )  # fmt: skip
         except InputError:
             return None
         self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
