@@ -97,7 +97,7 @@ LOOK: Any = {
 """Settings of matplotlib for all figures."""
 DRIFT: Any = {"fc": COLOURS["none"], "ec": COLOURS["none"], "alpha": 0.25, "height": 0.84, "lw": 1}
 """Look of the range of errors without correction, behind the errors with it."""
-CLOUD_POINTS = 120_000
+CLOUD_POINTS = 60_000
 """Maximum number of points in a picture of a cloud."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import nbformat
 from pydantic import Field
@@ -25,9 +25,9 @@ BUDGETS = {"full": "results", "smoke": "results-smoke"}
 class Experiment(Settings):
     """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of values to combine.
 
-    ``inputs`` are files of the project that the notebook reads. A ``long`` experiment is started first; one that is
-    ``apart`` runs at the full budget only if it is named. ``title``, ``about`` and ``figures`` (the report's) are for
-    the overview.
+    ``inputs`` are files of the project that the notebook reads. One that is ``apart`` runs at the full budget only if
+    it is named. ``order``: 1 is started first, −1 last. ``title``, ``about`` and ``figures`` (the report's) are for the
+    overview.
     """
 
     notebook: str
@@ -39,7 +39,7 @@ class Experiment(Settings):
     smoke: dict[str, Any]
     inputs: list[str] = Field(default_factory=list)
     apart: bool = False
-    long: bool = False
+    order: Literal[-1, 0, 1] = 0
 
 
 @dataclass(frozen=True)

@@ -103,13 +103,13 @@ def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.Ta
     def task(key: str) -> None:
         execute(part, scratch / part.label.replace("/", "~"), arrays, folder)
 
-    key, name = part.key(), part.label
+    key, name, order = part.key(), part.label, part.experiment.order
     about = pytask.NodeInfo(arg_name="key", path=(), task_path=None, task_name=name, value=key)  # tells keys apart
     return pytask.TaskWithoutPath(
         name=name, function=task,
         produces={"left": {file: pytask.PathNode(path=folder / file) for file in (*REQUIRED, EXECUTED)}},
         depends_on={"key": pytask.PythonNode(name=name, value=key, hash=True, node_info=about)},
-        markers=[pytask.Mark("try_first", (), {})] if part.experiment.long else [],
+        markers=[pytask.Mark("try_first" if order > 0 else "try_last", (), {})] if order else [],
     )  # fmt: skip
 
 
