@@ -53,8 +53,12 @@ def validate() -> None:
 
 def assigned(source: str) -> dict[str, ast.expr]:
     """The names that the code of a cell assigns, and the expressions. Raises SyntaxError."""
-    pairs = [(each.targets[0], each.value) for each in ast.parse(source).body if isinstance(each, ast.Assign)]
-    return {target.id: value for target, value in pairs if isinstance(target, ast.Name)}
+    found: dict[str, ast.expr] = {}
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            found |= {target.id: statement.value for target in targets if isinstance(target, ast.Name)}
+    return found
 
 
 def literals(source: str) -> dict[str, Any]:

@@ -42,7 +42,7 @@ NEAR_M = 0.35
 @dataclass(frozen=True)
 class Decision:
     """``velocity (3,)`` along the axes of the levelled drone, m/s; ``yaw_rate``, rad/s; ``state``: "wait" for the first
-    scan, "search" until a structure is in sight, "end" if none is after a full turn, "follow", and after loss of sight
+    scan, "search" for a structure, "end" if none was found in a full turn, "follow" it, and when it is out of sight
     "stop", "turn" and "return"."""
 
     velocity: Array

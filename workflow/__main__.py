@@ -17,7 +17,7 @@ from steelnb.cli import call
 from steelnb.errors import InputError
 from steelnb.files import new_folder
 from steelnb.results import find_root
-from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters
+from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
@@ -115,13 +115,16 @@ def bits() -> int:
 
 @app.command()
 def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
-    """Run the first part of every notebook if it is not up to date, and write the notebooks as executed, and the script
-    of Plotly, where Sphinx takes them from: docs/notebooks/."""
+    """Run the first part of every notebook, even of those apart, if it is not up to date.
+
+    The notebooks as executed and Plotly's script go where Sphinx takes them from, docs/notebooks/ and docs/_static/.
+    """
     from workflow.pages import write_pages
     from workflow.task_notebooks import cache_folder, run
 
     root = find_root()
-    parts, cache = first_parts(make_parts(root, [], budget)), cache_folder(root, root / BUDGETS[budget])
+    parts = first_parts(make_parts(root, [*read_experiments(root)], budget))
+    cache = cache_folder(root, root / BUDGETS[budget])
     for fault in filter(None, run(parts, cache, root / ".cache", jobs).values()):
         raise fault
     write_pages(parts, cache, root / "docs")

@@ -30,7 +30,7 @@ TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
 """A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
 the end runs from joint to joint; above the second it is dropped."""
 Stages = tuple[tuple[int, int], ...]
-"""The stages of an adjustment: one in so many pixels takes part, and the number of steps."""
+"""Stages ``(n, steps)`` of an adjustment: one pixel in n takes part in so many steps."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8

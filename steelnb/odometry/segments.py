@@ -20,7 +20,7 @@ from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
 from steelnb.types import Array, Scan, Segments
 
 Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
-_shared: ContextVar[Found] = ContextVar("shared")
+_shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 
 
 class SegmentOdometry(BaseOdometry):
@@ -99,7 +99,9 @@ def shared_segments() -> Iterator[None]:
 
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
     """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
-    shared = _shared.get({})
+    begin, shared = time.perf_counter(), _shared.get()
+    if shared is None:  # of the points of a single run, no hash is needed
+        return segments_in(points, settings), time.perf_counter() - begin
     key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
     if key not in shared:
         begin = time.perf_counter()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.points.features import loam_features, scan_lines
+from steelnb.points.features import SMOOTH, loam_features, scan_lines
 from steelnb.settings import TofSettings
 from steelnb.simulation.scene import rays
 from tests import naive
@@ -45,6 +45,7 @@ def test_the_corner_of_two_walls_is_an_edge_and_the_walls_are_planes():
     assert len(sharpest) >= 5
     assert np.abs(sharpest[:, 1]).min() < 0.1  # three pixels
     assert loam_features(3.0 * flat).plane.all()  # a wall alone has no edge
+    assert SMOOTH == 5e-3
 
 
 def test_scan_lines_has_one_row_a_laser_sorted_by_azimuth():

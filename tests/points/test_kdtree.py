@@ -33,6 +33,17 @@ def search(points, query, k, limit):
     return tree, found[:count], np.sqrt(distance[:count])
 
 
+@settings(max_examples=60, deadline=None)
+@given(points=clouds())
+def test_the_tree_holds_every_point_once(points):
+    tree = kdtree.build_kdtree(points)
+    np.testing.assert_array_equal(np.sort(tree.order), np.arange(len(points)))
+    np.testing.assert_array_equal(tree.point, points[tree.order])
+    size = (tree.right - tree.left)[tree.axis < 0]
+    assert size.sum() == len(points)
+    assert size.max() <= kdtree.LEAF
+
+
 @settings(max_examples=120, deadline=None)
 @given(
     points=clouds(), seed=st.integers(0, 99), k=st.sampled_from([1, 3, 20]), limit=st.sampled_from([np.inf, 1.0, 0.02])

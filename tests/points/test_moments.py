@@ -4,9 +4,35 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.points import moments
+from tests import naive
 
 pytestmark = pytest.mark.kernels
 ROWS, COLUMNS = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
+
+
+def moments_about(points, weights, origin):
+    m = moments.NO_MOMENTS
+    for w, (x, y, z) in zip(weights, points - origin, strict=True):
+        m = moments.add_point(m, w, x, y, z)
+    return m
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(2, 40), first=st.integers(0, 40), shift=st.floats(-1e3, 1e3))
+def test_moments_about_two_origins_add_up_to_the_covariance_of_all_points(seed, count, first, shift):
+    rng = np.random.default_rng(seed)
+    points, weights = rng.normal(size=(count, 3)) * [1, 3, 0.1] + shift, rng.uniform(0.1, 5, count)
+    origin_a, origin_b = points[0] + rng.normal(size=(2, 3))
+    part_a = moments_about(points[:first], weights[:first], origin_a)
+    part_b = moments_about(points[first:], weights[first:], origin_b)
+    total = moments.add_moments(part_a, part_b, *(origin_b - origin_a))
+    assert total[0] == pytest.approx(weights.sum())
+    np.testing.assert_allclose(np.array(total[1:4]) / total[0] + origin_a, weights @ points / weights.sum(), rtol=1e-9)
+    expected = np.cov(points.T, aweights=weights, bias=True)
+    np.testing.assert_allclose(naive.full([moments.covariance(total)])[0], expected, atol=1e-9)
+    row = np.zeros(10)
+    moments.store(total, row)
+    np.testing.assert_array_equal(row, total)
 
 
 @settings(max_examples=20, deadline=None)
