@@ -1,8 +1,10 @@
 """The files that a notebook leaves, and the progress that it shows."""
 
+import base64
 import contextlib
 import hashlib
 import importlib.metadata
+import io
 import json
 import math
 import numbers
@@ -40,7 +42,7 @@ def write_results(
     files: Mapping[str, Callable[[Path], object]] | None = None,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the results of a notebook into the folder ``results_dir``; write nothing if that is empty.
+    """Write the results of a notebook into the folder ``results_dir``; if that is empty, only show its figures.
 
     ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
     fig_<name>.png, ``timing`` timing.csv with the machine's description, ``provenance`` (settings, seeds; no times,
@@ -49,6 +51,7 @@ def write_results(
     Files are written beside and then renamed. Raises `OutputError`, and ValueError for a metric not finite.
     """
     if not str(results_dir):
+        _show_in_a_row(figures)
         return
     flat = {name: _finite(name, value) for name, value in metrics.items()}
     with new_folder(results_dir, stale=RESULTS) as folder:
@@ -63,6 +66,18 @@ def write_results(
             figure.savefig(folder / f"fig_{name.removeprefix('fig_')}.png", dpi=150, metadata={"Software": None})
         for name, write in (files or {}).items():
             write(folder / name)
+
+
+def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
+    """Show all figures side by side: JupyterLab is scrolled to the last cell once all cells were run."""
+    from IPython.display import HTML, display
+
+    look, images = "min-width: 0; max-height: 24em; object-fit: contain", []
+    for figure in figures.values():
+        png = io.BytesIO()
+        figure.savefig(png, format="png", dpi=90)
+        images.append(f'<img style="{look}" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">')
+    display(HTML(f'<div style="display: flex; gap: 1em">{"".join(images)}</div>'))
 
 
 def _finite(name: str, value: Any) -> int | float:

@@ -20,8 +20,11 @@ def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **mo
 
 def test_write_results_writes_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    write("", {"x": 1.0})
+    shown = []
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    write("", {"x": 1.0}, ("1", "2"))
     assert not list(tmp_path.iterdir())
+    assert shown[0].data.count("<img ") == 2
     files = {"structure_a.json": lambda path: path.write_text("{}")}
     write("out", {"b": np.float32(0.5), "a": np.int64(2)}, ("fig_1", "2"), files=files)
     out = tmp_path / "out"
