@@ -93,7 +93,8 @@ def figure_scene(
     )
     figure.update_xaxes(title_text="time (s)")
     where = "truth" if "true" in known else "recorded poses"
-    figure.update_yaxes(title_text=f"distance to the {where} (m)", rangemode="tozero")
+    beside = {"rangemode": "tozero", "side": "right"}  # on the left its title would lie over a narrow scene
+    figure.update_yaxes(title_text=f"distance to the {where} (m)", **beside)
     return figure
 
 
