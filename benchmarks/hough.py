@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/hough.py REFERENCE_EXE --data FOLDER > benchmarks/hough.md
 
-REFERENCE_EXE is hough3dlines, built with its own Makefile from https://github.com/cdalitz/hough-3d-lines; FOLDER holds
-its point clouds (*.dat), and may be left out. Seconds belong to the machine named in the table, ratios less so.
+REFERENCE_EXE is hough3dlines, built with its own Makefile from https://github.com/cdalitz/hough-3d-lines. FOLDER holds
+its point clouds (*.dat) and may be omitted. Times depend on the machine named in the table, ratios less so.
 """
 
 from shared import command  # first, as it pins the core
@@ -27,13 +27,13 @@ from steelnb.types import Array, Lines, Trajectory
 
 SIZES, WIDTHS, MIN_VOTES, RUNS, DENSER = (2_000, 5_000, 10_000, 20_000, 50_000), (0.1, 0.05), 20, 3, 4
 AT_S = (20.0, 60.0, 100.0, 140.0, 180.0)
-NOTES = """The programs take turns on one core and get the same points, with six digits. *Time*: of the reference, what
-its process used on the core less what it uses to start, to read the file and to refuse a dx that is too large; of ours,
-what the call used, after compilation. *Same lines*: as many, each with the same count, its anchor within 1e-6 (the last
-of the six digits printed) and its direction within 1e-4°.
+NOTES = """The programs take turns on one core and get the same points, with six digits. *Time* is CPU time: for the
+reference, that of its process without starting, reading the file and refusing a dx that is too large; for ours, that of
+the call after compilation. *Same lines*: the same number of lines, each with the same count, its anchor within 1e-6
+(the last of the six digits printed) and its direction within 1e-4°.
 """
-FRAMES = """{} of a sensor with {}² times the pixels of the flight's, at {} s; of each frame so many points by chance.
-Times are medians over the frames, *ratio* the median of the ratios that follow it.
+FRAMES = """{} frames of a sensor with {}² times the flight's pixels, at {} s; a random subset of each frame's points.
+Times are medians over the frames; *ratio* is the median of the ratios that follow it.
 
 | points | dx (m) | lines | same | reference (ms) | ours (ms) | ratio |
 |---|---|---|---|---|---|---|"""
@@ -42,7 +42,7 @@ CLOUDS = """| cloud | points | dx | lines | same lines | reference (ms) | steeln
 
 
 def frames() -> list[Array]:
-    """Points of scans of the tower from a zigzag, in the sensor frame; the ground is left out."""
+    """Points of scans of the tower from a zigzag, in the sensor frame, without the ground."""
     s = ExperimentSettings.preset(duration_s=max(AT_S) + 1.0)
     tof = s.tof.model_copy(update={"columns": DENSER * s.tof.columns, "rows": DENSER * s.tof.rows, "rate_hz": 1.0})
     tower = build_tower(s.tower)
@@ -58,13 +58,13 @@ def frames() -> list[Array]:
 
 
 def some(points: Array, size: int) -> Array:
-    """So many of the points, in their order, with the six digits that a file gets."""
+    """A random subset of ``size`` points in their order, rounded to the six digits that the file has."""
     chosen = rng.stream(1, "benchmark", size).permutation(len(points))[:size]
     return np.round(points[np.sort(chosen)], 6)
 
 
 def reference(exe: Path, file: Path, *options: str) -> tuple[float, Array]:
-    """Seconds on the core of one run of the reference, and its lines (anchor, direction, count) ``(M, 7)``."""
+    """CPU seconds of one run of the reference, and its lines (anchor, direction, count) ``(M, 7)``."""
     process = subprocess.Popen(
         [exe, "-raw", *options, file], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -85,7 +85,7 @@ def same(ours: Lines, theirs: Array) -> bool:
 
 
 def compare(exe: Path, file: Path, points: Array, dx: float, min_votes: int) -> tuple[float, float, Lines, bool]:
-    """Seconds of the reference and ours in alternating runs, our lines, and whether they are the reference's."""
+    """Median CPU seconds of the reference and ours in alternating runs, our lines, and whether both agree."""
     options = ("-dx", repr(dx), "-minvotes", str(min_votes))
     their_s, our_s = [], []
     for _ in range(RUNS):

@@ -1,4 +1,4 @@
-"""The Hough transform beside the plainest form of its own idea: one bound a direction, alternating runs on one core.
+"""The Hough transform beside the plainest form of its own idea: one bound per direction, alternating runs on one core.
 
     .venv/bin/python benchmarks/hough_plain.py > benchmarks/hough_plain.md
 
@@ -24,10 +24,10 @@ from steelnb.types import Array, Lines
 
 SIZES, WIDTHS, RUNS, MIN_VOTES = (2_500, 5_000, 10_000, 20_000), (0.05, 0.1), 9, 12
 REACH_M, LEAF_M = 3.0, 0.05
-TABLE = """The same lines to the last bit in every case. *Even*: points spread evenly over a cube of 4 m. *Scans*:
-returns of a frame of `hough.py`, so many by chance, in their order. *Filtered*: such frames within {} m, in voxels of
-{} m. `min_votes` {}, weak lines left out, all lines. Times and ratios are medians over clouds of the shortest of {}
-runs; seconds belong to the machine, which was not idle, ratios less so.
+TABLE = """The lines agree to the last bit in every case. *Even*: points spread evenly over a cube of 4 m. *Scans*: a
+random subset of the returns of a frame of `hough.py`, in order. *Filtered*: such frames within {} m, in
+voxels of {} m. `min_votes` {}, weak lines skipped, all lines. Times and ratios are medians over the clouds, each with
+the shortest of {} runs. The machine was not idle: times depend on it, ratios less so.
 
 | clouds | points | dx (m) | lines | plain form (ms) | steelnb (ms) | ratio |
 |---|---|---|---|---|---|---|"""
@@ -69,7 +69,7 @@ def vote(px, py, pz, direction, box, half, inverse_dx, columns, image, index):  
 def plain(  # type: ignore[no-untyped-def]
     px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak
 ):
-    """As `steelnb.hough.transform.iterate`, which it stands in for."""
+    """Replaces `steelnb.hough.transform.iterate`, with the same arguments."""
     n, found, weak_lines = len(px), 0, 0
     anchor, direction, counts = np.zeros((n // 2, 3)), np.zeros((n // 2, 3)), np.zeros(n // 2, np.int64)
     label = np.full(n, -1, np.int64)
@@ -117,7 +117,7 @@ def plain(  # type: ignore[no-untyped-def]
 
 
 def timed(loop: Any, points: Array, dx: float) -> tuple[float, Lines]:
-    """Seconds on the core of `detect_lines` with a compiled loop, and its lines."""
+    """CPU seconds of `detect_lines` with a compiled loop, and its lines."""
     vars(lines)["iterate"] = loop
     began = time.process_time()
     found = detect_lines(points, dx, MIN_VOTES, skip_weak=True)
@@ -125,7 +125,7 @@ def timed(loop: Any, points: Array, dx: float) -> tuple[float, Lines]:
 
 
 def compare(name: str, clouds: list[Array], dx: float) -> None:
-    """Print a row: the shortest times of both loops on each of the clouds. Raises AssertionError for other lines."""
+    """Print a row: medians over the clouds of both loops' shortest times. Raises AssertionError if the lines differ."""
     shortest, numbers = [], []
     for points in clouds:
         seconds = []

@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/limit.py
 
-From true poses and true surfaces: no unbiased estimator has smaller standard deviations (Van Trees, "Detection,
+Computed from true poses and surfaces. No unbiased estimator has smaller standard deviations (Van Trees, "Detection,
 Estimation, and Modulation Theory", 1968; for range finders Censi, "On achievable accuracy for range-finder
-localization", ICRA 2007). limit.md has the equations and what they take for granted. Prints the table of that page.
+localization", ICRA 2007). limit.md has the equations and their assumptions. Prints the table of that page.
 """
 
 from collections.abc import Iterator
@@ -26,8 +26,8 @@ from steelnb.types import Array, IntArray
 POSE = 4
 """x, y, z in the world, and yaw about the vertical through the drone."""
 PATCH_M, INCIDENCE_MAX_RAD = 0.1, np.radians(80.0)
-"""Edge of the cubes that cut the faces of the tower into patches, each at a place of its own. Returns from faces
-seen at more of a slant count as none: the spot of a pixel is no point there."""
+"""Edge of the cubes that cut the faces of the tower into patches, each with its own shift. Returns at a larger angle of
+incidence are dropped, since the spot of a pixel is not a point there."""
 EXACT = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
 NOISE, SENSOR, SEED, DURATION_S = "random-walk+yaw-random-walk", "starling2", 1, 200.0
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
@@ -36,8 +36,8 @@ METHODS = ("icp", "gicp", "best", "faces", "smoothed")
 
 
 def seen(tower: Tower, T_world_drone: Array, tof: TofSettings) -> Iterator[tuple[Array, IntArray]]:
-    """Of the scans of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 5)`` of the ranges by x,
-    y, z and yaw of the drone and by the shift of the face, over the range noise; and numbers ``(N,)`` of the patches.
+    """For each scan of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 5)`` of the ranges by x,
+    y, z and yaw of the drone and by the shift of the face, divided by the range noise; and patch numbers ``(N,)``.
     """
     scene, ray = make_scene(tower), rays(tof).reshape(-1, 3)
     corner = tower.vertices[tower.triangles]
@@ -70,8 +70,8 @@ def seen(tower: Tower, T_world_drone: Array, tof: TofSettings) -> Iterator[tuple
 def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
     """Fisher information of the returns of K scans about their poses ``(K, 4, 4)`` and the patches of the surface.
 
-    Of the pairs of a patch and a scan that sees it, those of patch p are ``first[p]`` to ``first[p + 1] - 1``, by
-    ``scan (N,)``; ``cross (N, 4)`` between the pose and the shift of the patch; ``shift (N,)`` about that shift alone.
+    Pairs of a patch and a scan that sees it are sorted by patch, from ``first[p]`` to ``first[p + 1] - 1``, then by
+    ``scan (N,)``. ``cross (N, 4)`` couples the pose and the shift of the patch; ``shift (N,)`` is of the shift alone.
     """
     poses, patches, numbers, sums = [], [], [], []
     for k, (g, patch_of) in enumerate(scans):
@@ -88,8 +88,8 @@ def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
 
 
 def factor(information: Information, stamp_s: Array) -> Array:
-    """Lower triangular Cholesky factor of the information about the poses but the first, which is known, from as many
-    scans as there are stamps and the prior's increments, with the patches eliminated (Schur complement)."""
+    """Lower triangular Cholesky factor of the information about all poses but the first, which is known, from as
+    many scans as there are stamps and the prior's increments. Patches are eliminated (Schur complement)."""
     step, poses = np.diff(np.eye(len(stamp_s)), axis=0), len(stamp_s)
     matrix = np.kron((step.T * DRIFT_PERIOD_S / np.diff(stamp_s)) @ step, np.diag(DRIFT_SIGMA**-2.0))
     matrix.reshape(poses, POSE, poses, POSE)[range(poses), :, range(poses)] += information[0][:poses]
@@ -99,7 +99,7 @@ def factor(information: Information, stamp_s: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def eliminate(matrix, poses, first, scan, cross, shift):  # type: ignore[no-untyped-def]
-    """Subtract from the lower triangle of ``matrix`` what its poses know of each patch only together with its shift."""
+    """Eliminate the shift of each patch: subtract its Schur complement term from the lower triangle of ``matrix``."""
     for patch in range(len(first) - 1):
         begin, end, total = first[patch], first[patch], 0.0
         while end < first[patch + 1] and scan[end] < poses:
@@ -114,10 +114,10 @@ def eliminate(matrix, poses, first, scan, cross, shift):  # type: ignore[no-unty
 
 
 def bounds_mm(truth: Truth, settings: ExperimentSettings, stamp_s: Array) -> dict[str, float]:
-    """Root mean squares over the poses of the standard deviations of the position, each bound by its name.
+    """Root mean square over the poses of the standard deviation of the position, for each bound by its name.
 
-    Of the last pose of a factor the information is that of its last block, since it is eliminated last. The causal
-    variance is taken as linear between the poses at which it is worked out, and as no less than that of all scans.
+    The covariance of the last pose follows from the last block of a factor alone, since it is eliminated last. The
+    causal variance is interpolated linearly between the poses where it is computed, and is at least the batch variance.
     """
     information = gather(seen(truth.tower, truth.trajectory.at(stamp_s).T_world_drone, settings.tof))
     steps = [1, 2, 4, 8, 16, 32, *np.linspace(0, len(stamp_s) - 1, 15).astype(int)]

@@ -1,9 +1,9 @@
-"""Every odometry scan by scan, beside those that others maintain: time and error on one pinned core.
+"""Every odometry scan by scan, beside third-party ones: time and error on one pinned core.
 
     .venv/bin/python benchmarks/odometry.py > benchmarks/odometry.md
 
-KISS-ICP and small_gicp come with `pip install 'steelnb[peers]'`. Their voxel is the one setting of theirs that is not
-left at its default, so all that were tried are rows. Seconds belong to the machine named in the table, ratios less so.
+KISS-ICP and small_gicp come with `pip install 'steelnb[peers]'`. Their voxel is the only setting not at its default, so
+every value that was tried has a row. Times depend on the machine in the table, ratios less so.
 """
 
 from shared import command  # first, as it pins the core
@@ -29,10 +29,10 @@ PEERS = {"kiss-icp": "kiss-icp", "small-gicp": "small_gicp"}
 VOXELS_M = (0.1, 0.2, 0.4)
 SEED, DURATION_S = 11, 30.0
 BESIDE = "small-gicp, voxel 0.2 m"
-NOTES = """{}, one thread, each scan's motion predicted by the prior.
-Flights of {:g} s under the random walk with a Starling 2's sensor, seed {}: time of one scan on the core, how many
-times that of {} it is in the median, and the absolute trajectory error, unaligned. All methods get
-the same scans in one process; imports, compilation and the first scan are not counted. `faces` adjusts poses and bars
+NOTES = """{}, one thread. The prior predicts the motion of each scan.
+Flights last {:g} s, with a random walk, a Starling 2's sensor and seed {}. Columns: CPU time per scan, ratio of the
+median to that of {}, and unaligned absolute trajectory error. All methods get the same scans in
+one process; imports, compilation and the first scan are not counted. `faces` adjusts poses and bars
 every ten seconds, which a second core can do.
 
 | flight | odometry | median (ms) | p95 (ms) | ratio | error (mm) |

@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/registration.py --pair FOLDER > benchmarks/registration.md
 
 FOLDER holds source.ply, target.ply and T_target_source.txt, such as the folder data of
-https://github.com/koide3/small_gicp; without --pair only the simulated flight is measured. Seconds belong to
+https://github.com/koide3/small_gicp. Without --pair, only the simulated flight is measured. Times depend on
 the machine named in the table, ratios less so.
 """
 
@@ -35,13 +35,13 @@ DURATION_S, EVERY = 200.0, 40
 ERROR = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 OURS = "steelnb"
 NOTES = """The programs take turns in one process on one core, with the same points, {} neighbours and at most {} steps,
-and stop at a step under 0.1° and 1 mm; Open3D knows only a rule on fitness and RMSE (1e-6, its default). PCL has no
-wheel for Python and is not measured. Times are medians of the process's own time on the core, which on an idle core is
-the time that passes. *Whole job*: index both clouds, their normals or covariances, align. *Ratio*: our time over the
-other's. *Error*: against the known transform, at the middle of the source.
+and stop at a step under 0.1° and 1 mm. Open3D can only stop on fitness and RMSE (1e-6, its default). PCL has no Python
+wheel and is not measured. Times are medians of CPU time, which is the elapsed time on an idle core. *Whole job*: index
+both clouds, compute their normals or covariances, and align. *Ratio*: our time over the other's. *Error*: distance from
+the known transform, at the middle of the source.
 
-small_gicp's point-to-plane weighs each axis of the difference by the normal's component instead of measuring the
-distance to the plane, so it ends elsewhere; Open3D's is a plane distance, as ours.
+small_gicp's point-to-plane weights each axis of the difference by the normal's component instead of measuring the
+distance to the plane, so it converges elsewhere. Open3D measures the distance to the plane, as we do.
 """
 
 
@@ -56,7 +56,7 @@ class Problem(NamedTuple):
 
 
 Done = tuple[Array, int | None, float]
-"""T_target_source ``(4, 4)``, the iterations where a program tells them, and when both clouds were indexed (s)."""
+"""T_target_source ``(4, 4)``, the iterations if the program reports them, and when both clouds were ready (s)."""
 
 
 def ours(method: str, p: Problem) -> Done:
@@ -105,14 +105,14 @@ PROGRAMS = {OURS: ours, "small_gicp": by_small_gicp, "Open3D": by_open3d}
 
 
 def apart(T_one: Array, T_two: Array, source: Array) -> tuple[float, float]:
-    """(millimetres between the middles of the source, degrees) of two poses."""
+    """Distance of the middle of the source (mm) and angle (degrees) between two poses."""
     middle = np.append(source.mean(axis=0), 1)
     turn = Rotation.from_matrix(T_one[:3, :3].T @ T_two[:3, :3]).magnitude()
     return 1e3 * float(np.linalg.norm(((T_one - T_two) @ middle)[:3])), float(np.degrees(turn))
 
 
 def measure(problems: list[Problem], repeats: int) -> None:
-    """Print one row for each method and program; the programs take turns, so that the machine's moods hit all."""
+    """Print one row per method and program. The programs take turns, so that load on the machine affects all alike."""
     print("| method | program | whole job (ms) | ratio | align alone (ms) | ratio | steps | error (mm, °) ", end="")
     print("| from ours (mm, °) |\n|---|---|---|---|---|---|---|---|---|")
     for method in ERROR:
@@ -158,8 +158,8 @@ def pair(folder: Path) -> Problem:
 
 
 def flight() -> list[Problem]:
-    """Frames of a simulated flight, each against the map of all before it at their true poses, from starts off by about
-    5 cm and 1°."""
+    """Frames of a simulated flight, each with the map of all earlier ones at their true poses, and a start that is off
+    by about 5 cm and 1°."""
     settings = ExperimentSettings.preset(duration_s=DURATION_S)
     recording, truth = experiment.simulate(settings)
     true = truth.trajectory.at(recording.prior.stamp_s).T_world_drone

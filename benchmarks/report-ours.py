@@ -3,9 +3,9 @@
     PYTHONPATH=. .venv/bin/python benchmarks/report-ours.py [--seeds 21 22] [--flights vertical orbit]
         [--sections angle] [--sensors report starling2] [--values report-4cm starling2]
 
-Flights of 200 s with random walk, from `--start` on, where the drift is zero. `--values`: whose settings the methods
-have; those of `report-4cm` were chosen with four times the noise, those of `starling2` are the methods' own. Prints a
-table of report.md. With STEELNB_CACHE set to a folder, flights and estimates are kept between calls.
+Flights of 200 s with a random walk start at `--start`, where the drift is zero. `--values` selects the settings of the
+methods: `report-4cm` was chosen with four times the noise, `starling2` are the methods' own. Prints a table of
+report.md. With STEELNB_CACHE set to a folder, flights and estimates are kept between calls.
 """
 
 import argparse
@@ -27,12 +27,12 @@ VALUES: dict[str, dict[str, Any]] = {
     "starling2": {"prior_sigma": (0.05, 0.02), "sigma_filter_px": 0},
     "no robust weights": {"robust_scale": 100.0},
 }
-"""What differs between the sensors' presets."""
+"""Settings of the methods that differ between the sensors' presets, and a third choice without robust weights."""
 SHOWN = ("recall", "precision", "edge_recall", "edge_precision", "offset_median_m", "joint_error_median_m")
 
 
 def simulated(settings: ExperimentSettings) -> tuple[Flight, Truth]:
-    """The flight, its drift counted from the first scan on."""
+    """The flight, with a position drift that is zero at the first scan."""
     flight, truth = experiment.simulate(settings)
     T_world_drone = flight.prior.T_world_drone.copy()
     T_world_drone[:, :3, 3] -= (flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position)[0]
@@ -40,7 +40,7 @@ def simulated(settings: ExperimentSettings) -> tuple[Flight, Truth]:
 
 
 def row(given: tuple[str, ...], section: str, seed: int, values: str | None, start_s: float) -> str:
-    """Errors in millimetres and the structure's numbers."""
+    """A row of the table: errors in millimetres and the scores of the structure."""
     trajectory, sensor = given
     settings = ExperimentSettings.preset(trajectory, sensor=sensor, seed=seed, duration_s=start_s + 200.0)  # type: ignore[arg-type]
     settings = settings.override({"tower.section": section, "tof.start_s": start_s})

@@ -1,10 +1,10 @@
-"""The report's programs, ours beside PCL's own registrations, on the flights of its plots; and GICP trait by trait.
+"""The report's programs: ours beside PCL's registrations, on the flights of its plots, and GICP trait by trait.
 
     PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--traits 3.5 vertical gicp]
 
 Prints the tables of report-peers.md. Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and
 pkg-config. Both programs get the same scans and the same drifting poses. All repeats but the first add micrometres of
-noise to the points: PCL stops GICP where single precision hides the slope, so that such noise decides what it finds.
+noise to the points: PCL stops GICP where single precision hides the gradient, so such noise decides what it finds.
 """
 
 import argparse
@@ -40,11 +40,11 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "every scan of the sensor": ({"tof.rate_hz": 1 / 0.208}, ()),
     "round members": ({"tower.section": "round"}, ()),
 }
-"""Rows of the second table: changes of the world, traits switched."""
+"""Rows of the second table: overrides of the simulation, and the traits that are switched."""
 
 
 def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int) -> tuple[list[Flight], Truth]:
-    """The flight of a plot as it is, and with micrometres of noise."""
+    """The flight of a plot, then repeats of it with a micrometre of noise on the points."""
     flight, truth = experiment.simulate(ExperimentSettings.report(*given, overrides=changes))
     flights, noise = [flight], stream(0, "jitter")
     for _ in range(1, repeats):
@@ -54,13 +54,13 @@ def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int)
 
 
 def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
-    """Poses by our program."""
+    """Poses of our program."""
     settings = OdometrySettings.preset(method, "report", {"switched": switched})
     return run(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
 
 
 def peer(program: Path, method: str, flight: Flight) -> Trajectory:
-    """Poses by PCL's."""
+    """Poses of PCL's program."""
     scans, poses = program.with_name("scans"), program.with_name("poses")
     with scans.open("wb") as file:
         file.write(np.uint32(len(flight)).tobytes())

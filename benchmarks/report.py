@@ -25,20 +25,20 @@ from steelnb.types import Array, Flight, Trajectory
 HERE = Path(__file__).parent
 CURVES = HERE.parent / "notebooks" / "report-curves.csv"
 PROGRAMS = {"average": "report-segments", "icp": "report-icp", "icp-3dof": "report-icp-3dof", "gicp": "report-gicp"}
-"""Method of a plot → the report's program; the method of that name is the same as it should be."""
+"""Method of a plot → the report's program. The method of the same name is the corrected form of that program."""
 SHOULD_BE = {"average": "least_squares"}
-"""Which method is named otherwise as it should be."""
+"""Methods whose corrected form has another name."""
 OURS = ("best", "faces", "smoothed")
 SENSOR_HZ = 1 / (26 * STEP_S)
 CURVE_COLOURS = {
     "drift, the report": "#a9d8a9", "corrected, the report": "#f2b8a0", "drift, ours": "#2a7a2a",
     "its program, ours": "#c03000", "as it should be, ours": "#0072B2",
 }  # fmt: skip
-"""In the order in which they are drawn."""
+"""Colours of the curves, in the order of drawing."""
 
 
 def summary(error: Array) -> str:
-    """Mean, largest and last."""
+    """Mean, largest and last error, as text."""
     return f"{error.mean():.3f} / {error.max():.3f} / {error[-1]:.3f}"
 
 
@@ -57,7 +57,7 @@ def corrected(method: str, flight: Flight, truth: Truth, plot: ReportPlot) -> Tr
 
 
 def plot_rows(plot: ReportPlot, section: str) -> Iterator[tuple[str, str, Array, Array]]:
-    """For each curve of ours of a plot: what it is, its row of the table, the samples and the errors."""
+    """For each of our curves of a plot: its kind, its row of the table, the samples and the errors."""
     settings = ExperimentSettings.report(
         plot.figure, plot.trajectory, plot.method, overrides={"tower.section": section}
     )  # fmt: skip
@@ -80,7 +80,7 @@ def plot_rows(plot: ReportPlot, section: str) -> Iterator[tuple[str, str, Array,
 
 
 def draw(table: pd.DataFrame, plots: list[ReportPlot], path: Path) -> None:
-    """Curves of some plots, the report's behind ours."""
+    """Draw the curves of some plots, the report's behind ours."""
     grid = sns.relplot(
         table, x="sample", y="error (m)", hue="curve", size="curve", kind="line", row="method", col="trajectory",
         hue_order=list(CURVE_COLOURS), palette=CURVE_COLOURS, size_order=list(CURVE_COLOURS), errorbar=None,
@@ -110,7 +110,7 @@ def figure(name: str, section: str) -> None:
 
 
 def ours(name: str, section: str) -> None:
-    """Print the errors of our methods on the flights of a figure, on every scan of the sensor from the start on."""
+    """Print the errors of our methods on the flights of a figure, with every scan of the sensor from the start."""
     for plot in (plot for plot in read_report_plots() if plot.figure == name and plot.method in ("average", "icp")):
         every = {"tof.rate_hz": SENSOR_HZ, "tof.start_s": 0.0, "tower.section": section}
         given = (plot.figure, plot.trajectory, plot.method)

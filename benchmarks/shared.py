@@ -1,4 +1,4 @@
-"""Imported first by timed benchmarks: one core and one thread, which libraries count when they are imported."""
+"""Imported first by timed benchmarks: pins one core and one thread, since libraries count them when imported."""
 
 import os
 
@@ -8,5 +8,5 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 
 def command(doc: str) -> str:
-    """The call that a script's docstring names, without the file that its output goes to."""
+    """The command line in a script's docstring, without the redirection of its output."""
     return next(line.strip() for line in doc.splitlines() if line.startswith("    ")).split(" >")[0]

@@ -1,14 +1,14 @@
 """steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
 ``import steelnb`` loads no library: each public name is loaded when it is first used. It sets the environment variables
-of `steelnb.pins`, so that results have the same bits on every processor: import it before NumPy.
+of `steelnb.pins`, so that results are bit-identical on every processor. Import it before NumPy.
 """
 
 import os
 
 from steelnb.pins import pin
 
-TYPE_CHECKING = False  # type checkers take it for true; `typing` takes ten milliseconds, in which Ctrl-C is a traceback
+TYPE_CHECKING = False  # checkers assume true; importing `typing` takes 10 ms, in which Ctrl-C prints a traceback
 if TYPE_CHECKING:
     from steelnb.errors import InputError, SteelnbError
     from steelnb.experiment import Result, run

@@ -1,4 +1,4 @@
-"""Several experiments that share flights, the tables of their numbers, and what the report shows of the same."""
+"""Several experiments that share flights, tables of their metrics, and the report's curves of the same experiments."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,12 +29,12 @@ from steelnb.simulation import Tower, build_tower, fly
 from steelnb.types import Array
 
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
-"""Columns that name a run of an odometry by clouds."""
+"""Columns that identify a run of a point-cloud odometry."""
 
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
-"""The report's figure of segment odometry on a flight, and of odometry by clouds under a noise, as files are named."""
+"""The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
 REPORT_CURVES = Path("notebooks", "report-curves.csv")
-"""The curves of the report's plots, read off its PDF, below the root of the project."""
+"""The curves of the report's plots, read off its PDF. The path is relative to the root of the project."""
 
 
 @cache
@@ -43,8 +43,8 @@ def _report_curves() -> pd.DataFrame:
 
 
 def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
-    """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` of one of the report's plots,
-    without the samples of an earlier run and those later than ``until_s``."""
+    """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` in one of the report's plots.
+    Samples of an earlier run and those after ``until_s`` are left out."""
     named = {"figure": plot.figure, "trajectory": plot.trajectory, "method": plot.method, "curve": curve}
     rows = _report_curves()
     rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1) & (rows["step"] >= plot.earlier_samples)]
@@ -53,15 +53,15 @@ def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np
 
 
 def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
-    """The report's plot whose flight, noise and rate of samples an experiment has, or None."""
+    """The report's plot with the same flight, noise and sampling rate as an experiment, or None."""
     wanted = (settings.flight.trajectory, settings.noise_name, settings.tof.rate_hz)
     plots = {(plot.flight or plot.trajectory, plot.noise, plot.rate_hz): plot for plot in reversed(read_report_plots())}
     return plots.get(wanted)
 
 
 def at_level(noise: str, level: float) -> str:
-    """A noise whose levels, the report's where it names none, are multiplied by ``level``. Raises `InputError` for an
-    unknown noise."""
+    """A noise with all its levels multiplied by ``level``. Parts without a level have the report's. Raises `InputError`
+    for an unknown noise."""
     Noise.parse(noise)
     if noise == "none" or level == 1:
         return noise
@@ -78,10 +78,10 @@ def report_cases(
     duration_s: float | None = None,
     overrides: dict[str, Any] | None = None,
 ) -> list[ExperimentSettings]:
-    """Settings of the report's own experiments: for each flight, and each method of its plots, the methods that fly on
-    the samples of that plot, which are those of the other noise where the plot's noise is not ``noise``.
+    """Settings of the report's own experiments. ``methods`` maps the method of a plot to the methods that are run with
+    the sampling of that plot. If no plot of a flight has the ``noise``, the sampling is that of its other plot.
 
-    ``duration_s``: default as long as the plot. Raises `InputError`.
+    ``duration_s``: default, the duration of the plot. Raises `InputError`.
     """
     cases = []
     for flight, shown in itertools.product(trajectory, methods):
@@ -101,8 +101,8 @@ def report_cases(
 
 
 def paths(settings: ExperimentSettings) -> tuple[Tower, dict[str, Array]]:
-    """The tower, and the positions ``(N, 3)`` of the flight past it: the true ones, ``truth``, and the drifting ones,
-    ``none``. Nothing is scanned. Raises `CollisionError`."""
+    """The tower, and the positions ``(N, 3)`` of a flight past it: the true ones (``truth``) and the drifting ones
+    (``none``). No scans are simulated. Raises `CollisionError`."""
     tower = build_tower(settings.tower)
     truth, _ = fly(tower, settings.flight, settings.seed)
     return tower, {"truth": truth.position, "none": drifting(truth, settings.noise, settings.seed).position}
@@ -111,7 +111,7 @@ def paths(settings: ExperimentSettings) -> tuple[Tower, dict[str, Array]]:
 def run_all(
     cases: Sequence[ExperimentSettings], on_progress: experiment.Progress | None = None
 ) -> list[experiment.Result]:
-    """A result for each case, in their order; cases on one flight share its simulation. Raises `CollisionError`."""
+    """Results of the cases, in order. Cases on one flight share its simulation. Raises `CollisionError`."""
     results: dict[int, experiment.Result] = {}
     flights: dict[object, list[int]] = {}
     for k, case in enumerate(cases):
@@ -130,8 +130,8 @@ def run_all(
 
 
 def map_kind(settings: ExperimentSettings) -> str:
-    """The map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which forgets), or
-    ``bars``."""
+    """The kind of map of an odometry: ``weighted`` (means of all points), ``re-voxelised`` (the report's, which
+    forgets), or ``bars``."""
     chosen = settings.odometry
     if isinstance(chosen, RegistrationSettings | LoamSettings):
         return "re-voxelised" if chosen.map == "re-voxelised" else "weighted"
@@ -139,12 +139,12 @@ def map_kind(settings: ExperimentSettings) -> str:
 
 
 def table(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """One row a run: its case, then its numbers."""
+    """One row per run: its case, then its metrics."""
     return pd.DataFrame([{**case_of(result.settings), **result.metrics} for result in results])
 
 
 def cloud_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """`table` with the kind of map of each run, its scans, and the share of those that corrected nothing."""
+    """`table` with each run's kind of map, number of scans, and share of later scans without correspondences."""
     rows = table(results)
     rows.insert(list(rows).index("method") + 1, "map", [map_kind(result.settings) for result in results])
     rows["scans"] = [len(result.corrected) for result in results]
@@ -153,8 +153,9 @@ def cloud_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
 
 
 def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """`cloud_table` with mean, maximum and end (m) of the corrected curve in the report's plot of the same experiment,
-    up to the end of the run: ``report_mean_m``, ``report_max_m``, ``report_final_m``; NaN where there is none."""
+    """`cloud_table` with the mean, maximum and last error (m) of the corrected curve in the report's plot of the same
+    experiment, up to the end of the run: ``report_mean_m``, ``report_max_m``, ``report_final_m``. NaN without a plot.
+    """
     none = np.array([0.0]), np.array([np.nan])
     errors = [_reported(result).get("report", none)[1] for result in results]
     columns = ["report_mean_m", "report_max_m", "report_final_m"]
@@ -171,10 +172,10 @@ def _reported(result: experiment.Result) -> dict[str, tuple[Array, Array]]:
 
 
 def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """Errors over time in long form, a row a sample: the columns of `case_of`, ``curve``, ``time_s`` and ``error_m``.
+    """Errors over time in long form, one row per sample: the columns of `case_of`, ``curve``, ``time_s``, ``error_m``.
 
-    Each run has a ``curve`` named by its method and ``none``, its drift; and where the report has a plot of the same
-    experiment (`plot_of`), ``report`` and ``report-drift``, as read off that plot.
+    Each run has a ``curve`` with the name of its method, and ``none``, its drift. If the report has a plot of the same
+    experiment (`plot_of`), the curves ``report`` and ``report-drift`` of that plot are added.
     """
     parts = []
     for result in results:
@@ -188,26 +189,26 @@ def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
 
 
 def clouds(results: Sequence[experiment.Result]) -> list[tuple[Array, Array]]:
-    """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated again,
-    those that runs share once."""
+    """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated again; a
+    flight that several runs share, once."""
     settings = {experiment.world(result.settings): result.settings for result in results}
     flights = {world: experiment.simulate(one)[0] for world, one in settings.items()}
     return [paired_clouds(flights[experiment.world(result.settings)], result) for result in results]
 
 
 def bends(clouds: Iterable[tuple[Array, Array]], tower: Tower) -> pd.DataFrame:
-    """How each pair of `clouds` is bent: a row a pair, the numbers of `metrics.bend` about the middle of a tower."""
+    """Bend of each pair of `clouds`, one row per pair: `metrics.bend` about the vertical axis of a tower."""
     axis = tower.vertices[:, :2].mean(axis=0)
     return pd.DataFrame([bend(*pair, axis) for pair in clouds])
 
 
 def metrics(results: Sequence[experiment.Result], by: Sequence[str] = ("noise", "method")) -> dict[str, float]:
-    """The finite numbers of all runs in one flat map, ``<values of by>.<metric>``."""
+    """The finite metrics of all runs as a flat dictionary with the keys ``<values of by>.<metric>``."""
     return {f"{_name(r.settings, by)}.{k}": v for r in results for k, v in r.metrics.items() if np.isfinite(v)}
 
 
 def provenance(results: Sequence[experiment.Result], by: Sequence[str] = ("noise", "method")) -> dict[str, Any]:
-    """The settings of all runs, by ``<values of by>``."""
+    """The settings of all runs, with the keys ``<values of by>``."""
     return {_name(result.settings, by): result.settings.model_dump() for result in results}
 
 
@@ -217,7 +218,7 @@ def _name(settings: ExperimentSettings, by: Sequence[str]) -> str:
 
 
 def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
-    """Milliseconds a frame, median and 95th percentile, for each run and stage and for the whole frame."""
+    """Milliseconds per frame (median and 95th percentile) of each run: of every stage, and of the whole frame."""
     return pd.DataFrame(
         {**case_of(result.settings), "stage": stage, **times}
         for result in results
@@ -228,8 +229,8 @@ def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
 def flat(
     rows: pd.DataFrame, by: Sequence[str] = (), columns: Sequence[str] | None = None, prefix: str = ""
 ) -> dict[str, float]:
-    """The finite numbers of a table in one flat map ``<prefix><values of by>.<column>``, named by its index without
-    ``by``."""
+    """The finite numbers of a table as a flat dictionary with the keys ``<prefix><values of by>.<column>``. Without
+    ``by``, the index stands in for the values."""
     keys = rows[list(by)].astype(str).agg(".".join, axis=1) if by and len(rows) else rows.index.astype(str)
     wanted = [name for name in rows if name not in by] if columns is None else columns
     named = {f"{prefix}{key}.{name}": rows[name].iloc[k] for k, key in enumerate(keys) for name in wanted}

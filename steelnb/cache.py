@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from joblib import Memory
 
 CACHE_VARIABLE = "STEELNB_CACHE"
-"""Environment variable with the cache's folder; the workflow sets it to the project's ``.cache``. Without it nothing is
-cached."""
+"""Environment variable that names the cache's folder; the workflow sets it to the project's ``.cache``. Without it,
+nothing is cached."""
 BYTES_MAX = 2_000_000_000
 """Above this size, the least recently used entries are deleted when a process first uses the folder."""
 PACKAGE = Path(__file__).resolve().parent

@@ -13,8 +13,8 @@ from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
 
 def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
-    """The absolute trajectory error of each run as a dot, one row per value of the categorical column ``case`` and one
-    colour per method; a black bar is the mean over the seeds, the range of errors without correction lies behind.
+    """Plot the absolute trajectory error of each run as a dot, with one row per value of the categorical column
+    ``case`` and one colour per method. A black bar is the mean; the range of errors without correction is behind.
 
     ``runs`` has the columns ``ate_rmse_m`` and ``raw_ate_rmse_m`` (m) and ``method``. ``facets`` are options of
     `seaborn.catplot`, such as ``col``.
@@ -39,15 +39,15 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
 
 
 def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -> None:
-    """The range of errors without correction in the current panel, for each value of ``case``."""
+    """Draw the range of errors without correction into the current panel, for each value of ``case``."""
     low, high = (data.groupby(case, observed=True)["drift_cm"].agg(name).reindex(order) for name in ("min", "max"))
     plt.gca().barh(low.index, high - low, left=low, zorder=0, label="none", **DRIFT)
     plt.gca().use_sticky_edges = False
 
 
 def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
-    """A panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``; dashed lines are
-    the thresholds. Panels have scales of their own."""
+    """Draw one panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``. Dashed
+    lines are the thresholds. Each panel has its own scale."""
     rows = cells.assign(title=cells["title"].str.wrap(80))
     heights = rows.groupby("title", sort=False).size() + 2
     shape = {"sharex": False, "sharey": False, "aspect": 9, "height": 1}

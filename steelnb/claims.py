@@ -1,4 +1,4 @@
-"""Notebook 12: claims that a number can answer; from the runs of a study to an estimate, its interval and a verdict."""
+"""Claims of notebook 12: for each, an estimate from the runs of a study, its confidence interval and a verdict."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +27,9 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     "converged_wrongly": lambda runs: runs["wrong_share"] > 0.05,
     "growth_beyond_drift_m_s": lambda runs: runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"],
 }
-"""Metrics of the runs that follow from their columns. ``converged_wrongly``: more than 5 % of the scans with pairs
-ended too far off, notebook 04's rule; ``growth_beyond_drift_m_s``: growth of the error while no bar is matched, less
-that of the drift at the same scans."""
+"""Metrics derived from the columns of the runs. ``converged_wrongly``: ``wrong_share`` exceeds 5 %, the rule of
+notebook 04; ``growth_beyond_drift_m_s``: growth rate of the error at scans without correspondences, less that of the
+drift at the same scans."""
 COLUMNS = [
     "name", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold", "threshold_to",
     "verdict",
@@ -40,10 +40,10 @@ Chosen = dict[str, str | float | list[str]]
 class Claim(Settings):
     """One table of the claims' file.
 
-    ``metric`` of the runs ``where``, in each cell of ``by`` and for each seed, goes into a number by ``form``: its
-    ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, or its rank
-    ``correlation`` over the seeds with the metric that ``b`` names. The claim is that the number lies ``below`` or
-    ``above`` the ``threshold``, or ``between`` two of them.
+    The ``metric`` is taken from the runs that match ``where``, for each cell of ``by`` and each seed. ``form`` makes it
+    a number: its ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, or
+    its rank ``correlation`` over the seeds with the metric that ``b`` names. The claim is that this number is ``below``
+    or ``above`` the ``threshold``, or ``between`` two of them.
     """
 
     section: str
@@ -110,8 +110,8 @@ def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
-    """The cells of one claim, as the rows of `judge`. A cell in which fewer than two seeds have a number says nothing.
-    Raises `InputError` if no cell says anything."""
+    """The cells of one claim, as the rows of `judge`. A cell needs at least two seeds with a number, for a correlation
+    four. Raises `InputError` if no cell has them."""
     chosen, rows = {**USUAL, **claim.where, **claim.a}, []
     for cell, here in _select(runs, chosen).groupby(claim.by, sort=False):
         at = dict(zip(claim.by, cell, strict=True))
@@ -135,8 +135,8 @@ def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
 def interval(form: str, values: Array) -> tuple[float, float, float]:
     """The number of some seeds ``values (seed, side)`` and its 95 % interval.
 
-    Student's t for means, exact for shares (Clopper and Pearson 1934), Fisher's z for Spearman's rank correlation,
-    which is 0 ± 0 where a side is constant; without width where all seeds are alike.
+    Student's t for means, of zero width if all seeds agree; exact for shares (Clopper and Pearson 1934); Fisher's z for
+    Spearman's rank correlation, which is 0 ± 0 if a side is constant.
     """
     a, b = values[:, 0], values[:, -1]
     if form == "correlation":
@@ -157,10 +157,10 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
 
 
 def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
-    """One row per claim, by the cells of `judge`: the ``lowest`` and ``highest`` estimate, ``n_seeds`` at most, the
-    number of ``cells``, and how many are ``as_claimed`` and ``not_as_claimed``.
+    """One row per claim, from the cells of `judge`: the ``lowest`` and ``highest`` estimate, the largest ``n_seeds``,
+    the number of ``cells``, and how many are ``as_claimed`` and ``not_as_claimed``.
 
-    A claim speaks of all its cells: it `HOLDS` if every cell does, it `FAILS` if one does, and is `OPEN` otherwise.
+    A claim is about all its cells: it `HOLDS` if every cell does, it `FAILS` if one does, and is `OPEN` otherwise.
     """
     counts = {"as_claimed": HOLDS, "not_as_claimed": FAILS, "not_run": NOT_RUN}
     counted = cells.assign(**{name: cells["verdict"] == verdict for name, verdict in counts.items()})
@@ -173,7 +173,7 @@ def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
-    """The runs with some values, or one of some, in each column. Raises `InputError` if there are none."""
+    """The runs with the chosen value, or one of several, in each column. Raises `InputError` if there are none."""
     for column, value in chosen.items():
         wanted = value if isinstance(value, list) else [value]
         runs = runs[runs[column].isin(wanted)]
@@ -183,7 +183,7 @@ def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
 
 
 def _by_seed(runs: pd.DataFrame, metric: str) -> pd.Series:
-    """A metric by seed, a mean where a seed has several runs. Raises `InputError` for an unknown one."""
+    """A metric by seed, averaged over the runs of a seed. Raises `InputError` for an unknown metric."""
     try:
         values = np.asarray(DERIVED.get(metric, lambda rows: rows[metric])(runs), dtype=float)
     except (KeyError, ValueError):

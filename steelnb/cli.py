@@ -29,17 +29,18 @@ METHODS, TRAJECTORIES = (
 MORE = "More"
 """Panel of the options that few users need."""
 NO_VALUE = " "
-"""For flags, at which Typer would show <bool>."""
+"""Metavar of flags, for which Typer would show <bool>."""
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False, epilog=EXIT_CODES)
 Set = Annotated[
-    list[str] | None, typer.Option("--set", metavar="TABLE.NAME=VALUE", help="E.g. preprocess.voxel_leaf_m=0.1.")
+    list[str] | None,
+    typer.Option("--set", metavar="TABLE.NAME=VALUE", help="Change a setting, such as preprocess.voxel_leaf_m=0.1."),
 ]
-Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrite the output of an earlier call.")]
+Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrite the output of an earlier run.")]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # so that hidden folders are removed
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # removes hidden folders
     return call(app, "steelnb", arguments or sys.argv[1:] or ["--help"])
 
 
@@ -77,20 +78,20 @@ def _options(
 @app.command(epilog="\b\nExamples:\n  steelnb run flight.mcap\n  steelnb run flight.mcap --odometry mine:Mine -o out")
 def run(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="A bag, a ROS 2 folder or a folder of clouds.")
+        Path, typer.Argument(metavar="RECORDING", help="ROS bag, ROS 2 folder, or folder of point clouds.")
     ],
     odometry: Annotated[
-        str, typer.Option(metavar="NAME", help=f"A class of yours, MODULE:CLASS, or one of {', '.join(METHODS)}.")
+        str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}, or your own MODULE:CLASS.")
     ] = "best",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_run here.")
+        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_run.")
     ] = None,
     estimate: Annotated[
-        Path | None, typer.Option(metavar="FILE.tum", help="Poses of another program, to score beside ours.")
+        Path | None, typer.Option(metavar="FILE.tum", help="Poses of another program, scored with ours.")
     ] = None,
-    truth: Annotated[str | None, typer.Option(help="Trajectory file of the truth; for evaluation only.")] = None,
+    truth: Annotated[str | None, typer.Option(help="Trajectory file of the true poses, for scores only.")] = None,
     range_max: Annotated[
-        float | None, typer.Option(help="Range of the sensor, metres. Default: from the first scans.")
+        float | None, typer.Option(help="Range of the sensor in metres. Default: from the first scans.")
     ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", metavar=NO_VALUE, help="Adjust all poses and bars jointly at the end.")
@@ -105,7 +106,7 @@ def run(
         str | None,
         typer.Option(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Pose of the sensor on the drone, metres and degrees. Default: from tf_static, else zero.",
+            help="Pose of the sensor on the drone, in metres and degrees. Default: from tf_static, else zero.",
             rich_help_panel=MORE,
         ),
     ] = None,
@@ -123,7 +124,7 @@ def run(
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}
         own = load_odometry(odometry) if ":" in odometry else None
-        options["method"] = odometry if own is None else "best"  # whose preprocessing the reconstruction uses
+        options["method"] = odometry if own is None else "best"  # the reconstruction uses its preprocessing
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
@@ -140,13 +141,13 @@ def run(
 
 @app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")
 def record(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="FILE.bag or FILE.mcap.")],
-    trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"{', '.join(TRAJECTORIES)}.")] = "zigzag",
-    duration: Annotated[float, typer.Option(help="Seconds.")] = 60.0,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Output file, .bag or .mcap.")],
+    trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(TRAJECTORIES)}.")] = "zigzag",
+    duration: Annotated[float, typer.Option(help="Duration of the flight in seconds.")] = 60.0,
     noise: Annotated[
-        str, typer.Option(help="Drift of the recorded poses, with or without a level; + adds several.")
+        str, typer.Option(help="Drift of the recorded poses: NAME or NAME:LEVEL. Join several with +.")
     ] = "random-walk:0.002",
-    sensor: Annotated[str, typer.Option(metavar="NAME", help="A preset, or FILE.toml.")] = "starling2",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor preset, or FILE.toml.")] = "starling2",
     seed: Annotated[int, typer.Option(help="Seed of drift, sensor noise and gusts.")] = 1,
     changed: Set = None,
     force: Force = False,
@@ -177,14 +178,14 @@ def record(
 def segment(
     cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT or CSV file, in metres.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Default: NAME_segments here.")
+        Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_segments.")
     ] = None,
     voxel: Annotated[float | None, typer.Option(help="Voxel size in metres. Default: from the point spacing.")] = None,
     dx: Annotated[
         float | None,
-        typer.Option(help="Radius of the tube of a bar's points, metres. Default: from the point spacing."),
+        typer.Option(help="Radius in metres of the tube that holds a bar's points. Default: from the point spacing."),
     ] = None,
-    min_votes: Annotated[int | None, typer.Option(help="Minimum number of points of a line.")] = None,
+    min_votes: Annotated[int | None, typer.Option(help="Minimum number of filtered points of a bar.")] = None,
     force: Force = False,
 ) -> None:
     """Find the straight bars in a point cloud."""
@@ -206,8 +207,8 @@ def _warn(*messages: str) -> None:
 
 @contextmanager
 def _progress() -> Iterator[tuple[Callable[[str], None], Callable[[float], None]]]:
-    """A tqdm progress bar on a terminal, nothing elsewhere: functions that start a stage by its name, and that show the
-    completed share of the stage, 0 to 1."""
+    """A tqdm progress bar, on a terminal only. Yields two functions: one starts a stage by its name, the other sets the
+    completed share of that stage, 0 to 1."""
     from tqdm import tqdm
 
     bar_format = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"

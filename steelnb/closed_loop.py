@@ -1,7 +1,7 @@
 """Closed-loop flights: the planner steers by the odometry's estimate only.
 
-The true drone flies in `steelnb.simulation`. Scans, IMU readings and drifting poses are simulated during the flight,
-bit for bit as `steelnb.experiment` simulates them for a whole flight.
+The true drone flies in `steelnb.simulation`. Scans, IMU readings and drifting poses are simulated during the flight.
+They are bit-identical to those that `steelnb.experiment` simulates for a whole flight.
 """
 
 from collections.abc import Callable
@@ -48,7 +48,7 @@ class OnboardPilot:
         self.decisions: list[tuple[float, Decision]] = []
 
     def __call__(self, truth: Trajectory, exact: Imu) -> Command | None:
-        """The command that follows a piece of the flight."""
+        """Update sensors and odometry for a piece of the flight; returns the next command, None to end the flight."""
         first = round(truth.stamp_s[0] / STEP_S)
         now = first + len(truth) - 1
         self._read(truth, exact, first)

@@ -1,4 +1,4 @@
-"""Errors that a user can correct. The command line prints each in one line and exits with code 2."""
+"""Errors that a user can correct. The command line prints each on one line and exits with code 2."""
 
 
 class SteelnbError(Exception):

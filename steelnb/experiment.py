@@ -42,10 +42,10 @@ def run(settings: ExperimentSettings, on_progress: Progress | None = None) -> Re
 
 
 def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) -> tuple[Flight, Truth]:
-    """The flight as an estimator sees it, and the truth apart. Raises `CollisionError`.
+    """Simulate a flight as an estimator sees it, and return the truth separately. Raises `CollisionError`.
 
-    Who steers a planned flight sees no more: drifting poses and scans, and what the settings' odometry makes of them;
-    it takes as long as the odometry, and tells how far it has come.
+    The pilot of a planned flight sees no more than that: drifting poses, scans, and the estimate of the settings'
+    odometry. Such a simulation takes as long as the odometry, and reports its progress.
     """
     tower, tof = build_tower(settings.tower), settings.tof
 
@@ -62,7 +62,7 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
 
 
 def world(settings: ExperimentSettings) -> tuple[str, str | None]:
-    """All that a simulated flight depends on, equal where settings share one: as JSON, and the list of members."""
+    """All that a simulated flight depends on, as JSON, and the list of members. Equal values share one flight."""
     parts = {"tower", "flight", "tof", "seed"} if settings.flight.trajectory != "planned" else None
     members = settings.tower.members
     return settings.model_dump_json(include=parts), members and members_file(members).read_text(encoding="utf-8")
@@ -71,8 +71,8 @@ def world(settings: ExperimentSettings) -> tuple[str, str | None]:
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
     """The same flight and scans with the drift of other settings, and with the images that their method needs.
 
-    With an IMU in the settings, roll and pitch are those of a filter on its readings. An image is rendered when it is
-    asked for.
+    With an IMU in the settings, roll and pitch come from a filter on its readings. Images are rendered on
+    access.
     """
     seen, seed = truth.trajectory, settings.seed
     if settings.imu and flight.imu:
@@ -84,16 +84,16 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
 
 
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
-    """Run the odometry over a flight, then judge it. The odometry gets the flight only."""
+    """Run the odometry on a flight, then score the estimate. The odometry does not see the truth."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
     if isinstance(flight.scans, RangeScans) and flight.images is None:
         given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu
         key = "estimate", settings.odometry.model_dump_json(), *given
         found = cached(lambda: correct(flight, settings.odometry, on_step), *key)
-    else:  # neither images nor scans of a recording can be told apart quickly
+    else:  # images and recorded scans have no fast cache key
         found = correct(flight, settings.odometry, on_step)
     if on_progress:
-        on_progress(1.0)  # an estimate that was kept makes no steps
+        on_progress(1.0)  # a cached estimate reports no steps
     return Result(
         **vars(found), settings=settings, truth=truth, metrics=score_estimate(found, truth, settings.tof.blind_s)
     )

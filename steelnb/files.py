@@ -1,4 +1,4 @@
-"""Files: all errors of reading become `InputError`, and output is written completely or not at all."""
+"""File access: every error while reading becomes an `InputError`, and output is written completely or not at all."""
 
 import os
 import tempfile
@@ -13,7 +13,7 @@ from steelnb.errors import InputError, OutputError, SteelnbError
 def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]:
     """Convert any exception of a file reader to a one-line `InputError`.
 
-    ``form``: the expected content, such as "a PLY file"; ``folder``: whether it is a folder.
+    ``form``: the expected content, such as "a PLY file"; ``folder``: whether a folder is expected.
     """
     if not os.path.exists(path):
         raise InputError(f"{path}: does not exist; expected {form}")

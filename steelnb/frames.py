@@ -1,4 +1,4 @@
-"""Methods of segmentation on single frames: views of a tower, trials of a method on them, and their tables."""
+"""Segmentation methods on single frames: views of a tower, trials of a method on them, and their tables."""
 
 import math
 import time
@@ -26,7 +26,7 @@ USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
 CASE = ("scene", "noise_m", "clutter", "kept", "method")
 MEASURES = ["recall", "precision", "duplicates", "angle_deg", "offset_m"]
 ANGLE_MAX_RAD = math.radians(10)
-"""A segment is right up to this angle. The 2 cm of noise alone turn a bar of 30 cm and 30 points by 3° (1 sigma)."""
+"""Maximum angle of a right segment. Noise of 2 cm alone turns a bar of 30 cm with 30 points by 3° (1 sigma)."""
 LEAN_SIGMA_RAD = math.radians(2)
 Options = Mapping[str, Mapping[str, Any]]
 """Method → its options."""
@@ -36,8 +36,8 @@ Options = Mapping[str, Mapping[str, Any]]
 class Scene:
     """A cloud ``points (N, 3)`` in the world frame, the members seen in it, and the conditions it was made under.
 
-    ``noise_m`` is the range noise, ``clutter`` the share of points that are none of the tower's, ``kept`` the share of
-    the sensor's returns that was kept. ``across (3,)`` points to the right in the first view.
+    ``noise_m`` is the range noise, ``clutter`` the share of points that are not on the tower, ``kept`` the share of the
+    sensor's returns that was kept. ``across (3,)`` points to the right in the view.
     """
 
     seed: int
@@ -70,7 +70,7 @@ class Scenes:
     def frames(
         self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
     ) -> list[Scene]:
-        """Views from random places on the paths of the two flights, in turn."""
+        """Views from random places on the zigzag and the loops, alternating."""
         self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
         scenes = []
         for k in range(count):
@@ -87,14 +87,14 @@ class Scenes:
 
 
 def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
-    """The points and, evenly in the box around them, so many others that these are ``share`` of all."""
+    """Add uniform clutter in the bounding box of the points, until it is ``share`` of all points."""
     more = round(share / (1 - share) * len(points))
     random = rng.stream(seed, "clutter", k)
     return np.concatenate([points, random.uniform(points.min(axis=0), points.max(axis=0), (more, 3))])
 
 
 def attempt(method: str, scene: Scene, **options: Any) -> Trial:
-    """Segment a scene by one of `steelnb.hough.peers.METHODS` with options of its own, and score it."""
+    """Segment a scene by one of `steelnb.hough.peers.METHODS` with its own options, and score the result."""
     begin = time.perf_counter()
     segments = find_bars(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
@@ -104,7 +104,7 @@ def attempt(method: str, scene: Scene, **options: Any) -> Trial:
 
 
 def warm_up(scene: Scene, methods: Iterable[str], options: Options) -> None:
-    """Run each method once on a part of a scene, so that no time holds a compilation or an import."""
+    """Run each method once on part of a scene, so that measured times include no compilation or import."""
     few = replace(scene, points=scene.points[:: max(1, len(scene.points) // 1000)])
     for method in methods:
         attempt(method, few, **options.get(method, {}))
@@ -113,8 +113,8 @@ def warm_up(scene: Scene, methods: Iterable[str], options: Options) -> None:
 def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     """One row for each scene name, noise, clutter, share kept, method and seed.
 
-    ``recall``, ``precision``, ``duplicates``, ``points`` and ``segments`` are means over its frames, a frame without
-    segments has precision 0; ``angle_deg`` and ``offset_m`` are medians over all right segments, NaN without any.
+    ``recall``, ``precision``, ``duplicates``, ``points``, ``bars`` and ``segments`` are means over its frames; a frame
+    without segments has precision 0. ``angle_deg`` and ``offset_m`` are medians over all right segments, NaN if none.
     """
     rows, by, errors = _rows(trials), [*CASE, "seed"], ["angle_deg", "offset_m"]
     groups = rows.groupby(by, sort=False)
@@ -124,14 +124,14 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
 
 
 def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
-    """Milliseconds a frame, median and 95th percentile, a row for each of `trial_table`."""
+    """Milliseconds per frame, median and 95th percentile, with the same rows as `trial_table`."""
     groups = _rows(trials).groupby([*CASE, "seed"], sort=False)
     times = groups["ms"].quantile(np.array([0.5, 0.95])).unstack().set_axis(["median_ms", "p95_ms"], axis=1)
     return groups[["points"]].mean().join(times).reset_index()
 
 
 def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
-    """One row a trial; the errors of its right segments are arrays."""
+    """One row per trial. The errors of its right segments are arrays."""
     return pd.DataFrame(
         {
             "scene": "frame",
@@ -155,9 +155,9 @@ def _rows(trials: Iterable[Trial]) -> pd.DataFrame:
 def frame_runs(folder: Path) -> pd.DataFrame:
     """The results of the segmentation methods as runs, so that claims on single frames are judged like the others.
 
-    Frames at the usual noise, clutter and density, a row a method and seed, as runs of the ``trajectory`` ``frame``
-    without duration or noise; ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time
-    that the folder has for them. Raises `InputError`.
+    Frames at the usual noise, clutter and density, one row per method and seed, as runs of the ``trajectory`` ``frame``
+    without duration or noise. ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time from
+    ``timing.csv``. Raises `InputError`.
     """
     names = [*CASE, "seed"]
     with reading(folder / "table.csv", "results of segmentation-seeds"):

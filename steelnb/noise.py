@@ -12,17 +12,17 @@ TILT_S = 30.0
 
 
 def drifting(truth: Trajectory, settings: Noise, seed: rng.Seed) -> Trajectory:
-    """The trajectory ``truth`` of N poses with the drift of a pose estimate; the drift is zero at the first stamp.
+    """Add the drift of a pose estimate to the N poses of ``truth``; the drift is zero at the first stamp.
 
     Position errors, metres in the world frame, accumulate over the steps of the trajectory (125 Hz in simulation): the
     random walk of the report's Algorithm 1, and a constant step. Yaw noise, radians, rotates the heading about the
     world's z axis and does not change the position. Tilt rotates about the world's x and y axes by a first-order
     Gauss-Markov process that starts at zero and has a correlation time of 30 s, like the error of an attitude filter
     whose accelerometer bias wanders. Each noise has its own stream of the seed (``random-walk``, ``constant-drift``,
-    ``yaw-random-walk``, ``tilt``), so a sum contains its parts unchanged.
+    ``yaw-random-walk``, ``tilt``), so adding one does not change the others.
 
     The seed ``report`` uses the original's generator and order of draws: per step three normal numbers for the random
-    walk, then one for the heading if it also walks. The constant step is its first three numbers. Levels other than
+    walk, then one for the heading if it also walks. The constant step takes the first three numbers. Levels other than
     the report's raise `InputError`.
     """
     return drifted(truth, drift_errors(truth.stamp_s, settings, seed))
@@ -84,7 +84,7 @@ def _tilt(stamp_s: Array, sigma_rad: float, seed: rng.Seed) -> Array:
 
 
 def drift_size(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
-    """Length ``(N,)`` of the position's drift at each stamp, metres; of a noise that only turns, its angle of heading,
+    """Length ``(N,)`` of the position drift at each stamp, metres; if only the heading drifts, its absolute error,
     radians."""
     error = drift_errors(stamp_s, settings, seed)
     if turns_only(settings):
@@ -93,8 +93,8 @@ def drift_size(stamp_s: Array, settings: Noise, seed: rng.Seed) -> Array:
 
 
 def drift_size_rms(stamp_s: Array, settings: Noise) -> Array:
-    """Root mean square ``(N,)`` of `drift_size` by the model: σ·√(3n) of a random walk, n times its step of a constant
-    drift, σ·√n of a yaw walk alone, after n steps at 125 Hz."""
+    """Root mean square ``(N,)`` of `drift_size` that the model predicts after n steps at 125 Hz: σ·√(3n) for a random
+    walk, n times the step for a constant drift, σ·√n for a yaw walk alone."""
     steps = 125.0 * stamp_s
     if turns_only(settings):
         return np.asarray(settings.yaw_random_walk_rad * np.sqrt(steps))

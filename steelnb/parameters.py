@@ -1,5 +1,5 @@
-"""The parameters of a notebook: misspelt names, mistyped values and settings out of range are refused before anything
-runs, whether our workflow, papermill alone or a reader has set them."""
+"""Checks of a notebook's parameters: misspelt names, wrong types and settings out of range are refused before anything
+runs, whether the workflow, papermill alone or a reader set them."""
 
 import ast
 import inspect
@@ -29,11 +29,11 @@ def check_names(parameter: str, names: Iterable[str], known: Collection[str]) ->
 
 
 def validate() -> None:
-    """Refuse what papermill has set in the running notebook, and give numbers the type of their defaults.
+    """Check what papermill set in the running notebook, and convert numbers to the types of their defaults.
 
-    For the first cell after the parameters: papermill itself only warns of a name that the notebook does not have, and
-    would run the defaults. A flight shorter than the notebook's default is announced as short. Where papermill set
-    nothing, or without IPython, nothing is done. Raises `InputError`.
+    Call it in the first cell after the parameters: papermill itself only warns of an unknown name and would run the
+    defaults. If a flight is shorter than the notebook's default, a warning is printed. Does nothing without IPython, or
+    if papermill set nothing. Raises `InputError`.
     """
     loaded = sys.modules.get("IPython")  # which a kernel has loaded
     shell = loaded.get_ipython() if loaded else None
@@ -67,10 +67,10 @@ def literals(source: str) -> dict[str, Any]:
 
 
 def check_parameters(experiment: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """``given`` with every name known and every value of its default's type.
+    """Check that the names ``given`` are known, and convert their values to the types of the defaults.
 
-    The settings that the parameters stand for are built, every combination where they are lists, so that a value out
-    of range is refused before a notebook starts. Raises `InputError`.
+    The settings are built too, for every combination of values in lists, so that a value out of range is refused before
+    a notebook starts. Raises `InputError`.
     """
     kinds: dict[str, Any] = {name: (_kind(name, value), value) for name, value in defaults.items() if name != FOLDER}
     fitted = create_model(experiment, __base__=Settings, **kinds)(**given)
@@ -86,7 +86,7 @@ def check_parameters(experiment: str, given: Mapping[str, Any], defaults: Mappin
 
 
 def _kind(name: str, default: Any) -> Any:
-    """The type of a parameter: of its default, of which an empty list or None says nothing."""
+    """The type of a parameter, from its default. An empty list allows any elements, None any value."""
     if isinstance(default, list | tuple):
         return list[_kind(name, default[0]) if default else Any]  # type: ignore[misc]
     if default is None:

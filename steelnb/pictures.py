@@ -30,8 +30,8 @@ def figure_flight(
     segments: Segments,
     title: str,
 ) -> Figure:
-    """Cloud ``(N, 3)``, bars and paths in perspective, metres in the world frame; and over time the distance of the
-    paths to the truth or, without one, to the first path.
+    """Draw the cloud ``(N, 3)``, bars and paths in perspective, metres, world frame, and beside them the distance of
+    the paths to the truth over time or, without a truth, to the first path.
 
     ``paths``: label → trajectory and colour, the recorded one first. They have a pose at every stamp of the truth.
     """
@@ -60,7 +60,7 @@ def figure_flight(
 
 @style()
 def figure_bars(points: Array, segments: Segments, title: str) -> Figure:
-    """Bars over points ``(N, 3)``, metres: seen along y, along x and in perspective."""
+    """Draw bars over points ``(N, 3)``, metres, seen along y, along x and in perspective."""
     cloud, ends = thinned(points, POINTS_MAX), end_points(segments)
     figure = Figure(figsize=(11, 6.5))
     *sides, space = figure.subplots(1, 3)

@@ -1,6 +1,6 @@
-"""Environment variables that make results the same bits on every x86-64 processor with AVX2.
+"""Environment variables that make results bit-identical on every x86-64 processor with AVX2.
 
-OpenBLAS and NumPy round differently with AVX-512, and sums over several threads depend on their number. The last digit
+OpenBLAS and NumPy round differently with AVX-512, and sums over threads depend on the number of threads. The last digit
 of a pose can decide whether a bar is found. The variables are in ``pins.env`` beside this file, which `make` also
 reads. They must be set before NumPy is imported.
 """
@@ -12,7 +12,7 @@ from collections.abc import MutableMapping
 
 FILE = os.path.join(os.path.dirname(__file__), "pins.env")
 NUMPY_ENABLES, NUMPY_DISABLES = "NPY_ENABLE_CPU_FEATURES", "NPY_DISABLE_CPU_FEATURES"
-"""NumPy does not start with both set, nor if the processor lacks a feature that the first one names."""
+"""NumPy refuses to start if both are set, or if the processor lacks a feature that the first one names."""
 
 
 def pin(environment: MutableMapping[str, str]) -> None:
@@ -40,7 +40,7 @@ def _warn(text: str) -> None:
 
 
 def missing_features(description: str = "/proc/cpuinfo") -> str:
-    """Names of the required features that the processor of a description lacks; empty without a description."""
+    """Names of the required features missing from a processor's description; empty if that file is missing."""
     try:
         with open(description, encoding="utf-8") as file:
             flags = next((line.split() for line in file if line.startswith("flags")), None)

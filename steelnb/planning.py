@@ -1,9 +1,9 @@
 """A reactive planner that flies along a structure and keeps it in view.
 
-It knows the map so far, an estimate of the pose, and the camera's field of view and range, never the truth. With the
-goal ``around``, it circles the structure and climbs, facing the middle. With the goal ``face``, it flies to and fro in
-front of a face with a fixed heading and climbs one level at each edge. Velocity towards obstacles that are too close is
-removed. When it loses sight of the structure, it stops, turns towards the map, and then flies back along its path.
+It knows the map so far, an estimate of the pose, and the camera's field of view and range, but never the true state.
+With the goal ``around``, it circles the structure and climbs, facing its middle. With the goal ``face``, it flies to
+and fro in front of a face with a fixed heading and climbs one level at each edge. Speed towards obstacles is limited.
+When it loses sight of the structure, it stops, turns towards the map, and then flies back along its path.
 """
 
 from dataclasses import dataclass
@@ -18,25 +18,25 @@ from steelnb.types import Array, Segments
 
 VOXEL_M = 0.1
 CLEARANCE_M = 0.45
-"""Minimum distance of the drone's centre from steel: half its diagonal is 0.18 m, and gusts move it."""
+"""Minimum distance of the drone's centre from steel: half of its diagonal (0.18 m) and a margin for gusts."""
 HIDDEN_M = 0.5
 """A bar may extend beyond its mapped ends by this much."""
 BEARING_SHARE = 0.5
 """In front of a face, the drone turns back when the bearing of the structure's middle exceeds this share of half the
 field of view."""
 SIGHT_MIN = 60
-"""Minimum number of voxels in a scan; with fewer, sight is lost."""
+"""Minimum number of voxels in a scan; with fewer, the structure is out of sight."""
 GAIN_1_S = {"turn": 1.5, "distance": 0.8, "height": 0.5}
 """Proportional gains from an error to a rate."""
 TURN_MAX_RAD_S, SEARCH_RAD_S = 1.0, 0.5
 SEARCH_STOP_S, SEARCH_TURN_S = 1.0, 4.0
 """Durations of the first two stages after loss of sight: stop, then turn towards the map."""
 BLOCKED_S, BLOCKED_SHARE = 1.0, 0.3
-"""The way is blocked if less than this share of the desired velocity is left for this long."""
+"""The way is blocked if less than this share of the desired velocity remains for this long."""
 ROUNDS = 20
 """Maximum number of projection rounds over the obstacles."""
 NEAR_M = 0.35
-"""Decay length of the weights by which the direction to the nearest steel is averaged."""
+"""Decay length of the weights in the average direction to the nearest steel."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Decision:
 
 
 class Planner:
-    """Makes ten decisions a second; `see` adds a scan to its map.
+    """Makes ten decisions per second; `see` adds a scan to its map.
 
     ``flight``: a ``planned`` flight, else `InputError`; ``fov_rad`` and ``range_max_m``: horizontal field of view and
     range of the camera. All poses are estimates, in the world frame of the map.
@@ -111,7 +111,7 @@ class Planner:
         return Decision(velocity, float(np.clip(yaw_rate, -TURN_MAX_RAD_S, TURN_MAX_RAD_S)), state)
 
     def _around(self, flown_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, float]:
-        """Velocity (world axes) along the tangent of the nearest steel, climbing slowly, and yaw rate."""
+        """Velocity (world axes) tangential to the nearest steel, with a slow climb, and yaw rate."""
         flight, ahead = self.flight, towards_nearest(points, position)
         climb = (flight.height_max_m - flight.height_min_m) / flight.duration_s
         up = climb + GAIN_1_S["height"] * (flight.height_min_m + climb * flown_s - position[2])
@@ -120,7 +120,7 @@ class Planner:
         return self._at_standoff(along, ahead, up, position, points), yaw_rate
 
     def _face(self, flown_s: float, position: Array, yaw: float, points: Array) -> tuple[Array, float]:
-        """Velocity (world axes) to and fro with the initial heading, one level up at each edge, and yaw rate."""
+        """Velocity (world axes) to and fro at the initial heading, one level higher after each edge, and yaw rate."""
         assert self._start is not None
         flight, initial_yaw = self.flight, self._start[1]
         bearing = wrap_angle(bearing_of_middle(points, position) - initial_yaw)
@@ -136,7 +136,7 @@ class Planner:
         return self._at_standoff(along, ahead, up, position, points), yaw_rate
 
     def _at_standoff(self, along: Array, ahead: Array, up: float, position: Array, points: Array) -> Array:
-        """The velocity ``along (2,)`` and ``up``, plus a part that corrects the distance to the structure ahead."""
+        """The velocity ``along (2,)`` and ``up``, plus a component that corrects the distance to the structure."""
         distance, speed = distance_ahead(points, position, ahead), self.flight.speed_m_s
         inward = float(np.clip(GAIN_1_S["distance"] * (distance - self.flight.standoff_m), -0.5, 0.5))
         return np.append(along + inward * ahead, np.clip(up, -speed, speed))
@@ -155,11 +155,11 @@ class Planner:
         return velocity, GAIN_1_S["turn"] * wrap_angle(float(yaw_of(target[:3, :3])) - yaw), "return"
 
     def _without_collision(self, desired: Array, position: Array) -> Array:
-        """Limit the desired velocity towards obstacles and out of the flight's heights.
+        """Limit the desired velocity towards obstacles and out of the flight's range of heights.
 
-        The speed towards the nearest obstacle in each of 26 directions is at most 1/s times its distance minus the
-        clearance. Obstacles are voxels of the map, the last scan, and the possible extensions of mapped bars. The
-        velocity is projected onto these half-spaces in turn, the nearest obstacle last, until it satisfies all.
+        The speed (m/s) towards the nearest obstacle in each of 26 directions is at most its distance minus the
+        clearance (m). Obstacles are voxels of the map, the last scan, and possible extensions of mapped bars. The
+        velocity is projected onto these half-spaces in turn, nearest last, at most `ROUNDS` times, until all hold.
         """
         extension = HIDDEN_M * self.bars.direction
         obstacles = np.concatenate([

@@ -18,7 +18,7 @@ from steelnb.types import Array, Segments
 if TYPE_CHECKING:
     from steelnb.simulation import Tower
 
-# Okabe and Ito's palette (2008), which the colour-blind can tell apart, and between its colours those that stay apart.
+# Okabe and Ito's palette (2008), safe for colour-blind readers, and further colours that are distinct from it.
 BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
     "#000000", "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
 )  # fmt: skip
@@ -48,8 +48,8 @@ METHODS = {
     "kiss-icp": ("KISS-ICP", "#101018"),
     "small-gicp": ("small_gicp's VGICP", "#3C2A33"),
 }
-"""Odometries: by segments olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, by several violet,
-by images red, learned lime, of others nearly black."""
+"""Odometries: segments are olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, combinations violet,
+images red, learned lime, third-party nearly black."""
 DETECTORS = {
     "hough": ("Hough", INDIGO),
     "ransac-lines": ("RANSAC lines", GREEN),
@@ -57,13 +57,13 @@ DETECTORS = {
     "gmm": ("GMM", PINK),
     "dbscan": ("DBSCAN", OLIVE),
 }
-"""Methods of segmentation, which no figure shows beside odometries."""
+"""Segmentation methods. No figure shows them together with odometries."""
 KINDS = {
     "leg": BLACK, "ring": BLUE, "bracing": SKY, "arm": VERMILION, "secondary": GREEN, "zigzag": WINE, "loops": ORANGE,
 }  # fmt: skip
 """Members of the tower, and the flights around it."""
 PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
-"""Flights that a planner steers and those beside them, which no figure shows beside odometries."""
+"""Flights steered by a planner and those compared with them. No figure shows them together with odometries."""
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHODS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
@@ -75,7 +75,7 @@ LABELS = {name: label for name, (label, _) in (METHODS | DETECTORS).items()} | {
     "report": "the report's curve", "report-drift": "the report, no correction", "truth": "truth",
 }  # fmt: skip
 DASHES: Any = {name: (3, 1.5) if name == "none" else (1, 1) if name == "report-drift" else "" for name in COLOURS}
-"""Dashes of lines, as seaborn takes them: errors without correction are broken lines."""
+"""Dash patterns for seaborn: errors without correction are dashed."""
 CURVES: dict[str, Any] = {
     "x": "time_s", "y": "error_m", "errorbar": None,
     "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
@@ -104,7 +104,7 @@ BAR_M = 2.0
 
 
 class Figure(matplotlib.figure.Figure):
-    """A figure that notebooks show by itself: pyplot, whose state is global, is never needed."""
+    """A figure that notebooks display without pyplot and its global state."""
 
     def _repr_png_(self) -> bytes:
         file = io.BytesIO()
@@ -113,19 +113,19 @@ class Figure(matplotlib.figure.Figure):
 
 
 def use() -> None:
-    """Set the look of all figures that follow, whatever the user's matplotlibrc says, and the seed of their jitter."""
+    """Set the style of all later figures, regardless of the user's matplotlibrc, and the seed of their jitter."""
     warnings.filterwarnings("ignore", "The figure layout has changed to tight")  # seaborn's grids do so
     np.random.seed(0)  # noqa: NPY002 (of seaborn's dots)
     matplotlib.style.use(["default", LOOK])
 
 
 style = partial(matplotlib.style.context, ["default", LOOK])
-"""``@style()`` draws one figure with the look of all."""
+"""``@style()`` decorates a function that draws one figure in this style."""
 
 
 def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:
-    """A legend of the figure from the labels in all of its panels, each once, in place of seaborn's legends; methods
-    are named as in `LABELS`."""
+    """Replace seaborn's legends by one legend of the figure, with the labels of all its panels, each once. Methods are
+    named as in `LABELS`."""
     found = [zip(*panel.get_legend_handles_labels(), strict=True) for panel in figure.axes]
     handles: dict[Any, Any] = {LABELS.get(label, label): handle for pairs in found for handle, label in pairs}
     for legend in [*figure.legends, *filter(None, (panel.get_legend() for panel in figure.axes))]:
@@ -146,15 +146,15 @@ def end_points(segments: Segments) -> Array:
 
 
 def thinned(points: Array, count: int) -> Array:
-    """At most ``count`` of the points ``(N, 3)``, evenly over their order."""
+    """At most ``count`` of the points ``(N, 3)``, evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
 
 
 def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
-    """Points ``(…, 3)`` → ``(…, 2)`` in metres: a pinhole camera to the front right, ``elevation_deg`` above and
-    2.2 diagonals away from the middle of ``cloud``, where it is to scale.
+    """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
+    ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale.
 
-    Not matplotlib's 3D axes, which draw into a square and hide bars behind points.
+    Matplotlib's 3D axes are not used, since they draw into a square and hide bars behind points.
     """
     azimuth, elevation = np.radians([-55.0, elevation_deg])
     to_camera = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -173,8 +173,8 @@ def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.
 def draw_judged_bars(
     panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
 ) -> None:
-    """Draw the bars found ``(B, 2, 3)``, the right ones ``(B,)`` and the wrong ones, over the true members ``(M, 2,
-    3)`` into a panel as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
+    """Draw the bars found ``(B, 2, 3)``, coloured by whether they are ``right (B,)``, over the true members ``(M, 2,
+    3)`` as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
     cloud = members.reshape(-1, 3)
     draw_bars(panel, members, cloud, color=COLOURS["member"], lw=0.8, label="true member")
     draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on none")
@@ -186,8 +186,8 @@ def draw_judged_bars(
 
 
 def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_deg: float = 10.0) -> None:
-    """Draw positions ``(N, 3)`` by name of their colour into a panel as `project_perspective` shows them, the truth
-    wide below the others, with `frame_perspective` around them."""
+    """Draw ``paths``, name of the colour → positions ``(N, 3)``, as `project_perspective` shows them, and frame them
+    (`frame_perspective`). The truth is a wide line."""
     for name, positions in paths.items():
         x, y = project_perspective(positions, cloud, elevation_deg).T
         label = LABELS.get(name, f"{name} flight")
@@ -196,15 +196,15 @@ def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_
 
 
 def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None:
-    """Draw positions ``(N, 3)`` by name of their colour past the members ``(M, 2, 3)`` of a tower, as
+    """Draw ``paths``, name of the colour → positions ``(N, 3)``, and the members ``(M, 2, 3)`` of a tower, as
     `project_perspective` shows them."""
     draw_bars(panel, members, members.reshape(-1, 3), color=COLOURS["member"], lw=0.5)
     draw_paths(panel, paths, members.reshape(-1, 3))
 
 
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
-    """Limits of a panel in which `project_perspective` shows ``cloud (N, 3)`` and ``more``, with a bar for the scale in
-    place of axes."""
+    """Set the limits of a panel to the projection (`project_perspective`) of ``cloud (N, 3)`` and ``more``, and draw a
+    scale bar instead of axes."""
     flat = project_perspective(np.concatenate([cloud, *more]), cloud, elevation_deg)
     (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
     panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
@@ -239,8 +239,8 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
 
 
 def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array], elevation_deg: float = 25.0) -> None:
-    """Draw a tower, its members coloured by kind, and ``paths (N, 3)`` by name of their colour into three panels: in
-    perspective from above the front right with the tower's plates and the paths, from the front, and from the side."""
+    """Draw a tower into three panels, its members coloured by kind: in perspective from above the front right, with its
+    plates and ``paths`` (name of the colour → positions ``(N, 3)``); from the front; and from the side."""
     scene, *sides = panels
     flat = project_perspective(tower.plates, tower.vertices, elevation_deg)
     scene.add_collection(PolyCollection(list(flat), fc=COLOURS["member"], alpha=0.6))

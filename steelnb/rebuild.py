@@ -1,5 +1,5 @@
-"""Structures rebuilt from flights over named towers: from drifting, corrected and true poses, once from all scans and
-scan by scan; their scores, and the near-side bias."""
+"""Structures reconstructed from flights over named towers, with drifting, corrected or true poses, from all scans at
+once or scan by scan; their scores, and the near-side bias."""
 
 import itertools
 import time
@@ -23,7 +23,7 @@ from steelnb.types import Array, Flight, IntArray, Segments
 
 POSES = ("raw", "corrected", "true")
 METHODS = ("final", "incremental")
-"""Once from all scans, and scan by scan as in the report."""
+"""From all scans at once, or scan by scan as in the report."""
 CASE = ("trajectory", "noise", "tower", "seed", "poses", "method", "odometry", "sensor")
 NUMBERS = (
     "recall", "precision", "duplicates", "angle_median_deg", "offset_median_m", "offset_p90_m", "end_median_m",
@@ -35,7 +35,7 @@ NUMBERS = (
 
 @dataclass(frozen=True)
 class TowerFlight:
-    """A flight over a named tower, its odometry and truth, the members to be found, and ``T_world_drone (K, 4, 4)`` at
+    """A flight over a named tower, the result of its odometry, the true structure, and ``T_world_drone (K, 4, 4)`` at
     the scans for each of `POSES`."""
 
     tower: str
@@ -52,7 +52,7 @@ class TowerFlight:
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """One structure: from which of `POSES`, by which of `METHODS`, its score and the seconds it took."""
+    """One reconstructed structure, which of `POSES` and `METHODS` it is from, its score, and the seconds it took."""
 
     source: TowerFlight
     poses: str
@@ -73,7 +73,7 @@ def fly_tower(
     overrides: dict[str, Any] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> TowerFlight:
-    """Simulate a flight over a tower of `TowerSettings.preset`, let it drift, correct it. Raises `InputError`."""
+    """Simulate a drifting flight over a tower of `TowerSettings.preset` and correct it. Raises `InputError`."""
     settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s)
     settings = settings.replace(tower=TowerSettings.preset(tower)).override(overrides or {})
     flight, truth = experiment.simulate(settings)
@@ -84,9 +84,9 @@ def fly_tower(
 
 
 def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str, str], Rebuilt]:
-    """The structure from each of some `POSES` by each of `METHODS`, by (poses, method).
+    """Reconstruct the structure with each of some `POSES` by each of `METHODS`. The keys are (poses, method).
 
-    The final reconstruction adjusts poses which were corrected and not smoothed; drifting ones are taken as they are.
+    The final reconstruction adjusts corrected and true poses, unless the odometry smooths. Drifting poses are kept.
     """
     flight, runs = source.flight, {}
     for each, method in itertools.product(poses, METHODS):
@@ -102,7 +102,7 @@ def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str
 
 
 def _scan_by_scan(source: TowerFlight, poses: str) -> Structure:
-    """The map of `SegmentOdometry`, which is given the poses and corrects nothing, as a structure."""
+    """The structure in the map of a `SegmentOdometry` that uses the given poses and corrects nothing."""
     s = source.result.settings
     still = OdometrySettings.preset("none", s.sensor).replace(preprocess=s.odometry.preprocess)
     odometry = SegmentOdometry(still, source.flight.T_drone_sensor)
@@ -114,10 +114,10 @@ def _scan_by_scan(source: TowerFlight, poses: str) -> Structure:
 
 
 def structure_row(run: Rebuilt) -> dict[str, Any]:
-    """A row of a table: `CASE`, what the structure was built from, `NUMBERS`, and the ``seconds`` that it took.
+    """One row of a table: the columns `CASE` and `NUMBERS`, and the ``seconds`` of the reconstruction.
 
-    ``odometry`` names the method that corrected the poses; ``toward_sensor_median_m`` is how much nearer to the sensor
-    the axes lie than the true ones, NaN where no bar is on a member.
+    ``odometry`` names the method that corrected the poses. ``toward_sensor_median_m`` is the median distance by which
+    bars are nearer to the sensor than the true axes, NaN if no bar is on a member.
     """
     result = run.source.result
     case = case_of(result.settings)
@@ -131,11 +131,11 @@ def structure_row(run: Rebuilt) -> dict[str, Any]:
 
 
 def near_side(run: Rebuilt) -> pd.DataFrame:
-    """Near-side bias: how much nearer to the sensor bars lie than the true axes, in the middle of their points and as
-    rebuilt.
+    """Near-side bias: how much nearer to the sensor bars are than the true axes, both through the middle of their
+    points and as reconstructed.
 
-    One row a bar on a member: ``axis`` (``middle of points`` or ``section fitted``), the ``kind`` and the
-    ``section_m`` (width of the flange) of its member, and ``toward_sensor_m``. Poses are those of the run.
+    One row per bar on a member: ``axis`` (``middle of points`` or ``section fitted``), the ``kind`` and the
+    ``section_m`` (width of the flange) of its member, and ``toward_sensor_m``. The points are at the poses of the run.
     """
     source, s = run.source, StructureSettings()
     T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor

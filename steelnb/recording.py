@@ -1,4 +1,4 @@
-"""A recorded flight through an odometry → a folder with corrected poses, bars, structure, a table and two pictures."""
+"""Run an odometry on a recorded flight and write a folder: corrected poses, bars, structure, table, two pictures."""
 
 import math
 import re
@@ -27,16 +27,16 @@ from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
-"""The second scan is the first that is registered, the third finds everything loaded."""
+"""The second scan is the first to be registered. By the third, everything is loaded."""
 TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
-"""Numbers of a run that differ from run to run."""
+"""Measured times, which differ between runs on the same recording."""
 FILES = ("corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png")
 ERRORS = {"ate_rmse_m": "rms", "error_mean_m": "mean", "error_max_m": "largest", "error_final_m": "last"}
 WARNINGS = {
     "used": "no scan corrected a pose: the corrected poses are the recorded ones",
     "map_points": "the map has no points: compare range, floor, voxels and mount above with those of your sensor",
 }
-"""Warnings about a run that ended without an error but is of no use, by the number that is zero."""
+"""Warnings about a run that ended without an error but is useless. The key is the number that is zero then."""
 APART_M, APART_RAD = 0.5, math.radians(5)
 """Two trajectories that differ by more than this at their first common scan are in different frames."""
 
@@ -45,8 +45,8 @@ APART_M, APART_RAD = 0.5, math.radians(5)
 class RecordingReport:
     """The results of `run_recording` and the ``folder`` that it wrote.
 
-    ``truth`` are the true poses at the scans that have one; ``segments`` the bars, of the odometry's map or, where that
-    is a cloud, of the structure; ``numbers`` the rows of ``table.csv``; ``summary`` and ``warnings`` lines of text.
+    ``truth``: true poses at the scans that have one; ``segments``: bars of the odometry's map or, if that has none, of
+    the structure; ``numbers``: the rows of ``table.csv``; ``summary`` and ``warnings``: lines of text.
     """
 
     folder: Path
@@ -59,13 +59,13 @@ class RecordingReport:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """The finite numbers that are the same on every run, by names of letters, digits and underscores."""
+        """The finite numbers that are the same in every run. Names have only letters, digits and underscores."""
         same = {name: value for name, value in self.numbers.items() if name not in TIMES and np.isfinite(value)}
         return {re.sub(r"\W+", "_", name): float(value) for name, value in same.items()}
 
     @property
     def times(self) -> dict[str, float]:
-        """Milliseconds an update, and the share of updates on time."""
+        """Milliseconds per update, and the share of updates on time."""
         return {name: self.numbers[name] for name in TIMES}
 
 
@@ -87,11 +87,11 @@ def run_recording(
     ----------
     output : the folder; files of an earlier run in it are replaced.
     settings, structure : of odometry and reconstruction (`recording_settings`).
-    truth : true poses, for judging alone.
+    truth : true poses, for evaluation only.
     on_progress : called with the share of the scans done, 0 to 1.
     on_stage : called with the name of each stage as it begins.
-    own : a class of the user's in place of the settings' odometry (`steelnb.odometry.load_odometry`).
-    other : name and trajectory of another program, judged at the same scans as ours.
+    own : a user's class that replaces the odometry of the settings (`steelnb.odometry.load_odometry`).
+    other : name and trajectory of another program, evaluated at the same scans as ours.
 
     Nothing is written on an error. Raises `InputError`, `OutputError`.
     """
@@ -101,7 +101,7 @@ def run_recording(
     label, colour = (LABELS[method], COLOURS[method]) if own is None else (method, COLOURS["final"])
     judged, notes = _judged(flight, truth, other)
     true, theirs = judged.pop("truth", None), judged
-    origin = shift_of(flight.prior.position[0])  # map coordinates: maps are numbered, and drawn, near zero
+    origin = shift_of(flight.prior.position[0])  # voxel numbers and pictures need coordinates near zero
     near = replace(flight, prior=flight.prior.moved(-origin))
     if origin[2]:
         floor_m = settings.odometry.preprocess.floor_m - float(origin[2])
@@ -172,8 +172,8 @@ def _sigma_m(estimate: Estimate, segments: Segments) -> np.ndarray | None:
 def _judged(
     flight: Flight, truth: Trajectory | None, other: tuple[str, Trajectory] | None
 ) -> tuple[dict[str, Trajectory], list[str]]:
-    """The truth, and another program's trajectory by its name, at the scans that all of them have; and remarks."""
-    true, notes = None, ["no truth: nothing is said of errors"]
+    """The truth and another program's trajectory, by name, at the scans that both cover, and notes for the user."""
+    true, notes = None, ["no truth: errors are not evaluated"]
     if truth is not None:
         true, notes = at_scans(flight.prior, truth, "the truth")
     if other is None:
@@ -188,14 +188,14 @@ def _judged(
 
 
 def at_scans(scans: Trajectory, path: Trajectory, what: str) -> tuple[Trajectory | None, list[str]]:
-    """Poses of a ``path`` at those stamps of ``scans`` that it covers, in their frame; and remarks for the user.
+    """Poses of a ``path`` at the stamps of ``scans`` that it covers, in the frame of ``scans``, and notes for the user.
 
-    None where it covers fewer than two. A path in another frame is moved so that the first poses agree.
+    The poses are None if it covers fewer than two. A path in another frame is moved so that the first poses agree.
     """
     T_world_drone, known = interpolate(path, scans.stamp_s)
     covered, notes = np.count_nonzero(known), []
     if covered < len(known):
-        notes.append(f"{what} covers {covered} of {len(known)} scans; errors are those there")
+        notes.append(f"{what} covers {covered} of {len(known)} scans; errors are of those only")
     if covered < 2:
         return None, notes
     found = Trajectory(scans.stamp_s[known], T_world_drone[known])
@@ -217,11 +217,11 @@ def measure_recording(
     built: Structure,
     theirs: Trajectory | None = None,
 ) -> dict[str, float]:
-    """Scans used and not used by reason, milliseconds an update, sizes of the map, and, at the poses of ``truth``,
-    errors in metres, also of ``theirs``.
+    """Numbers of scans used and, by reason, not used; milliseconds per update; sizes of the map; and errors in metres
+    at the stamps of ``truth``, also of ``theirs``.
 
-    ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that were used, but say
-    nothing of one direction or more.
+    ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that leave one or more
+    directions undetermined, in which the prior was followed.
     """
     ms, unused = 1e3 * estimate.update_s, Counter(each.partition(":")[0] for each in estimate.reason if each)
     times = (*np.percentile(ms, [50, 95, 99]).tolist(), float(ms.max()), estimate.on_time_share)
@@ -247,7 +247,7 @@ def measure_recording(
 
 
 def opened_lines(flight: Flight) -> tuple[str, ...]:
-    """What was read of a recording, in lines of text: topics, mount, scans, and what was left out."""
+    """Lines of text on what was read from a recording: topics, mount, scans, and what was skipped."""
     x, y, z = flight.T_drone_sensor[:3, 3]
     yaw, pitch, roll = Rotation.from_matrix(flight.T_drone_sensor[:3, :3]).as_euler("ZYX", degrees=True)
     topics = ", ".join(f"{part} {flight.facts[part]}" for part in ("scans", "poses", "imu") if part in flight.facts)
@@ -264,7 +264,7 @@ def opened_lines(flight: Flight) -> tuple[str, ...]:
 
 
 def _summary(numbers: dict[str, float], labels: dict[str, str], built: Structure) -> list[str]:
-    """Lines of text; ``labels``: part of the numbers → the name of its path."""
+    """Lines of text. ``labels``: prefix of the names of numbers → label of the path."""
     unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
     lines = [f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
     if numbers["prior_followed"]:

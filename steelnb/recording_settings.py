@@ -1,4 +1,4 @@
-"""Settings of odometry and reconstruction for a recording: a preset's, what its first scans say, and what is given."""
+"""Settings of odometry and reconstruction for a recording: a preset, adapted to its first scans, then overridden."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,30 +15,30 @@ from steelnb.types import Array, Flight
 
 FIRST_SCANS = 10
 SCALE_MIN = 1.25
-"""A scene up to this many times as large as that of the preset's sensor is one for the preset."""
+"""Lengths are kept for scenes up to this many times as large as that of the preset's sensor."""
 POINTS_MIN = 1000
-"""Voxels are not made coarser than leaves so many points of the first scan."""
+"""Enlarged voxels must leave at least this many points of the first scan."""
 REGISTERED_MIN = 100
 """Scans with fewer points are not registered."""
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
-"""Where more points than this share lie so far below the world's zero, that is not the ground."""
+"""If more than this share of points is below zero by more than `UNDERGROUND_M`, the world's zero is not the ground."""
 NO_FLOOR_M = -1e6
 MEDIAN_MAX_M = 300.0
-"""No sensor of a drone sees half of its returns beyond this."""
+"""No sensor on a drone has half of its returns beyond this range."""
 LENGTHS = {
     "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
     "fusion.distance_max_m": 1, "robust_scale_m": 1, "max_correspondence_m": 1, "map_voxel_m": 1,
 }  # fmt: skip
-"""The settings that go with the distance of most points, and the power of the length in each."""
+"""Settings that scale with the distance of the points, and the exponent of the scale in each."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the first scans say: ``range_m``, within which 99 % of the returns lie, ``median_m``, within which half of
-    them do, and the share ``underground`` of those more than `UNDERGROUND_M` below the zero of the poses' world. All
-    are NaN without a return. ``points (N, 3)`` are the returns of the first scan that has any."""
+    """Statistics of the first scans: ``range_m`` and ``median_m``, the 99th percentile and the median of the ranges,
+    and ``underground``, the share of returns more than `UNDERGROUND_M` below the zero of the poses' world. All are NaN
+    without a return. ``points (N, 3)`` are the returns of the first scan that has any."""
 
     range_m: float
     median_m: float
@@ -47,7 +47,7 @@ class Scene:
 
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
-        """The scene before the first scans of a flight. Raises `InputError`, also for scans in millimetres."""
+        """The scene in the first scans of a flight. Raises `InputError`, also for scans in millimetres."""
         first, clouds = flight.first(FIRST_SCANS), []
         for scan in first.scans:
             points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
@@ -70,9 +70,9 @@ class Scene:
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
         """The settings of the odometry that differ from the preset's.
 
-        Where returns reach further than the preset's sensor, the crop does. Where half of them lie beyond half of its
-        range, all other lengths are in proportion to that, as far as voxels leave `POINTS_MIN` points. There is no
-        floor where the world's zero is not the ground.
+        If returns reach beyond the range of the preset's sensor, so does the crop. If their median exceeds half of that
+        range, all other lengths are scaled in proportion, as long as voxels leave `POINTS_MIN` points. Both need a
+        factor above `SCALE_MIN`. The floor is removed if the world's zero is not the ground.
         """
         range_max_m = preset.tof.range_max_m
         scale, leaf_m = self.median_m / (0.5 * range_max_m), preset.odometry.preprocess.voxel_leaf_m
@@ -101,8 +101,8 @@ def recording_settings(
 ) -> tuple[ExperimentSettings, StructureSettings]:
     """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
 
-    With ``scene``, lengths and floor follow from the first scans of a flight. ``range_max_m``, the crop in all
-    directions, and ``overrides`` come before all else. Raises `InputError`.
+    ``scene`` adapts lengths and floor to the first scans of a flight. ``range_max_m``, the crop in all directions, and
+    ``overrides`` take precedence over it. Raises `InputError`.
     """
     preset = ExperimentSettings.preset(noise="none", sensor=sensor, method=method)
     found = scene.overrides(preset) if scene is not None else {}
@@ -111,12 +111,12 @@ def recording_settings(
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
     also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
-    # Poses that no odometry corrected are not adjusted, and smoothed ones have been.
+    # Uncorrected poses are not adjusted, and smoothed ones already are.
     return settings, StructureSettings(adjust=method != "none" and not settings.odometry.smooth, **also)
 
 
 def settings_line(settings: ExperimentSettings) -> str:
-    """The settings that a recording of another kind of sensor depends on, in words."""
+    """The settings that matter most for another kind of sensor, as a line of text."""
     seen = settings.odometry.preprocess
     floor = f"floor at {seen.floor_m:g} m" if seen.floor_m > NO_FLOOR_M else "no floor"
     return f"settings  range {seen.crop_m:g} m, {floor}, voxels of {seen.voxel_leaf_m:g} m"

@@ -1,4 +1,4 @@
-"""The files that a notebook leaves, and the progress that it shows."""
+"""The files that a notebook writes, and the progress that it shows."""
 
 import base64
 import contextlib
@@ -28,7 +28,7 @@ PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
 RESULTS = ("metrics.json", "provenance.json", "table.csv", "timing.csv", *PICTURES)
-"""Patterns of the files that a notebook leaves; those of an earlier run go when it is run again."""
+"""Patterns of the files that a notebook writes. A new run removes those of an earlier one."""
 Item = TypeVar("Item")
 
 
@@ -42,13 +42,13 @@ def write_results(
     files: Mapping[str, Callable[[Path], object]] | None = None,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the results of a notebook into the folder ``results_dir``; if that is empty, only show its figures.
+    """Write the results of a notebook into the folder ``results_dir``. If that is empty, only show the figures.
 
     ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
-    fig_<name>.png, ``timing`` timing.csv with the machine's description, ``provenance`` (settings, seeds; no times,
-    hosts or paths) provenance.json, to which versions and the hash of the lock are added. ``files`` are others, by
-    name, each with the function that writes it; names start with ``structure_``. The same values give the same bytes.
-    Files are written beside and then renamed. Raises `OutputError`, and ValueError for a metric not finite.
+    fig_<name>.png, ``timing`` timing.csv with a description of the machine, and ``provenance`` (settings, seeds; no
+    times, hosts or paths) provenance.json, with versions and the hash of the lock. ``files`` maps further names, which
+    start with ``structure_``, to functions that write them. Equal values give equal bytes. Files are written to a
+    temporary folder and then renamed. Raises `OutputError`, and ValueError if a metric is not finite.
     """
     if not str(results_dir):
         _show_in_a_row(figures)
@@ -69,7 +69,7 @@ def write_results(
 
 
 def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
-    """Show all figures side by side: JupyterLab is scrolled to the last cell once all cells were run."""
+    """Show all figures side by side, since JupyterLab scrolls to the last cell after it has run all cells."""
     from IPython.display import HTML, display
 
     look, images = "min-width: 0; max-height: 24em; object-fit: contain", []
@@ -81,20 +81,20 @@ def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
 
 
 def _finite(name: str, value: Any) -> int | float:
-    """A metric as a Python number; ValueError if it is none or not finite."""
+    """A metric as a Python number. Raises ValueError if it is not a finite number."""
     if not isinstance(value, numbers.Real) or isinstance(value, bool) or not math.isfinite(value):
         raise ValueError(f"metrics: {name} = {value!r}: expected a finite number")
     return int(value) if isinstance(value, numbers.Integral) else float(value)
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """A table as JSON, its keys sorted, NumPy arrays and settings as lists and tables."""
+    """Write a mapping as JSON with sorted keys. NumPy arrays become lists, settings become objects."""
     text = json.dumps(values, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False, default=_plain)
     path.write_text(text + "\n", encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
-    """NumPy scalars and arrays and pydantic settings for JSON."""
+    """Convert NumPy scalars and arrays and pydantic settings for JSON."""
     for method in ("model_dump", "tolist"):
         if hasattr(value, method):
             return getattr(value, method)()
@@ -103,14 +103,14 @@ def _plain(value: Any) -> Any:
 
 def find_root(start: Path | None = None) -> Path:
     """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/runs.toml``,
-    else the project that the package lies in."""
+    else the project that contains the package."""
     start, project = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
     folders = (start, *start.parents)
     return next((folder for folder in folders if (folder / EXPERIMENTS_FILE).is_file()), project)
 
 
 def file_digest(path: Path) -> str | None:
-    """SHA-256 of a file's content, or None where there is no file."""
+    """SHA-256 of a file's content, or None if there is no file."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
@@ -121,7 +121,7 @@ def environment() -> dict[str, Any]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
     digest = file_digest(find_root() / "environment.lock")
-    versions["c-library"] = "-".join(platform.libc_ver())  # its sine and exponential round, too
+    versions["c-library"] = "-".join(platform.libc_ver())  # its sine and exponential affect rounding
     return {"versions": versions, "environment_lock_sha256": digest}
 
 
@@ -131,11 +131,11 @@ def pictures(folder: Path) -> list[Path]:
 
 
 class Progress:
-    """How far a notebook has come, over ``total`` runs of equal length; one object a notebook.
+    """Progress of a notebook over ``total`` runs of equal length; one object per notebook.
 
-    `update` takes the fraction of the current run, as does a call of the object, which can be handed to a function as
-    its callback; `step` ends a run; `each` does so over a sequence. In JupyterLab it is a bar; the workflow names a
-    file in ``STEELNB_PROGRESS_FILE``, to which the percentage of the whole is written.
+    `update` sets the completed fraction of the current run. Calling the object does the same, so it can be passed as a
+    callback. `step` ends a run, and `each` ends one per item of a sequence. JupyterLab shows a bar; if the workflow
+    sets ``STEELNB_PROGRESS_FILE``, the overall percentage is written to that file instead.
     """
 
     def __init__(self, total: int = 1, description: str = "progress") -> None:
@@ -147,7 +147,7 @@ class Progress:
         self._bar: Any = tqdm(total=1.0, desc=description, bar_format=form, disable=self._file is not None)
 
     def update(self, fraction: float) -> None:
-        """Say how much of the current run is done, 0 to 1. Shown at most five times a second."""
+        """Set the completed fraction of the current run, 0 to 1. It is shown at most five times per second."""
         whole = min((self._done + min(max(fraction, 0.0), 1.0)) / self._total, 1.0)
         now_s = time.monotonic()
         if whole < 1 and now_s - self._shown_s < PROGRESS_PERIOD_S:
@@ -168,7 +168,7 @@ class Progress:
         self.update(0.0)
 
     def each(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Give the items one by one, a run each."""
+        """Yield the items one by one, each as one run."""
         for item in items:
             yield item
             self.step()

@@ -1,4 +1,4 @@
-"""Independent random streams from one seed, told apart by name: a new noise source does not change the others."""
+"""Independent random streams from one seed, identified by name: a new noise source does not change the others."""
 
 import zlib
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 Seed = int | Literal["report"]
-"""A non-negative integer, or ``report``: the drift then has the random draws of the report's program
+"""A non-negative integer, or ``report``: the drift then uses the random draws of the report's program
 (`steelnb.noise`)."""
 REPORT_SEED = 42
 """The seed of the report's program."""

@@ -1,4 +1,4 @@
-"""The row of a run in a table: its name, its metrics, thinned curves, and measured times."""
+"""The table row of a run: its case, metrics, thinned curves, and measured times."""
 
 from collections.abc import Callable
 from typing import Any
@@ -35,8 +35,8 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
 
 
 def make_row(settings: ExperimentSettings, flown: Callable[[], tuple[Flight, Truth]]) -> dict[str, Any]:
-    """`numbers`, `curves` and `TIMES` of one run: the flight from ``flown`` with the drift and method of the
-    settings."""
+    """Correct the flight that ``flown`` returns, with the drift and method of the settings. Returns `numbers`, `curves`
+    and `TIMES`."""
     flight, truth = flown()
     flight = experiment.redrift(settings, flight, truth)
     result = experiment.estimate(settings, flight, truth)
@@ -86,8 +86,8 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
 
 
 def paired_clouds(flight: Flight, result: experiment.Result, every: int = 4) -> tuple[Array, Array]:
-    """The points of every fourth scan, placed by the estimated and by the true poses: two clouds ``(N, 3)``, metres,
-    world frame. Rows k of both are the same return."""
+    """Points of one scan in ``every``, at the estimated and at the true poses: two clouds ``(N, 3)``, metres, world
+    frame. Row k of both is the same return."""
     true = result.truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     estimated, shown = result.corrected.T_world_drone, range(0, len(flight.scans), every)
     preprocess, T_drone_sensor = result.settings.odometry.preprocess, flight.T_drone_sensor
@@ -100,7 +100,7 @@ def paired_clouds(flight: Flight, result: experiment.Result, every: int = 4) -> 
 
 
 def curves(result: experiment.Result) -> dict[str, np.ndarray]:
-    """At most `CURVE_SAMPLES` samples of the stamps, the errors without and with correction, and the matches."""
+    """At most `CURVE_SAMPLES` samples of stamps, errors without and with correction, and numbers of correspondences."""
     stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
     chosen = np.unique(np.linspace(0, len(stamp_s) - 1, min(CURVE_SAMPLES, len(stamp_s))).round().astype(int))
     return {

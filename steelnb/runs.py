@@ -54,8 +54,8 @@ class Run(NamedTuple):
 class Grid(Settings):
     """Values to combine; one table of a study's file.
 
-    ``seeds``: a list, or a range such as ``"101-130"`` with both ends; a list may hold ranges. ``variants``: changes of
-    single settings by the name that tables show.
+    ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
+    name of the variant in tables → changed settings.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -118,7 +118,7 @@ def run_all(
     Parameters
     ----------
     runs : from `grid`, or settings.
-    jobs : number of flights at once, each with all its runs; default: that of `joblib.parallel_config`, else one.
+    jobs : number of flights in parallel, each with all its runs; default: that of `joblib.parallel_config`, else one.
     folder : cache of the rows. A killed call resumes from it, and only runs with changed settings or code run again.
         Workers on other machines should share the folder.
 

@@ -29,7 +29,7 @@ POINTS_MAX = 20_000
 HEIGHT_PX = 560
 PLOTLY_TYPE = "application/vnd.plotly.v1+json"
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
-"""The corrected path lies on the true one where all is well: one thin, one wide shows both."""
+"""Widths of the paths. A good correction covers the true path, so one is thin and the other wide to show both."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ def figure_scene(
     members: Array | None = None,
     method: str = "best",
 ) -> "PlotlyFigure":
-    """The scene, to turn with the mouse, beside the errors over time; a click in the legend hides a line.
+    """The interactive 3D scene beside the errors over time. A click in the legend hides a line.
 
-    ``paths``: poses ``drifting``, ``corrected`` (by the ``method``, whose colour it has) and ``true``; the last two may
-    be missing; errors are distances to the true path or, without one, to the drifting one. ``cloud (N, 3)``;
-    ``segments``: the bars found; ``members (M, 2, 3)``: the true ones. All in the world frame, metres.
+    ``paths``: poses ``drifting``, ``corrected`` (in the colour of ``method``) and ``true``; the last two may be
+    missing. Errors are distances to the true path or, without one, to the drifting one. ``cloud (N, 3)``; ``segments``:
+    the bars found; ``members (M, 2, 3)``: the true ones. All in the world frame, metres.
     """
     from plotly.graph_objects import Scatter, Scatter3d
     from plotly.subplots import make_subplots
@@ -99,7 +99,7 @@ def figure_scene(
 
 
 def _columns(points: Array) -> dict[str, Any]:
-    """``(N, 3)`` as the arguments x, y and z; single precision is half a page, and finer than a pixel."""
+    """Points ``(N, 3)`` as the arguments x, y and z. Single precision halves the page and is finer than a pixel."""
     return dict(zip("xyz", points.T.astype(np.float32), strict=True)) | {"hoverinfo": "skip"}
 
 
@@ -109,13 +109,13 @@ def _apart(bars: Array) -> Array:
 
 
 def plotly_bundle(figure: "PlotlyFigure") -> dict[str, Any]:
-    """A figure for JupyterLab's renderer of plotly, whatever renderer the user's settings name; and as text."""
+    """MIME bundle of a figure for JupyterLab's Plotly renderer, regardless of the user's default, with a text."""
     content = json.loads(cast(str, figure.to_json()))
     return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": "a scene"}
 
 
 def figure_flight(view: View) -> plots.Figure:
-    """The scene on paper (`pictures.figure_flight`)."""
+    """The scene as a static figure (`pictures.figure_flight`)."""
     case, method = case_of(view.result.settings), view.result.settings.odometry.method
     title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case)
     names = {"drifting": "none", "corrected": method}
@@ -124,7 +124,7 @@ def figure_flight(view: View) -> plots.Figure:
 
 
 class Panel:
-    """Controls above a scene that follows them: every change flies again and redraws the scene in its place."""
+    """Controls above a scene. Every change of a control runs the flight again and redraws the scene in place."""
 
     def __init__(self, duration_s: float, overrides: Mapping[str, Any], **first: Any) -> None:
         """``first``: trajectory, noise, level (times the noise), sensor, method and seed of the first flight. Raises
@@ -156,8 +156,8 @@ class Panel:
         return ExperimentSettings.preset(noise=at_level(noise, level), **more, **self._fixed)
 
     def show(self) -> View:
-        """Display controls and scene below the current cell: when it is flown the drift, then the corrected flight,
-        which is given. Raises `CollisionError`."""
+        """Display the controls and the scene below the current cell: first the drifting flight, then the corrected one,
+        which is returned. Raises `CollisionError`."""
         import ipywidgets as widgets
         from IPython.display import display
 
@@ -165,7 +165,7 @@ class Panel:
         return self._fly()
 
     def _follow(self, change: Mapping[str, Any]) -> None:
-        """Fly with what the controls say; a fault is told in words, and the scene stays."""
+        """Run the flight that the controls describe. An error is shown as text, and the scene stays."""
         try:
             self._fly()
         except SteelnbError as fault:
@@ -202,13 +202,13 @@ class Panel:
         self.status.value = f"{doing}: {100 * share:.0f} %"
 
     def _draw(self, scene: "PlotlyFigure") -> None:
-        """Put a scene in the place of the one before, or below the current cell."""
+        """Display a scene in place of the previous one or, if it is the first, below the current cell."""
         from IPython.display import display
 
         bundle = plotly_bundle(scene)
         if self._picture is None:
             self._picture = display(bundle, raw=True, display_id=True)
             return
-        # The renderer of plotly leaves what it has drawn as it is; one of another type in between ends it.
+        # The Plotly renderer does not redraw what it has drawn, so output of another type replaces it first.
         self._picture.update({"text/html": f"<div style='height: {HEIGHT_PX}px'></div>"}, raw=True)
         self._picture.update(bundle, raw=True)

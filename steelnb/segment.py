@@ -42,8 +42,8 @@ def segment_file(
     """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``.
 
     ``dx_m`` is the radius of the tube that holds a bar's points (default: `default_dx`), ``voxel_m`` the edge of the
-    voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report), ``min_votes`` the fewest
-    filtered points of a bar, and the least number by which those in its tube outweigh those around it.
+    voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report). ``min_votes`` is the minimum
+    number of filtered points of a bar, and the minimum by which the points in its tube exceed those around it.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
@@ -81,6 +81,6 @@ def segment_file(
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    # Finer than this, voxels could not be numbered.
+    # The voxels of a finer grid could not be numbered.
     if value is not None and not 1e-9 * diagonal <= value <= diagonal:
         raise InputError(f"{name} = {value}: expected a length above 0 and at most the cloud's {diagonal:.3g} m")

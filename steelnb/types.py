@@ -35,7 +35,7 @@ class Trajectory:
     def moved(self, by: Array) -> "Trajectory":
         """The poses translated by ``by (3,)``, metres; the same object if that is zero.
 
-        Positions are rounded to 0.1 µm, so that large map coordinates, once moved to the origin, leave no rounding.
+        Positions are rounded to 0.1 µm, which removes the rounding errors of large map coordinates moved to the origin.
         """
         if not by.any():
             return self
@@ -44,7 +44,7 @@ class Trajectory:
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":
-        """The poses at ``stamp_s (K,)``, equal to a microsecond. Raises ValueError if one is missing."""
+        """The poses at ``stamp_s (K,)``, to within a microsecond. Raises ValueError if one is missing."""
         index = np.clip(np.searchsorted(self.stamp_s, stamp_s - 1e-6), 0, len(self) - 1)
         if not np.allclose(self.stamp_s[index], stamp_s, atol=1e-6):
             raise ValueError("the trajectory has no pose at some of these stamps")
@@ -89,7 +89,7 @@ class Scan:
 
 
 class RangeScans(Sequence[Scan]):
-    """Scans stored as range images, in a quarter of the memory; their points are computed on access.
+    """Scans stored as range images, in a sixth of the memory; their points are computed on access.
 
     ``stamp_s (K,)``; ``range_m (K, H, W)`` float32 along the ray, NaN for no return; ``ray (H, W, 3)`` unit vectors in
     the sensor frame, whose x axis is the optical axis.
@@ -119,10 +119,10 @@ class RangeScans(Sequence[Scan]):
 
 @dataclass(frozen=True)
 class Flight:
-    """The input of every estimator, from a simulation, a bag or a folder of scans. It holds no truth.
+    """The input of every estimator, from a simulation, a bag or a folder of scans. It contains no ground truth.
 
     ``scans``: K scans in the sensor frame, in memory or read from disk on access; ``prior``: the drifting poses of the
-    drone at their stamps; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images``: None if there are
+    drone at the scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images``: None if there are
     none. ``name`` is for titles and file names; ``facts``: the source of each part of a recording; ``skipped``: number
     of messages or files left out on opening, by reason.
     """
@@ -215,9 +215,9 @@ class Segments:
 class OdometryStep:
     """The result of one scan.
 
-    ``T_world_drone (4, 4)``: corrected pose; ``used``: whether the scan corrected it; ``reason``: why it did not, else
-    empty; ``matches``: number of correspondences; ``seconds``: duration of each stage; ``unobserved``: number of
-    directions, 0 to 3, that a used scan does not constrain, in which the prior is followed.
+    ``T_world_drone (4, 4)``: corrected pose; ``used``: whether the scan was used for it; ``reason``: why it was not,
+    else empty; ``matches``: number of correspondences; ``seconds``: duration of each stage; ``unobserved``: number of
+    directions, 0 to 3, that a used scan does not constrain; along these the pose follows the prediction.
     """
 
     stamp_s: float
@@ -239,10 +239,10 @@ class Estimate:
     directions, 0 to 3, that a used scan does not constrain (empty if unknown). ``unsmoothed``: why smoothing failed,
     else empty.
 
-    A smoothed flight has covariances, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
+    Covariances of a smoothed flight, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
     corrected poses, metres and radians, in world axes (`fusion.uncertainty.pose_covariances`; zero for the first pose),
     and ``axis_covariance (M, 4, 4)`` of position and direction of each segment (`fusion.uncertainty.axis_covariances`).
-    ``unsure``: why a smoothed flight has none, else empty.
+    ``unsure``: why a smoothed flight has no covariances, else empty.
     """
 
     prior: Trajectory
@@ -261,7 +261,7 @@ class Estimate:
 
     @property
     def on_time_share(self) -> float:
-        """Share of the updates, 0 to 1, that are done before the next scan; the last one has the median interval."""
+        """Share of the updates, 0 to 1, that end before the next scan; for the last one, the median interval counts."""
         gaps = np.diff(self.prior.stamp_s)
         deadline_s = np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
         return float((self.update_s <= deadline_s).mean())

@@ -1,6 +1,6 @@
-"""Random inputs are the same on every run, so that a run judges the code alone.
+"""Random inputs are the same on every run, so that failures depend on the code alone.
 
-``HYPOTHESIS_PROFILE=random`` draws new ones: what they find becomes an ``@example``.
+``HYPOTHESIS_PROFILE=random`` draws new inputs. Failures found with them become an ``@example``.
 """
 
 import gc
@@ -17,7 +17,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
 LONGEST = ("test_notebooks.py", "test_workflow.py", "test_digests.py", "test_lab.py")
-"""Files of minutes; begun last, one of them would keep one worker busy while the other has nothing left."""
+"""Files that take minutes. If one of them began last, one worker would be idle until it ends."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -27,6 +27,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """The garbage collector leaves alone what has been imported by now and stays: a tenth of the tests' time."""
+    """Exclude everything imported so far from garbage collection, which saves a tenth of the tests' time."""
     gc.collect()
     gc.freeze()

@@ -37,7 +37,7 @@ def scanned(bars: np.ndarray, per_m: float, width: float, noise: float, seed: in
 
 
 def thinned(points: np.ndarray, apart: float) -> np.ndarray:
-    """A subset of which no two points are nearer than ``apart``, as LiDAR surveys are delivered."""
+    """A subset in which no two points are closer than ``apart``, as in delivered LiDAR surveys."""
     tree, keep, gone = cKDTree(points), [], np.zeros(len(points), dtype=bool)
     for i in range(len(points)):
         if not gone[i]:
@@ -47,7 +47,7 @@ def thinned(points: np.ndarray, apart: float) -> np.ndarray:
 
 
 def pieces_of(tower) -> tuple[np.ndarray, int]:
-    """Pairs of joints ``(P, 2)`` that a piece of a member ties, each once, and how many parts hang together."""
+    """Pairs of joints ``(P, 2)`` that a piece of a member connects, each once, and the number of connected parts."""
     ends = [sorted(ends) for member in tower.members for ends in itertools.pairwise(member.joints)]
     pieces, size = np.unique(ends, axis=0), len(tower.joints)
     return pieces, connected_components(coo_array((np.ones(len(pieces)), pieces.T), shape=(size, size)))[0]

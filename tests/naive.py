@@ -1,4 +1,4 @@
-"""Slow twins of the fast code: short, obviously right, and used by nothing but the tests."""
+"""Slow twins of the fast code: short, obviously right, and used only by tests."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -269,7 +269,7 @@ def convolution(x, kernel, stride):
 
 
 def circle_step(cells, place, robust_m=0.03):
-    """Cost of a circle, and the Gauss-Newton matrix and vector of its place: derivatives by differences."""
+    """Cost of a circle, and the Gauss–Newton matrix and vector of its position, by numerical derivatives."""
 
     def residual(cell, at):
         u, v = cell[0] - at[0] - cell[5] * at[2], cell[1] - at[1] - cell[5] * at[3]

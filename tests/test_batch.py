@@ -1,4 +1,4 @@
-"""Runs that share a flight, their tables, and the search for false convergence."""
+"""Runs that share a flight, their tables, and the basin of convergence."""
 
 import numpy as np
 import pandas as pd

@@ -33,7 +33,7 @@ def runs(error, seeds=30, methods=("one", "two"), **more) -> pd.DataFrame:
 
 
 def better(where=lambda trajectory, noise: True, by=0.5) -> pd.DataFrame:
-    """Runs in which two is better than one by so much in some cells, and no worse elsewhere."""
+    """Runs in which method two is better than one by a given amount in some cells, and equal elsewhere."""
     return runs(lambda t, n, method, z: (by if method == "one" and where(t, n) else 0.0) + 0.1 * z)
 
 
@@ -46,7 +46,7 @@ def claim(**changes) -> Claim:
 
 
 class Judged(NamedTuple):
-    """One claim judged: its verdict, its most seeds, its cells."""
+    """Result of judging one claim: its verdict, its largest number of seeds, its cells."""
 
     verdict: str
     n_seeds: int
@@ -80,7 +80,7 @@ def test_one_cell_against_a_claim_refutes_it_and_those_as_claimed_are_named():
     assert found.verdict == FAILS
     assert found.cells["cell"].str.startswith("zigzag").tolist() == [True, True, False, False]
     assert found.cells["verdict"].tolist() == [HOLDS, HOLDS, FAILS, FAILS]
-    # Where the other cells only cannot tell, the claim is neither shown nor refuted.
+    # If the other cells are inconclusive, the claim is neither shown nor refuted.
     found = judged(claim(), better(lambda trajectory, noise: (trajectory, noise) == ("zigzag", "random-walk")))
     assert found.verdict == OPEN
     assert found.cells.set_index("cell")["verdict"].to_dict()["zigzag, random-walk"] == HOLDS

@@ -1,4 +1,4 @@
-"""The command line: what it prints, and that bad input is one line, exit code 2 and nothing half-written."""
+"""The command line: its output, and that bad input gives one line, exit code 2 and no partial output."""
 
 import shutil
 import subprocess

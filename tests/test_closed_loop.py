@@ -1,4 +1,4 @@
-"""Flights that are steered by the odometry's estimate."""
+"""Flights steered by the estimate of the odometry."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Results are the same bits on whatever machine this runs: `workflow.digests`."""
+"""Results are bit-identical on every machine: `workflow.digests`."""
 
 import json
 

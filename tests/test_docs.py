@@ -1,5 +1,5 @@
-"""Every page is followed as it stands: its files saved, its commands and its Python run, in order. Pages link to files
-that are there, and numbers of the first page are those of its files."""
+"""Every page is followed literally: its files are saved, its commands and its Python run, in order. Links point to
+existing files, and numbers on the first page agree with its files."""
 
 import contextlib
 import doctest
@@ -32,7 +32,7 @@ WITH_EXAMPLES = (
 
 
 def follow(page: str) -> tuple[dict, str]:
-    """Do what a page says, in the working directory: the names that its Python leaves, and what that prints."""
+    """Follow a page in the working directory. Returns the names that its Python defines, and its output."""
     names, python, said, saved = {}, "", io.StringIO(), None
     for text, language, block in FENCE.findall((DOCS / page).read_text(encoding="utf-8")):
         found = SAVED.search(text)
@@ -50,7 +50,7 @@ def follow(page: str) -> tuple[dict, str]:
 
 
 def run(words: list[str]) -> None:
-    """Run one command of a page; of those of `make` it is enough that their targets exist."""
+    """Run one command of a page. For `make` it is enough that the target exists."""
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     elif words[:3] == ["python", "-m", "steelnb.runs"]:

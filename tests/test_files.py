@@ -1,4 +1,4 @@
-"""Output that is whole or not there, and one line for whatever reading raises."""
+"""Output is complete or absent, and any error while reading becomes one line."""
 
 import os
 import signal

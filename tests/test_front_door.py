@@ -1,4 +1,4 @@
-"""`import steelnb`: the public names, their docstrings, and how little it imports."""
+"""`import steelnb`: the public names, their docstrings, and that it imports little."""
 
 import inspect
 import subprocess

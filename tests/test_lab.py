@@ -1,4 +1,4 @@
-"""JupyterLab as `make lab` starts it: saving what was run changes no file of the project."""
+"""JupyterLab as `make lab` starts it: saving an executed notebook changes no file of the project."""
 
 import re
 import shutil
@@ -15,7 +15,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
 def run_in_lab(path: Path) -> nbformat.NotebookNode:
-    """A notebook with what JupyterLab leaves when it is run: outputs, counts, times, notes of its own."""
+    """A notebook with all that JupyterLab adds when it runs: outputs, counts, times and metadata."""
     notebook = nbformat.read(path, 4)
     notebook.metadata.kernelspec.display_name = "Python 3 (ipykernel)"
     notebook.metadata.language_info.update(version="3.11.2", mimetype="text/x-python", file_extension=".py")

@@ -37,9 +37,9 @@ def test_a_notebook_holds_short_cells_and_no_functions(path):
 
 @pytest.fixture(scope="session")
 def smoke(tmp_path_factory):
-    """The results of every notebook at its smoke budget, of those up to date from the cache.
+    """The results of every notebook at its smoke budget; those that are up to date come from the cache.
 
-    Of a notebook that several parts or experiments share the first part alone is run: the others run the same cells.
+    If several parts or experiments share a notebook, only the first part is run, since the others run the same cells.
     """
     folder, cache = tmp_path_factory.mktemp("smoke"), cache_folder(ROOT, ROOT / "results-smoke")
     parts = first_parts(make_parts(ROOT, [], "smoke"))
@@ -107,7 +107,7 @@ def test_the_icp_notebook_flies_the_report_s_programs_beside_the_methods_as_they
         assert sorted(first.index) == sorted([*own, *(f"report-{name}" for name in own), "best"]), flight
         assert first["scans"]["gicp"] < 0.25 * first["scans"]["icp"], "a busy program misses scans"
         assert first["error_final_m"]["best"] < 0.7 * first["raw_error_final_m"]["best"], flight
-        # A rotation dropped after the solve is no restricted solve: that is the fault of the report's program.
+        # Dropping the rotation after the solve is not a restricted solve: that is the error of the report's program.
         assert first["error_final_m"]["icp-3dof"] < first["error_final_m"]["report-icp-3dof"], flight
         assert first["bend_deg"]["best"] < 1, flight
         assert first["tilt_max_deg"]["icp-3dof"] < first["tilt_max_deg"]["icp"], flight

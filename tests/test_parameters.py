@@ -1,4 +1,4 @@
-"""Parameters of notebooks: misspelt, mistyped and out of range ones are refused."""
+"""Parameters of notebooks: misspelt names, wrong types and values out of range are refused."""
 
 import ast
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""`steelnb.pins`: what libraries choose by the processor is the same everywhere."""
+"""`steelnb.pins`: libraries make the same choices on every processor."""
 
 import subprocess
 import sys

@@ -24,7 +24,7 @@ def pose(x: float, y: float, z: float, yaw: float) -> np.ndarray:
 
 
 def column(x: float, y: float, half_m: float = 0.0) -> np.ndarray:
-    """Points of four uprights, 10 m high, at the corners of a square; of one upright if ``half_m`` is 0."""
+    """Points of four uprights, 10 m high, at the corners of a square, or of one upright if ``half_m`` is 0."""
     z = np.arange(0.3, 10.0, 0.05)
     corners = [(-half_m, -half_m), (half_m, -half_m), (half_m, half_m), (-half_m, half_m)] if half_m else [(0, 0)]
     sides = [(0.03 * dx, 0.03 * dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]

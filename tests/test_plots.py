@@ -1,4 +1,4 @@
-"""Every method can be drawn, whichever a user picks, and every member of a tower is."""
+"""Every method that a user may pick can be drawn, and every member of a tower is drawn."""
 
 import numpy as np
 import pytest

@@ -49,7 +49,7 @@ def test_a_bar_moved_to_the_sensor_is_nearer_by_as_much(source):
     still = nearer(np.zeros(3))[source.reference.observed]
     assert np.isnan(still).mean() < 0.5  # of some members the middle was out of range
     np.testing.assert_allclose(still[np.isfinite(still)], 0, atol=1e-9)
-    # A drone on the side of negative x sees the rings that run along y nearer when they move to it.
+    # To a drone at negative x, the rings that run along y are nearer when they move towards it.
     drone = source.poses["true"][:, :3, 3].mean(axis=0)
     away = np.array([*(drone - source.result.truth.tower.vertices.mean(axis=0))[:2], 0])
     moved = nearer(0.01 * away / np.linalg.norm(away))[source.reference.observed]

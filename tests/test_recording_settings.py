@@ -1,4 +1,4 @@
-"""`recording_settings`: the preset's, what the first scans say, and what is given, in this order."""
+"""`recording_settings`: the preset, then what follows from the first scans, then what is given."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def made(points, height_m: float = 2.0, scans: int = 3) -> Flight:
 
 
 def shell(radius_m: float, count: int = 2000) -> np.ndarray:
-    """Points all round the sensor, of distances up to a radius, evenly."""
+    """Points all around the sensor, at evenly distributed distances up to a radius."""
     random = np.random.default_rng(1)
     direction = random.standard_normal((count, 3))
     return direction / np.linalg.norm(direction, axis=1)[:, None] * np.linspace(0.01, radius_m, count)[:, None]

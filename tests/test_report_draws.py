@@ -1,4 +1,4 @@
-"""The seed ``report`` against what the report's figures show of its drift."""
+"""The seed ``report`` against the drift in the report's figures."""
 
 import numpy as np
 import pytest

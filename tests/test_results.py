@@ -1,4 +1,4 @@
-"""The files that a notebook leaves, and its progress."""
+"""The files that a notebook writes, and its progress."""
 
 import time
 from pathlib import Path

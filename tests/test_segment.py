@@ -1,4 +1,4 @@
-"""`segment_file`: finds the bars of a made-up tower, few in noise, and leaves nothing half-written behind."""
+"""`segment_file`: finds the bars of a made-up tower, few in noise, and leaves no partial output."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def segments_of(points: np.ndarray) -> tuple[Segments, float]:
 
 
 def score(found: Segments, bars: np.ndarray, tolerance: float) -> tuple[float, float]:
-    """Shares by length: of what was found that lies on a bar within 10°, and of the bars that were found."""
+    """Shares by length: of the found segments that are on a bar within 10°, and of the bars that were found."""
     axis = bars[:, 1] - bars[:, 0]
     length = np.linalg.norm(axis, axis=1)
     axis = axis / length[:, None]

@@ -46,7 +46,7 @@ overrides = {}
 fail = ""
 results_dir = ""  # empty: show only
 """
-# The gate may hold a sleep with the interpreter's lock, as a long call of compiled code has it.
+# The gate may contain a sleep that holds the interpreter's lock, as a long call of compiled code does.
 GATE = """
 import ctypes, os, pathlib, sys, time
 from steelnb.errors import InputError
@@ -115,7 +115,7 @@ def started(text: str) -> set[str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project whose experiments have been run, in a shell with a set-up of its own; not to be changed."""
+    """A project whose experiments have been run, in a shell with its own set-up. Tests must not change it."""
     root = make_project(tmp_path_factory.mktemp("finished") / "project")
     seen = {"PATH": os.defpath, "MPLBACKEND": "pdf", "STEELNB_TEST_PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "workflow", "reproduce"]
@@ -127,7 +127,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def project(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the finished project at another place, which is the current folder."""
+    """A copy of the finished project in another folder, which is the current one."""
     root = Path(shutil.copytree(finished, tmp_path / "copy"))
     monkeypatch.chdir(root)
     return root
@@ -272,7 +272,7 @@ def test_failing_cells_are_named_and_the_others_finish(project: Path, capsys: py
 
 
 def marked(mark: str) -> list[psutil.Process]:
-    """Processes below the one that was started with the mark."""
+    """The process that was started with the mark, and its descendants."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -295,7 +295,7 @@ def test_a_stopped_run_leaves_nothing_and_the_next_one_resumes(
     root, mark, killed = make_project(tmp_path / "project"), f"{os.getpid()}-{number}", number == signal.SIGKILL
     monkeypatch.chdir(root)
     gate, asleep = root / "notebooks" / "gate-loops", root / "notebooks" / "asleep-loops"
-    # Of SIGKILL a kernel hears only when its interpreter runs.
+    # A kernel reacts to SIGKILL only when its interpreter runs.
     gate.write_text("time.sleep(120)" if killed else "ctypes.PyDLL(None).sleep(120)")
     command = [sys.executable, "-m", "workflow", "reproduce", "pair"]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "STEELNB_TEST_MARK": mark}

@@ -1,6 +1,6 @@
-"""Notebooks → results/<id>/, by pytask (what is out of date, two at once) and papermill."""
+"""Run notebooks into results/<id>/, with pytask (only what is out of date, two at once) and papermill."""
 
 import sys
 
-# jsonschema, which papermill imports, compiles a grammar of IRIs for three seconds where this library is found.
+# If this library is found, jsonschema, which papermill imports, takes three seconds to compile a grammar of IRIs.
 sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""`python -m workflow`: the calls behind `make reproduce`, `make smoke`, `make check`, `make bits` and `make docs`.
+"""`python -m workflow`: commands behind `make reproduce`, `make smoke`, `make check`, `make bits` and `make docs`.
 
 Exit code 0: done; 1: a notebook failed, or a result differs; 2: bad input; 130: interrupted.
 """
@@ -20,20 +20,20 @@ from steelnb.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
-Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Default: all that are not apart.")]
+Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Experiments. Default: all but those apart.")]
 Budget = Annotated[str, typer.Option(help="full, or smoke: a short run of every method.")]
-Jobs = Annotated[int, typer.Option(min=1, help="Notebooks run at once.")]
+Jobs = Annotated[int, typer.Option(min=1, help="Notebooks run in parallel.")]
 
 
 @app.command()
 def reproduce(
     ids: Ids = None,
     budget: Budget = "full",
-    parameters: Annotated[str, typer.Option("-p", metavar="'NAME=VALUE ...'", help="Wants an output folder.")] = "",
+    parameters: Annotated[str, typer.Option("-p", metavar="'NAME=VALUE ...'", help="Parameters; need --output.")] = "",
     output: Annotated[Path | None, typer.Option(help="Folder for <id>/; default: results or results-smoke.")] = None,
     jobs: Jobs = 2,
 ) -> int:
-    """Run the notebooks that are not up to date, and leave metrics, tables and figures in <output>/<id>/."""
+    """Run the notebooks that are not up to date, and write metrics, tables and figures to <output>/<id>/."""
     from workflow.task_notebooks import cache_folder, write
 
     root, given = find_root(), parse_parameters(parameters)
@@ -48,7 +48,7 @@ def reproduce(
 
 @app.command()
 def check(ids: Ids = None, jobs: Jobs = 2) -> int:
-    """Run the notebooks again, from nothing, in .cache/check/, and compare metrics and tables with the last commit."""
+    """Run the notebooks from scratch in .cache/check/, and compare metrics and tables with the last commit."""
     from workflow.task_notebooks import write
 
     root = find_root()
@@ -72,7 +72,7 @@ def check(ids: Ids = None, jobs: Jobs = 2) -> int:
 
 
 def committed(root: Path, path: str) -> str:
-    """A file of the last commit; of the tree where there is no git. Raises `InputError`."""
+    """Text of a file at the last commit, or in the tree if there is no git. Raises `InputError`."""
     shown = subprocess.run(["git", "show", f"HEAD:./{path}"], cwd=root, capture_output=True, text=True, check=False)
     try:
         return (root / path).read_text(encoding="utf-8") if shown.returncode else shown.stdout
@@ -82,11 +82,11 @@ def committed(root: Path, path: str) -> str:
 
 @app.command()
 def digests(
-    write: Annotated[bool, typer.Option("--write", help="Write tests/digests.json anew.")] = False,
+    write: Annotated[bool, typer.Option("--write", help="Rewrite tests/digests.json.")] = False,
     short: Annotated[bool, typer.Option("--short", help="Print the set that `bits` emulates.")] = False,
     full: Annotated[bool, typer.Option("--full", help="Print the whole set.")] = False,
 ) -> int:
-    """Compute the digests of short flights and say which differ from those of the last commit."""
+    """Compute the digests of short flights and list those that differ from the last commit."""
     from workflow import digests as of
 
     root = find_root()
@@ -115,9 +115,9 @@ def bits() -> int:
 
 @app.command()
 def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
-    """Run the first part of every notebook, even of those apart, if it is not up to date.
+    """Run the first part of every notebook, including those apart, if it is not up to date.
 
-    The notebooks as executed and Plotly's script go where Sphinx takes them from, docs/notebooks/ and docs/_static/.
+    The executed notebooks and Plotly's script go to docs/notebooks/ and docs/_static/, where Sphinx reads them.
     """
     from workflow.pages import write_pages
     from workflow.task_notebooks import cache_folder, run
@@ -132,7 +132,7 @@ def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and give the exit code."""
+    """Run the command line and return the exit code."""
     return call(app, "workflow", arguments)
 
 

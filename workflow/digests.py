@@ -1,11 +1,11 @@
-"""Digests of short flights: the same on every x86-64 processor with AVX2, or a difference in rounding has crept in.
+"""Digests of short flights. If they differ between x86-64 processors with AVX2, a difference in rounding has crept in.
 
-`tests/digests.json` holds those of the last commit, `tests/test_digests.py` compares; `python -m workflow digests
---write` writes them anew. A digest is the first 16 hexadecimal digits of a SHA-256.
+`tests/digests.json` holds those of the last commit, and `tests/test_digests.py` compares them. `python -m workflow
+digests --write` rewrites the file. A digest is the first 16 hexadecimal digits of a SHA-256.
 
-`make bits` computes them as other processors would. Libraries choose their code by the processor: OpenBLAS by
-``OPENBLAS_CORETYPE``, Numba by ``NUMBA_CPU_NAME``, and all of them, Embree and the C library included, by what the
-processor says of itself, which QEMU's user mode emulates.
+`make bits` computes them as other processors would. Libraries select their code for the processor. OpenBLAS obeys
+``OPENBLAS_CORETYPE`` and Numba ``NUMBA_CPU_NAME``. All of them, including Embree and the C library, follow what the
+processor reports about itself, which QEMU's user mode emulates.
 """
 
 import hashlib
@@ -41,7 +41,7 @@ PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "open3d-cpu", "opencv-python-
 EMULATOR = "qemu-x86_64"
 EMULATED = ("EPYC-Milan", "Haswell", "Skylake-Server")
 GENERIC = {"NUMBA_CPU_NAME": "generic"}
-"""For emulated runs, since compiling is slow there: kernels of no processor in particular."""
+"""For emulated runs: kernels for a generic processor, which are compiled natively, since emulation is slow."""
 VARIANTS: tuple[dict[str, str], ...] = (
     {}, GENERIC, {"OPENBLAS_CORETYPE": "Zen"}, {"OPENBLAS_CORETYPE": "Haswell"}, {"NUMBA_CPU_NAME": "znver3"},
     {"NUMBA_CPU_NAME": "haswell"},
@@ -53,11 +53,11 @@ SETTINGS: dict[str, Any] = {
         "starling2": ["zigzag", "loops"],
         "starling2-honest": ["zigzag", "loops"],
     },
-    "start_s": {"vertical": 20.0, "orbit": 5.0},  # of the scans: before, the tower is out of sight
+    "start_s": {"vertical": 20.0, "orbit": 5.0},  # of the scans: earlier, the tower is out of sight
     "noise": "random-walk+yaw-random-walk",
     "seed": 7,
     "scans": 12,
-    "scans_of_faces": 75,  # past its first adjustment, at 10 s
+    "scans_of_faces": 75,  # beyond the first adjustment, at 10 s
     "overrides": {},
 }
 SHORT = SETTINGS | {
@@ -67,11 +67,11 @@ SHORT = SETTINGS | {
     "overrides": {"tof.columns": 90, "tof.rows": 120},
     "refit_s": 0.8,
 }
-"""What is short enough to be emulated, and still covers each method."""
+"""A set that is short enough to be emulated and still covers each method."""
 
 
 def digest(*arrays: Any) -> str:
-    """Of the bytes of arrays, their shapes and types included."""
+    """Digest of the bytes, shapes and types of arrays."""
     found = hashlib.sha256()
     for array in map(np.asarray, arrays):
         found.update(f"{array.shape}{array.dtype.str}".encode())
@@ -143,7 +143,7 @@ def made_with() -> dict[str, Any]:
 
 
 def read(root: Path) -> dict[str, str]:
-    """The committed digests. Raises `InputError` where there are none, or where they were made with other settings or
+    """The committed digests. Raises `InputError` if there are none, or if they were made with other settings or
     versions."""
     with reading(root / PATH, f"digests, which `{WRITE}` writes"):
         found = json.loads((root / PATH).read_text(encoding="utf-8"))
@@ -154,7 +154,7 @@ def read(root: Path) -> dict[str, str]:
 
 
 def write(root: Path, found: Mapping[str, str]) -> None:
-    """Write the committed digests anew."""
+    """Rewrite the file of the committed digests."""
     text = json.dumps({**made_with(), "digests": dict(found)}, indent=1)
     (root / PATH).write_text(text + "\n", encoding="utf-8")
 
@@ -165,9 +165,9 @@ def changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
 
 
 def bits(root: Path) -> bool:
-    """Compute the digests in every way, two at once, print a table, and say whether all of them agree.
+    """Compute the digests for every variant, two at once, print a table, and return whether all of them agree.
 
-    Raises `OutputError` where the emulator is missing, and `SteelnbError` where a run fails.
+    Raises `OutputError` if the emulator is missing, and `SteelnbError` if a run fails.
     """
     if shutil.which(EMULATOR) is None:
         raise OutputError(f"{EMULATOR} not found: install it by `apt-get install qemu-user`")
@@ -186,7 +186,7 @@ def bits(root: Path) -> bool:
 
 
 def elsewhere(root: Path, short: bool, variables: Mapping[str, str], cpu: str = "") -> dict[str, str]:
-    """The digests in a process of its own, with variables of the environment, on the emulated ``cpu``, if any."""
+    """The digests from a separate process with these environment variables, on the emulated ``cpu``, if any."""
     environment = {**os.environ, **variables, "NUMBA_CACHE_DIR": str(root / ".cache" / "bits" / _name(variables))}
     command = [sys.executable, "-m", "workflow", "digests", "--short" if short else "--full"]
     emulator = [EMULATOR, "-cpu", cpu] if cpu else []

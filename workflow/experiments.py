@@ -25,9 +25,9 @@ BUDGETS = {"full": "results", "smoke": "results-smoke"}
 class Experiment(Settings):
     """One table of `runs.toml`: a notebook, its parameters for each budget, and a matrix of values to combine.
 
-    ``inputs`` are files of the project that the notebook reads. One that is ``apart`` runs at the full budget only if
-    it is named. ``order``: 1 is started first, −1 last. ``title``, ``about`` and ``figures`` (the report's) are for the
-    overview.
+    ``inputs`` are files of the project that the notebook reads. An experiment that is ``apart`` runs at the full budget
+    only if it is named. ``order``: 1 is started first, −1 last. ``title``, ``about`` and ``figures`` (the report's) are
+    for the overview.
     """
 
     notebook: str
@@ -81,8 +81,8 @@ def read_parameters(notebook: Path) -> dict[str, Any]:
 
 
 def parse_parameters(text: str) -> dict[str, Any]:
-    """The parameters of ``P="seed=3 tof.rate_hz=10 flights=['loops', 'zigzag']"``; elements of a list may come without
-    quotes, which a shell takes away. Raises `InputError`."""
+    """Parse the text of ``P="seed=3 tof.rate_hz=10 flights=['loops', 'zigzag']"``. Elements of a list need no quotes,
+    since a shell removes them. Raises `InputError`."""
 
     def value(item: str) -> tuple[str, Any]:
         name, found = parse_parameter(item.strip())
@@ -95,9 +95,9 @@ def parse_parameters(text: str) -> dict[str, Any]:
 
 
 def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, Any] | None = None) -> list[Part]:
-    """The parts of the experiments named, by default of all but those apart, with every parameter checked.
+    """Parts of the experiments ``ids``, with every parameter checked. Default: all; at the full budget not those apart.
 
-    Parameters ``given`` by the user win over budget and matrix; an axis that they name is dropped. A dotted name, such
+    Parameters ``given`` by the user override budget and matrix, and drop the axes that they name. A dotted name, such
     as ``tof.rate_hz``, goes into the notebook's parameter ``overrides``. Raises `InputError`.
     """
     experiments = read_experiments(root)

@@ -1,4 +1,4 @@
-"""Notebooks as executed → docs/notebooks/, in a form that Sphinx shows without any network."""
+"""Executed notebooks → docs/notebooks/, in a form that Sphinx shows without network access."""
 
 import json
 import re
@@ -15,11 +15,11 @@ from workflow.task_notebooks import EXECUTED, part_folder
 
 PLOTLY, WIDGET = "application/vnd.plotly.v1+json", "application/vnd.jupyter.widget-view+json"
 ELSEWHERE = re.compile(r"\[([^]]*)\]\((?!https?:|#|[\w.-]+\.ipynb)[^)\s]+\)")
-"""A link to a file of the project that is no page here."""
+"""A link to a file of the project that is not one of the pages."""
 
 
 def write_pages(parts: Sequence[Part], cache: Path, docs: Path) -> None:
-    """Write each part's notebook, as it has run, and Plotly's own script."""
+    """Write the executed notebook of each part, and Plotly's script."""
     shutil.rmtree(docs / "notebooks", ignore_errors=True)
     (docs / "notebooks").mkdir()
     (docs / "_static" / "plotly.min.js").write_text(get_plotlyjs(), encoding="utf-8")
@@ -32,7 +32,7 @@ def write_pages(parts: Sequence[Part], cache: Path, docs: Path) -> None:
 
 
 def _show(cell: nbformat.NotebookNode) -> None:
-    """Leave no link into the tree, no folder of the run and no widget, and draw Plotly's figures as HTML."""
+    """Remove links into the tree, the results folder and widgets from a cell, and turn Plotly's figures into HTML."""
     if cell.cell_type == "markdown":
         cell.source = ELSEWHERE.sub(r"\1", cell.source)
         return

@@ -1,7 +1,7 @@
-"""A pytask task for each part: its notebook runs into a new folder, which is renamed when it is done.
+"""One pytask task per part: its notebook writes to a new folder, which is renamed when it is done.
 
-Two run at once, in threads, since each has a kernel, a process of its own. ``.cache/workflow/<output folder>/`` holds
-what each part has left in ``<id>/<part>/``: results are put together from there, and an interrupted call resumes there.
+Two run at once. Threads suffice, since each notebook has its own kernel process. The output of each part is kept in
+``.cache/workflow/<output folder>/<id>/<part>/``. Results are merged from there, and an interrupted call resumes there.
 """
 
 import contextlib
@@ -43,22 +43,22 @@ OWN = dict.fromkeys(THREADS, "1") | {
     "PYTHONHASHSEED": "0", "PYTHONSTARTUP": "", "MATPLOTLIBRC": os.devnull,
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
 }  # fmt: skip
-"""Variables of a kernel: one thread, and nothing of the user's own set-up."""
+"""Environment variables of a kernel: one thread, and nothing from the user's own set-up."""
 BEGIN, END = "<!-- table -->", "<!-- /table -->"
 
 
 def cache_folder(root: Path, folder: Path) -> Path:
-    """Where the parts of the results in ``folder`` are kept."""
+    """The folder that keeps the parts of the results in ``folder``."""
     return root / ".cache" / "workflow" / os.path.relpath(folder, root).replace(os.sep, "~")
 
 
 def part_folder(cache: Path, part: Part) -> Path:
-    """Where the results of a part and its notebook as executed are kept."""
+    """The folder that keeps the results and the executed notebook of a part."""
     return cache / part.id / (part.name or "all")
 
 
 def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget: str, jobs: int) -> int:
-    """Run what is out of date and write ``folder/<id>/``; say what was written and what failed. Gives the exit code."""
+    """Run what is out of date, write ``folder/<id>/``, and print what was written or failed. Returns the exit code."""
     faults = run(parts, cache, arrays, jobs)
     for id, some in itertools.groupby(parts, lambda part: part.id):
         own = list(some)
@@ -77,9 +77,9 @@ def write(parts: Sequence[Part], folder: Path, cache: Path, arrays: Path, budget
 
 
 def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict[str, BaseException | None]:
-    """Run the parts that are out of date, ``jobs`` at once, and give the errors of all that were run by their labels.
+    """Run the parts that are out of date, ``jobs`` at once. Returns the error, or None, of each that ran, by its label.
 
-    Flights and estimates are kept in the folder ``arrays``. SIGINT and SIGTERM end the kernels and this process.
+    Flights and estimates are cached in the folder ``arrays``. SIGINT and SIGTERM end the kernels and this process.
     """
     cache.mkdir(parents=True, exist_ok=True)
     config = cache / "pyproject.toml"
@@ -97,7 +97,7 @@ def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict
 
 
 def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.TaskWithoutPath:
-    """The task of a part, which runs again when its key or what it has left changes."""
+    """The task of a part, which runs again if its key or its output changes."""
     folder = part_folder(cache, part)
 
     def task(key: str) -> None:
@@ -114,9 +114,9 @@ def make_task(part: Part, cache: Path, scratch: Path, arrays: Path) -> pytask.Ta
 
 
 def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
-    """Run the notebook of a part in ``scratch``, and rename what it left to ``target``, a folder that pytask has made.
+    """Run the notebook of a part in ``scratch``, and move its output to ``target``, a folder that pytask has created.
 
-    Raises `InputError` where the notebook refused its input, else `SteelnbError`, in one line that names the cell.
+    Raises `InputError` if the notebook refused its input, else `SteelnbError`, in one line that names the cell.
     """
     begin_s, output, progress = time.monotonic(), scratch / "output", scratch / "progress"
     output.mkdir(parents=True)
@@ -126,7 +126,7 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
     notebook = papermill.execute_notebook(
         nbformat.read(part.notebook, 4), None, given, prepare_only=True, kernel_name="python3", language="python"
     )
-    begun = [0]  # the cell of the parameters comes on top, so that these count from one
+    begun = [0]  # papermill adds a cell with the parameters, so indices count from one
     client = NotebookClient(
         notebook, timeout=None, kernel_name="python3", resources={"metadata": {"path": str(part.notebook.parent)}},
         on_cell_start=lambda cell, cell_index: begun.append(cell_index),
@@ -153,10 +153,10 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
 
 
 def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None:
-    """Put the results of the parts of an experiment together. Raises `OutputError`.
+    """Merge the results of the parts of an experiment. Raises `OutputError`.
 
-    Tables are joined, the names of metrics prefixed ``<part>.``, those of figures and structures suffixed ``_<part>``;
-    a part without a name leaves no trace.
+    Tables are concatenated. Metrics get the prefix ``<part>.``, figures and structures the suffix ``_<part>``; a part
+    without a name adds neither.
     """
     metrics: dict[str, Any] = {}
     provenance: dict[str, Any] = {}
@@ -179,7 +179,7 @@ def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None
 
 
 def write_overview(root: Path, folder: Path) -> None:
-    """Write a row for each experiment that has results below ``folder`` between the marks of its README.md, if any."""
+    """Write one row per experiment with results below ``folder`` between the marks in its README.md, if it has one."""
     readme = folder / "README.md"
     if not readme.is_file():
         return
@@ -198,7 +198,7 @@ def write_overview(root: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def stopped(scratch: str) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end all that was started here, and this process, at once.
+    """Let SIGINT and SIGTERM kill all child processes and end this process at once.
 
     A kernel in a long call of compiled code does not handle SIGINT, and the threads would wait for it.
     """
@@ -221,7 +221,7 @@ def stopped(scratch: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def telling(scratch: Path) -> Iterator[None]:
-    """While this lasts, say every half minute how far the running notebooks have come."""
+    """Inside this context, print the progress of the running notebooks every half minute."""
     ended = threading.Event()
 
     def tell() -> None:

@@ -1,8 +1,8 @@
-"""Notebooks of the project are saved without outputs: to run one leaves `git status` clean.
+"""Saves the project's notebooks without outputs, so that running one leaves `git status` clean.
 
-Outputs stay on the screen until the notebook is closed; `make docs` makes pages that keep them. Neither a git filter,
-which would write to the settings of every clone, nor copies of the notebooks to run, whose edits `make reproduce` would
-not see, do the same without a surprise. Notebooks in other folders are saved as they are.
+Outputs stay on the screen until the notebook is closed; `make docs` makes pages that keep them. A git filter would have
+to be set up in every clone, and `make reproduce` would not see edits in copies of the notebooks. Notebooks in other
+folders are saved as they are.
 """
 
 import warnings
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 PROJECT_FILE = "runs.toml"
-"""A notebook beside it is one of the project's."""
+"""Marks the folder of the project's notebooks."""
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"name": "python"},

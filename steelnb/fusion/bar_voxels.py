@@ -1,10 +1,9 @@
 """The voxels around bars, and the association of the points of scans with bars.
 
-A point belongs to the bar nearest to its voxel. At a border to voxels of another bar or of none, noise moves points
-across, and only one way counts: the remaining points are biased towards the axis, by up to 4 mm with a range noise of
-2 cm. Flanges then become too small, and paths around a structure too close to it. So an adjustment takes a point only
-if its whole noise interval, along its ray about the front face, lies in voxels of the bar: this choice does not depend
-on the noise.
+A point belongs to the bar nearest to its voxel. Noise moves points out of the voxels of their bar, and such points are
+lost. The remaining points are biased towards the axis, by up to 4 mm with a range noise of 2 cm. Flanges then become
+too small, and paths around a structure too close to it. An adjustment therefore uses a point only if its whole noise
+interval, along its ray about the front face, lies in voxels of the bar. This choice does not depend on the noise.
 """
 
 import math
@@ -22,8 +21,8 @@ from steelnb.types import Array, IntArray, Segments
 
 
 class BarVoxels(NamedTuple):
-    """The bar ``(V,)`` of each voxel around bars, −1 for none or if two are almost equally near; the edge of the
-    voxels, metres; and their hash table."""
+    """The voxels around bars: ``bar (V,)`` of each, −1 if none is near or two are almost equally near; ``voxel_m``:
+    their edge, metres; ``key`` and ``slot``: their hash table."""
 
     bar: IntArray
     voxel_m: float
@@ -69,7 +68,7 @@ class Observations(NamedTuple):
 
     @classmethod
     def gathered(cls, scans: Iterable[tuple[int, Array, IntArray]]) -> "Observations":
-        """From the number of each scan, its points in the sensor frame, and their bars."""
+        """Group ``scans``: the number of each, its points in the sensor frame, and their bars."""
         points, counts = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int64)]
         for k, point, bar in scans:
             count = np.bincount(bar)
@@ -82,8 +81,8 @@ class Observations(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _sorted_by_bar(points, bar, place):  # type: ignore[no-untyped-def]
-    """The points ``(N, 3)`` of a scan in the order of their bars ``(N,)``, float32; ``place (B,)``: where the points of
-    each bar begin, moved to where they end. In one pass: sorting took a seventh of a frame of `faces`."""
+    """The points ``(N, 3)`` of a scan in the order of their bars ``(N,)``, float32. ``place (B,)``: where the points of
+    each bar begin, overwritten by where they end. One pass, since a sort took a seventh of the time of `faces`."""
     result = np.empty((len(points), 3), np.float32)
     for i in range(len(points)):
         for k in range(3):
@@ -94,8 +93,8 @@ def _sorted_by_bar(points, bar, place):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def world_points(points, T, range_max, floor):  # type: ignore[no-untyped-def]
-    """The points ``(M, 3)`` of a scan ``(N, 3)``, sensor frame, in the world frame, with their weights ``(M,)``, which
-    are 1/range², and their indices ``(M,)`` in the scan.
+    """Transform the points ``(N, 3)`` of a scan, sensor frame, to the world frame. Returns the points ``(M, 3)``, their
+    weights ``(M,)``, which are 1/range², and their indices ``(M,)`` in the scan.
 
     NaN, points beyond ``range_max`` metres and points below the height ``floor`` are dropped.
     """
@@ -139,7 +138,7 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
     capacity, width = 0, np.empty(len(start), np.int64)
     for b in range(len(start)):
         along = np.abs(end[b] - start[b])
-        # A slanted bar is wider across that axis, by one over the cosine of its slant.
+        # In a slab, a slanted bar is wider by one over the cosine of its slant.
         width[b] = int(limit * math.sqrt((along * along).sum()) / max(along.max(), 1e-12) / voxel) + 1
         capacity += int((along.max() + 2.0 * limit) / voxel + 2.0) * (2 * width[b] + 1) ** 2
     size = 1 << 10
@@ -188,8 +187,8 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
 def face_residuals(points, bar, T, start, direction, length, across, corner):  # type: ignore[no-untyped-def]
     """`sections.face_distance` of the points ``(N, 3)`` of a scan, sensor frame, and their bars ``(N,)``, −1 for none.
 
-    Residual, its standard deviation, and distance to the sensor across the bar ``(N,)``, the first NaN if there is no
-    face; and in the world frame, the points and the vectors from there to the sensor, both ``(N, 3)``.
+    Returns the residual, NaN if there is no face, its standard deviation and the distance to the sensor across the bar,
+    all ``(N,)``; and the points and the vectors from them to the sensor, both ``(N, 3)`` in the world frame.
     """
     residual, sigma, distance = np.full(len(points), np.nan), np.zeros(len(points)), np.ones(len(points))
     place, ray = np.zeros((len(points), 3)), np.zeros((len(points), 3))

@@ -22,12 +22,12 @@ MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
 
 
 class PointEquations(NamedTuple):
-    """Normal equations of all points, D = 4 or 6 degrees of freedom a pose.
+    """Normal equations of all points, with D = 4 or 6 degrees of freedom per pose.
 
-    Of the poses, ``matrix (K, D, D)`` and ``vector (K, D)``; of the bars, ``block (B, 6, 6)`` and ``rhs (B, 6)``. Of
-    each pair of a scan ``pair_scan (P,)`` and a bar ``pair_bar (P,)``: the block ``cross (P, D, 6)`` between them, and
-    its contribution ``shares (P, 6, 6)`` to the bar's block. ``residuals``: histogram of their magnitudes in standard
-    deviations.
+    ``matrix (K, D, D)`` and ``vector (K, D)`` belong to the poses, ``block (B, 6, 6)`` and ``rhs (B, 6)`` to the bars.
+    For each pair of a scan ``pair_scan (P,)`` and a bar ``pair_bar (P,)``, ``cross (P, D, 6)`` is the block between
+    them, and ``shares (P, 6, 6)`` its contribution to the bar's block. ``residuals``: histogram of the residuals'
+    magnitudes in standard deviations.
     """
 
     matrix: Array
@@ -42,8 +42,8 @@ class PointEquations(NamedTuple):
 
 
 def linearised(problem: Problem, observations: Observations) -> PointEquations:
-    """The normal equations of all points. A motion of a pose is the opposite motion of its bars, so the blocks of poses
-    follow from those of bars, pair by pair."""
+    """The normal equations of all points. Moving a pose has the same effect as moving its bars the opposite way, so the
+    blocks of poses follow from those of bars, pair by pair."""
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
     start, direction, length, across, corner = bars.faces()
     shares, rhs, residuals = _gathered(
@@ -60,8 +60,8 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
 
 
 def _bar_motion(sensor: Array, direction: Array, length: Array, across: Array, size: int) -> Array:
-    """Jacobians ``(P, size, 6)`` of the apparent motion of the bar of each pair by the degrees of freedom of the pose
-    that observes it; ``sensor (P, 3)``: its position from the start of the bar, world frame."""
+    """Jacobians ``(P, size, 6)`` of the apparent motion of each pair's bar with respect to the pose that observes it.
+    ``sensor (P, 3)``: vector from the start of the bar to the sensor, world frame."""
     beside = (across @ sensor[:, :, None])[:, :, 0]
     ahead = 0.5 * length - (direction * sensor).sum(axis=1)
     result = np.zeros((len(length), size, BAR_DOF))
@@ -82,8 +82,8 @@ def summed(values: Array, group: IntArray, count: int) -> Array:
 
 
 def noise_ratio(residuals: Array, ratio: float) -> float:
-    """The range noise as a multiple of that in `points.ranges`, from the median of the histogram of residuals, which
-    are in standard deviations at the previous ``ratio``; ``ratio`` itself if there are none."""
+    """The range noise as a multiple of that in `points.ranges`, from the median of the histogram of residuals. These
+    are in standard deviations at the previous ``ratio``, which is returned if there are none."""
     total = residuals.sum()
     if not total:
         return ratio
@@ -109,7 +109,7 @@ def _gathered(  # type: ignore[no-untyped-def]
         b, pose = pair_bar[pair], T[pair_scan[pair]]
         if flange[b] != flange[b]:
             continue
-        # In the frame of the bar, the point s of the sensor's frame is o + r s.
+        # A point s in the sensor frame is o + r s in the frame of the bar.
         x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
         ou, ov, ot = sections.in_frame(direction[b], across[b], x, y, z)
         r00, r10, r20 = sections.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
@@ -128,12 +128,12 @@ def _gathered(  # type: ignore[no-untyped-def]
             residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
             bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
             weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
-            # Derivatives at the face, not at the measured point: its noise times itself would not average out.
+            # Derivatives at the face: at the measured point, its noise would enter squared and not average out.
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             jacobian[0], jacobian[1], jacobian[2], jacobian[3] = -gu, -gv, -gu * tau, -gv * tau
             jacobian[4], jacobian[5] = beside + rise * front, (beside * rise - front) / flange[b]
             jacobian[BAR_DOF] = -residual
-            for n in range(BAR_DOF):  # bounds that the compiler knows: a third of the time
+            for n in range(BAR_DOF):  # bounds known at compile time: three times as fast
                 weighted = weight * jacobian[n]
                 for m in range(n, BAR_DOF):
                     total[n, m] += weighted * jacobian[m]

@@ -1,9 +1,9 @@
 """Inertial factors of an adjustment (`fusion.problem`): velocities and IMU biases as states beside the poses.
 
-The readings between two scans are integrated once, whatever the pose and velocity before them. They determine what
-bars and a drifting prior do not: the vertical, and the scale. Source: Forster, Carlone, Dellaert, Scaramuzza,
-"On-manifold preintegration for real-time visual-inertial odometry" (T-RO 33, 2017). Two differences: Jacobians are
-numerical, and each step integrates anew, where the source corrects for the bias to first order.
+The readings between two scans are preintegrated: the result does not depend on the pose and velocity before them. They
+determine the vertical and the scale, which bars and a drifting prior do not. Source: Forster, Carlone, Dellaert,
+Scaramuzza, "On-manifold preintegration for real-time visual-inertial odometry" (T-RO 33, 2017). Here, Jacobians are
+numerical, and each step integrates again; the source instead corrects for the bias to first order.
 """
 
 from collections.abc import Callable
@@ -26,21 +26,21 @@ NO_STEP = np.zeros(STATE_DOF)
 VELOCITY_SIGMA_M_S = 100.0
 """Prior standard deviation of each velocity, so large that it has no effect."""
 SIGMA_MIN = 1e-7
-"""Minimum noise density and minimum standard deviation of a bias, for an IMU without."""
+"""Minimum noise density and minimum standard deviation of a bias, for a noise-free IMU."""
 GAP_MAX_S = 0.1
 """Maximum time between two readings. An interval with a longer gap has no factor."""
 LEAN_MAX_RAD = 0.5
-"""Maximum angle between the vertical of the readings and the prior's. Beyond, their axes are not the drone's."""
+"""Maximum angle between the verticals of the readings and of the prior. A larger one means wrong axes."""
 STEP = 1e-5
 """Step of the numerical Jacobians."""
 RATE_MIN, UNIT_FACTOR = 0.5, 10.0
-"""Angular rates above the first, and larger than the prior's by the second, are not in rad/s."""
+"""Angular rates above the first, and above the prior's times the second, are not in rad/s."""
 
 
 class Integrated(NamedTuple):
-    """Readings integrated between K scans, each in the frame of the earlier one: ``rotation (K − 1, 3, 3)``, and
-    without gravity the change of ``velocity (K − 1, 3)``, m/s, and of ``position (K − 1, 3)``, metres, in addition to
-    that by the initial velocity."""
+    """Readings integrated between K scans, in the frame of the earlier one: ``rotation (K − 1, 3, 3)``, and the changes
+    of ``velocity (K − 1, 3)``, m/s, and ``position (K − 1, 3)``, metres. Gravity is left out, and so is the motion with
+    the initial velocity."""
 
     rotation: Array
     velocity: Array
@@ -52,7 +52,7 @@ class Inertial:
     """The IMU factors of an adjustment of K scans at ``stamp_s (K,)``.
 
     ``motion (K, 9)``: velocity in the world, m/s, and biases of gyroscope, rad/s, and accelerometer, m/s²;
-    ``information (K, 9)``: that of their prior, which is zero; ``weight (K − 1, 15, 15)``: information of the `errors`
+    ``information (K, 9)``: of their zero-mean prior; ``weight (K − 1, 15, 15)``: information of the `errors`
     between scans; ``T_drone_sensor (4, 4)``: the sensor's mount.
     """
 
@@ -65,7 +65,7 @@ class Inertial:
 
     @classmethod
     def started(cls, imu: Imu, noise: ImuSettings, T_drone_sensor: Array, trajectory: Trajectory) -> "Inertial":
-        """With the velocities of a trajectory at the scans, and zero biases; ``noise`` is that of the data sheet."""
+        """Start with the velocities of a trajectory at the scans and zero biases; ``noise``: from the data sheet."""
         stamp_s, gap_s = trajectory.stamp_s, np.diff(trajectory.stamp_s)
         motion, information = np.zeros((2, len(stamp_s), 9))
         if len(stamp_s) > 1:
@@ -98,7 +98,7 @@ class Inertial:
         """Errors ``(K − 1, 15)`` between poses of the sensor ``(K, 4, 4)``: three each of rotation, rad, velocity, m/s,
         and position, m, in the world frame, and the change of the two biases.
 
-        They are those after a step ``before (15,)`` of the earlier state of each interval, and ``after`` of the later.
+        Before that, the earlier state of each interval is moved by the step ``before (15,)``, the later by ``after``.
         """
         from_sensor, gap_s = np.linalg.inv(self.T_drone_sensor), np.diff(self.stamp_s)[:, None]
         T0, T1 = (
@@ -122,13 +122,13 @@ class Inertial:
 
 
 def _jacobian(errors: Callable[[Array], Array]) -> Array:
-    """Numerical Jacobian ``(…, 15)`` of errors by the step of a state, at zero."""
+    """Numerical Jacobian ``(…, 15)`` of errors with respect to the step of a state, at zero."""
     return np.stack([(errors(step) - errors(-step)) / (2 * STEP) for step in STEP * np.eye(STATE_DOF)], axis=-1)
 
 
 def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
-    """Covariances ``(K, 9, 9)`` of rotation, velocity and position after the times ``gap_s (K,)`` due to white noise,
-    for rotations so small that their direction does not matter."""
+    """Covariances ``(K, 9, 9)`` of rotation, velocity and position after the times ``gap_s (K,)`` due to white noise.
+    The effect of rotation errors on velocity and position is neglected."""
     gyro, force = (max(each, SIGMA_MIN) ** 2 for each in (noise.gyro_noise, noise.accelerometer_noise))
     one, gap_s = np.eye(3), gap_s[:, None, None]
     by_gyro, spread, none = gyro * gap_s * one, force * gap_s**2 / 2 * one, 0 * gap_s * one
@@ -179,9 +179,9 @@ def integrated(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def
 
 
 def check_imu(imu: Imu, prior: Trajectory) -> None:
-    """Raise `InputError` if readings are in other units or axes than those of the drone.
+    """Raise `InputError` if readings do not have the units, axes and clock of the drone's poses.
 
-    Checked are magnitude and direction of gravity, and the rotation between the poses of the ``prior``.
+    The mean specific force and the angular rate are compared with gravity and the rotation of the ``prior``.
     """
     inside = (imu.stamp_s >= prior.stamp_s[0]) & (imu.stamp_s <= prior.stamp_s[-1])
     if inside.sum() < 2 or len(prior) < 2:
@@ -196,7 +196,7 @@ def check_imu(imu: Imu, prior: Trajectory) -> None:
         raise InputError(f"IMU: specific force of {size:.3g} on average; expected {GRAVITY} m/s², gravity's")
     lean = float(np.arccos(np.clip(mean[2] / size, -1, 1)))
     if lean > LEAN_MAX_RAD:
-        raise InputError(f"IMU: its vertical is {np.degrees(lean):.0f}° off; expected the axes of the drone, by tf")
+        raise InputError(f"IMU: its vertical is {np.degrees(lean):.0f}° off; expected the axes of the drone (see tf)")
     gap_s, R = np.diff(prior.stamp_s), prior.T_world_drone[:, :3, :3]
     prior_rates = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
     steps = imu.angular_rate * np.diff(imu.stamp_s, prepend=imu.stamp_s[0])[:, None]

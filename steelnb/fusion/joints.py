@@ -1,4 +1,4 @@
-"""Joints: where bars meet by shortest distance, and bars extended to them."""
+"""Joints: points where the axes of bars come closest, and bars extended to them."""
 
 import itertools
 import math
@@ -18,7 +18,7 @@ BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
 SLACK_M, REACH_M, LEAD_MAX_M, SAME_M, BEND_M, BEND_GAP_M = 0.02, 0.2, 0.8, 0.15, 1.2, 0.1
 """See `find_joints` and `trim_bends`."""
 ANCHOR = 0.01
-"""Weight of an initial position against that of a line: almost parallel lines have no nearest point."""
+"""Weight of an initial position relative to a line's: almost parallel lines do not determine a nearest point."""
 
 
 def nearest_point(axes: Array, initial: Array) -> Array:
@@ -34,8 +34,8 @@ def nearest_point(axes: Array, initial: Array) -> Array:
 def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segments]:
     """Joints ``(J, 3)``, ties ``(T, 2)`` of (joint, bar), and the bars with their ends moved to the joints; metres.
 
-    Two bars meet if their axes come closer than half the sum of their widths ``(B,)`` plus `SLACK_M`. The points within
-    `REACH_M` of another bar are easily assigned to that. So either bar may be extended by `REACH_M` over the sine of
+    Two bars meet if their axes come closer than half the sum of their widths ``(B,)`` plus `SLACK_M`. Points within
+    `REACH_M` of another bar are often assigned to that bar. So either bar may be extended by `REACH_M` over the sine of
     the angle between them, at most by `LEAD_MAX_M`, but only to the first bar that it meets. Bars that continue each
     other at a small angle meet at the bend, up to `BEND_M` from their ends.
 
@@ -82,8 +82,8 @@ def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
 
 
 def trim_bends(bars: Segments) -> Segments:
-    """The bars, cut at bends, where two bars continue each other at a small angle, and each has grown into the other:
-    their axes come closer than `BEND_GAP_M`, up to `BEND_M` from their ends."""
+    """The bars, cut at bends. There, two bars that continue each other at a small angle have grown into each other:
+    their axes come closer than `BEND_GAP_M`, at most `BEND_M` from their ends."""
     pair, at, lead = _meetings(bars.start, bars.direction, bars.length, np.zeros(len(bars)), BEND_GAP_M, 0.0)
     start, end, is_bend = bars.start.copy(), bars.end.copy(), lead >= BEND_M
     for bar, along in zip(pair[is_bend].ravel(), at[is_bend].ravel(), strict=True):
@@ -109,7 +109,7 @@ def _extended(bars: Segments, joint: Array, tie: IntArray, lead: Array) -> Segme
 @njit(cache=True)
 def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no-untyped-def]
     """Pairs of bars that meet ``(P, 2)``, the positions along both ``(P, 2)``, metres from their starts, and the
-    largest extension or cut of either ``(P,)``."""
+    maximum extension or cut of either ``(P,)``."""
     pairs, positions, leads = [(0, 0)], [(0.0, 0.0)], [0.0]
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
@@ -122,7 +122,7 @@ def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no
             s, t = (cosine * f - c) / square, (f - cosine * c) / square
             if abs(cosine) > BEND_MAX:
                 lead = BEND_M
-                # At a bend one bar lies before it and the other behind.
+                # The two bars lie on opposite sides of a bend.
                 side = (1.0 if s > 0.5 * length[i] else -1.0) * (1.0 if t > 0.5 * length[j] else -1.0) * cosine
                 off_i, off_j = min(abs(s), abs(s - length[i])), min(abs(t), abs(t - length[j]))
                 if side > 0.0 or off_i > min(BEND_M, 0.4 * length[i]) or off_j > min(BEND_M, 0.4 * length[j]):
@@ -144,15 +144,13 @@ def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no
 def _is_first(pair: IntArray, at: Array, length: Array) -> NDArray[np.bool_]:
     """Mask of the meetings ``(P,)`` for which no bar is extended past another one."""
     result = np.ones(len(pair), dtype=bool)
-    for _ in range(2):  # dropping one meeting may free another; the second round settles it
-        before = result.copy()
-        for beyond in (-at, at - length[pair]):
-            first = np.full(len(length), np.inf)
-            for k in range(2):
-                out = before & (beyond[:, k] > -SAME_M)
-                np.minimum.at(first, pair[out, k], np.maximum(beyond[out, k], 0.0))
-            for k in range(2):
-                result &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + SAME_M))
+    for beyond in (-at, at - length[pair]):
+        first = np.full(len(length), np.inf)
+        for k in range(2):
+            out = beyond[:, k] > -SAME_M
+            np.minimum.at(first, pair[out, k], np.maximum(beyond[out, k], 0.0))
+        for k in range(2):
+            result &= ~((beyond[:, k] > 0) & (beyond[:, k] > first[pair[:, k]] + SAME_M))
     return result
 
 
@@ -164,8 +162,8 @@ def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
     first, second = order[:-1], order[1:]
     near = (bar[first] == bar[second]) & (along[second] - along[first] < SAME_M)
     edges = list(zip(meeting[first[near]].tolist(), meeting[second[near]].tolist(), strict=True))
-    # Two straight bars meet once, so joints that share two bars are one. Two bars at an acute angle that are not in one
-    # plane come nearest to each other well beside the joint that a third bar makes with either.
+    # Two straight bars meet once, so joints that share two bars are merged. Two skew bars at an acute angle come
+    # nearest to each other well away from the joints that a third bar forms with them.
     while True:
         ends = np.array(edges, dtype=np.int64).reshape(-1, 2)
         group = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=(len(pair), len(pair))))[1]

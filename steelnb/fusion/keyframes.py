@@ -12,16 +12,16 @@ from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
 
 FITS, STAGES = 2, ((1, 2),)
-"""Number of fits of the bars before an adjustment, and its stages (`reconstruct.Stages`)."""
+"""Number of times that bars are fitted before an adjustment, and its stages (`reconstruct.Stages`)."""
 KEYFRAMES_MAX, RECENT = 400, 100
-"""Above this number every second keyframe is dropped, except the first and the most recent ones. It bounds the time of
-an adjustment."""
+"""Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
+of an adjustment."""
 BARS_MIN = 4
 """Minimum number of bars with a section."""
 
 
 class Keyframes:
-    """K scans of a flight, accumulated in voxels at the poses that they had when they were added.
+    """K scans of a flight, accumulated in voxels at the poses at which they were added.
 
     ``T_world_sensor (K, 4, 4)``: their poses after the last adjustment; ``settings``: of the bars; ``tilt_sigma_rad``:
     standard deviation of the prior's roll and pitch (`Problem`); ``readings``: of an IMU, with its data sheet and the
@@ -37,8 +37,8 @@ class Keyframes:
         self._ratio: float | None = None  # range noise as a multiple of that in `points.ranges`
 
     def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
-        """Add a scan: its ``points (N, 3)`` in the sensor frame to fit bars to, its pose, and the pose of the sensor by
-        the drifting ``prior``, both ``(4, 4)``. Drift begins at the first one."""
+        """Add a scan with its pose ``(4, 4)``. Bars are fitted to its ``points (N, 3)``, sensor frame. ``prior (4, 4)``
+        is the sensor's drifting pose; drift begins at the first one."""
         insert_scan(self.voxels, scan, T_world_sensor, self.settings)
         self.scans.append(Scan(scan.stamp_s, points))
         self.T_world_sensor = np.concatenate([self.T_world_sensor, T_world_sensor[None]])

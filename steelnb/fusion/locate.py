@@ -1,7 +1,7 @@
-"""Registration of one scan to known bars: the problem of `fusion.problem` with one pose, and bars that hardly move.
+"""Registration of one scan to known bars: the problem of `fusion.problem` with one pose and almost fixed bars.
 
-Gauss-Newton on position and yaw, and on roll and pitch if those of the prior have errors. The predicted pose is a
-factor with its information.
+Gauss-Newton estimates position and yaw, and also roll and pitch if those of the prior have errors. The predicted pose
+is a factor with its information.
 """
 
 from typing import NamedTuple
@@ -19,17 +19,17 @@ from steelnb.types import Array, IntArray, Scan
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
 SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
-"""Standard deviations of a bar: of its position, an error that all scans share; of the rotation of its section,
-radians; and of its flange."""
+"""Standard deviations of a bar: of its position (an error that all scans share), of the rotation of its section,
+radians, and of its flange."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
 MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 4, 10, 100
-"""Minimum number of bars, points a bar, and points a scan; below them a registration is rejected."""
+"""Minimum number of bars, points per bar, and points per scan; below them a registration is rejected."""
 SHARE_MIN = 0.5
-"""Minimum share of the points near bars that lie on front faces, of one bar and of a scan. Points far from all bars do
-not count: they are on structure that no bar describes yet, and say nothing about the pose."""
+"""Minimum share of the points near bars that lie on front faces, both for each bar and for the scan. Points far from
+all bars do not count: they lie on structure that is not mapped yet."""
 POSITION_SIGMA_MAX_M = 0.004
 """Largest accepted standard deviation of the position along an axis."""
 RATIO_BOUNDS = (1.0, 6.0)
@@ -37,9 +37,9 @@ RATIO_BOUNDS = (1.0, 6.0)
 
 
 class Fit(NamedTuple):
-    """A registration: the pose of the sensor; its information ``(D, D)``, D = 4 or 6, about a step from it
-    (`fusion.poses`), and its variance ``(D,)``; the number of matched bars, and the range noise as a multiple of that
-    in `points.ranges`. ``reason``: why it is rejected, else empty."""
+    """A registration: the pose of the sensor; ``information (D, D)`` and ``variance (D,)`` of a step from it
+    (`fusion.poses`), D = 4 or 6; number of matched ``bars``; ``ratio``: range noise as a multiple of that in
+    `points.ranges`; ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array
     information: Array
@@ -52,7 +52,7 @@ class Fit(NamedTuple):
 class Locator:
     """Registers scan after scan to ``bars`` with sections, in the world frame.
 
-    ``variance (D,)``: that of the predicted pose of the next scan, D = 4, or 6 if the prior's roll and pitch have a
+    ``variance (D,)``: of the predicted pose of the next scan; D = 4, or 6 if the prior's roll and pitch have a
     ``tilt_sigma_rad``; ``ratio``: range noise as a multiple of that in `points.ranges`.
     """
 
@@ -92,7 +92,7 @@ class Locator:
         sigma_m, reason = float(np.sqrt(variance[-3:].max())), ""
         if not (bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= POSITION_SIGMA_MAX_M):
             reason = (
-                f"too little to tell the pose by: {bars} bars in sight, {100 * share:.0f} % of the points near bars on "
+                f"pose not determined: {bars} bars in sight, {100 * share:.0f} % of the points near bars on "
                 f"their faces, position known to {1e3 * sigma_m:.1f} mm"
             )
         return Fit(T, information, variance, bars, noise_ratio(residuals, self.ratio), reason)
@@ -103,11 +103,11 @@ class Locator:
         self.variance = fit.variance
 
     def _equations(self, points: Array, T_world_sensor: Array) -> tuple[Array, Array, Array]:
-        """Normal equations ``(D, D)``, ``(D,)`` of the pose by ``points (N, 3)``, sensor frame, and the histogram of
+        """Normal equations ``(D, D)``, ``(D,)`` of the pose from ``points (N, 3)``, sensor frame, and the histogram of
         their residuals.
 
-        The bars are marginalised with their standard deviations. So many points on a bar determine the pose no better
-        than the bar itself is known.
+        The bars are marginalised with their standard deviations. However many points lie on a bar, they determine the
+        pose no better than the bar itself is known.
         """
         bar = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
         observations = Observations.gathered([(0, points[bar >= 0], bar[bar >= 0])])
@@ -127,8 +127,8 @@ class Locator:
         )  # fmt: skip
 
     def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
-        """For each bar, how many of the ``points (N, 3)``, sensor frame, belong to it, and how many of these lie on its
-        front face within `MATCH_SIGMAS` standard deviations, both ``(B,)``."""
+        """Number of ``points (N, 3)``, sensor frame, that belong to each bar, and number of these within `MATCH_SIGMAS`
+        standard deviations of its front face, both ``(B,)``."""
         bar, n = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]), len(self.bars.turn)
         residual, sigma, *_ = face_residuals(points, bar, T_world_sensor, *self.bars.faces())
         on = np.abs(residual) < MATCH_SIGMAS * self.ratio * sigma  # false for NaN

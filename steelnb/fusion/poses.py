@@ -3,8 +3,8 @@
 The step of a pose is a rotation vector in the world frame, radians, about the pose's own position, then a translation,
 metres: six numbers in the order of a twist. With four degrees of freedom it is the last four: yaw, x, y, z.
 
-The prior drifts in position and yaw as a random walk. Its roll and pitch are exact; or, with a standard deviation
-``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, as those of an attitude filter.
+The prior drifts in position and yaw as a random walk. Its roll and pitch are exact by default. With a standard
+deviation ``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, like those of an attitude filter.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ TILT_S = 10.0
 TILT_SIGMA_RAD = 0.0175
 """Default standard deviation (1°) of the prior's roll and pitch if there is an IMU."""
 FIXED = 1e12
-"""Information that holds a pose where it is."""
+"""Information that fixes a pose."""
 
 
 class ChainEquations(NamedTuple):
@@ -82,9 +82,9 @@ def chain_equations(
 ) -> ChainEquations:
     """Normal equations of factors on single states and between neighbours.
 
-    Of each state, its errors ``(K, D)`` and their information ``(K, D)``. Between each state and the next, the errors
-    ``(K − 1, D)``, their information ``weight (K − 1, D, D)``, and their Jacobians ``(K − 1, D, D)`` by the state
-    ``before`` and ``after``.
+    Each state has errors ``(K, D)`` with information ``(K, D)``. Between each state and the next, there are errors
+    ``(K − 1, D)`` with information ``weight (K − 1, D, D)``; ``before`` and ``after (K − 1, D, D)`` are their Jacobians
+    with respect to the earlier and the later state.
     """
     matrix, vector = state_weight[:, :, None] * np.eye(state_error.shape[1]), -state_weight * state_error
     earlier, later = before.transpose(0, 2, 1) @ weight, after.transpose(0, 2, 1) @ weight
@@ -99,9 +99,9 @@ def prior_equations(
 ) -> ChainEquations:
     """Normal equations of the prior's factors on the poses ``T (K, 4, 4)`` at ``stamp_s (K,)``.
 
-    The increments of position and yaw are those of the ``prior (K, 4, 4)``, in the frame of the earlier pose. Roll and
-    pitch, if free, follow their Gauss-Markov process. The first pose is held at the prior's, its roll and pitch only
-    if the prior is ``upright`` there; otherwise they have ``tilt_sigma_rad``, as all others.
+    The increments of position and yaw are those of the ``prior (K, 4, 4)``, in the frame of the earlier pose. Errors of
+    roll and pitch, if free, follow their Gauss-Markov process. The first pose is fixed to the prior's. Its roll and
+    pitch are fixed only if the prior is ``upright`` there; otherwise they have the sigma ``tilt_sigma_rad``.
     """
     size = pose_size(tilt_sigma_rad)
     tilt, yaw, shift = slice(0, size - UPRIGHT_DOF), size - UPRIGHT_DOF, slice(size - 3, size)

@@ -1,12 +1,12 @@
-"""The least-squares problem of an adjustment: all poses of a flight and all its bars, sections included, as unknowns of
-one maximum a posteriori estimate (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
+"""The least-squares problem of an adjustment: one maximum a posteriori estimate of all poses and all bars of a flight,
+including their sections (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
 
 The factors (`fusion.factors`, `fusion.poses`, `fusion.inertial`):
 
 - the distance of each point to the front face of its bar along the line of sight, with the range noise as its standard
   deviation and robust weights;
 - the increments of the drifting prior from scan to scan, in the frame of the earlier pose;
-- the first pose, which is the prior's: drift begins there;
+- the first pose, fixed to the prior's, since drift begins there;
 - the readings of an IMU between scans, if there are any.
 
 The unknowns are position and yaw of each pose, and position, direction, rotation and flange of each bar. Roll and pitch
@@ -28,9 +28,9 @@ from steelnb.types import Array, Segments
 BAR_DOF = 6
 """Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
-"""Prior standard deviations of a bar. Of position and direction for one step: they hold what no point determines, such
-as the position of a single face along itself. Of rotation and flange about those fitted to the outlines, which are no
-factors here."""
+"""Prior standard deviations of a bar. Those of position and direction apply to each step. They constrain what no point
+determines, such as the position of a single face along itself. Those of rotation and flange are about the values fitted
+to outlines, since outlines are not factors here."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 
 
@@ -47,12 +47,12 @@ class Bars:
 
     @property
     def has_section(self) -> NDArray[np.bool_]:
-        """Which bars have a known section ``(B,)``."""
+        """Mask ``(B,)`` of the bars with a known section."""
         return ~np.isnan(self.flange)
 
     @property
     def is_bar(self) -> NDArray[np.bool_]:
-        """Which have a known section, and are no plates ``(B,)``."""
+        """Mask ``(B,)`` of the bars with a known section that are not plates."""
         return np.isfinite(self.flange)
 
     @property
@@ -98,8 +98,8 @@ class Problem:
 def start(
     T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None
 ) -> Problem:
-    """The state before the first step: poses ``(K, 4, 4)`` and bars moved together, by a yaw and a translation, such
-    that the first pose is that of the ``prior (K, 4, 4)``."""
+    """The state before the first step: poses ``(K, 4, 4)`` and bars, moved together by the yaw and translation that
+    take the first pose to that of the ``prior (K, 4, 4)``."""
     T_correction = np.eye(4)
     yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()

@@ -1,4 +1,4 @@
-"""Bars proposed from a voxel map: ridges of weight, lines in blocks of them, pieces merged in line."""
+"""Bars proposed from a voxel map: find ridges of weight, fit lines to blocks of them, merge collinear pieces."""
 
 import math
 
@@ -12,19 +12,19 @@ from steelnb.points import VoxelMap, voxel_grid
 from steelnb.types import Array, IntArray, Segments
 
 TUBE_M, VOXEL_M = 0.06, 0.04
-"""Radius of the tube about a bar that holds its points, and edge of the voxels that accumulate the scans. These and the
-other lengths and shares of reconstruction were chosen together with ``starling2``, ``zigzag`` and ``loops``, around the
+"""Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
+other lengths and shares of reconstruction were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the
 tower ``tapered`` and one with flanges of 160 mm."""
 RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
 """See `ridge_points`."""
 LENGTH_MIN_M = 0.3
 """Minimum length of a bar."""
 STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
-"""The same for struts, short bars between two others, and their minimum distance from all bars."""
+"""The same for struts, short bars between two others. ``STRUT_HIDE_M``: minimum distance of their points from bars."""
 GRIDS = 4
-"""Number of grids of blocks in which bars are proposed. On flights eight find no more."""
+"""Number of grids of blocks in which bars are proposed. On flights, eight grids find no more bars than four."""
 IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
-"""Maximum angle of two pieces of one bar, and maximum gap between them."""
+"""Maximum angle between two pieces of one bar, and maximum gap between them."""
 COPY_RAD, COPY_M, COPY_SHARE = math.radians(15), 0.2, 0.6
 """Maximum angle and distance of a copy from a stronger bar, and minimum share of its samples within this distance."""
 SAMPLES = 9
@@ -32,7 +32,7 @@ SAMPLES = 9
 
 
 def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
-    """The bars of a voxel map, strongest first, with their axes in the middle of their points; or none, and the reason.
+    """The bars of a voxel map, strongest first, with axes in the middle of their points; and the reason if none.
 
     ``grids``: number of grids of blocks, 1 to 8 (`segment_structure`); ``rise_m``: see `merge_pieces`.
     """
@@ -47,15 +47,15 @@ def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) ->
 
 
 def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
-    """The short bars between the ``bars`` of a voxel map. They are weak beside long bars, and their ends lie within the
-    tubes of these, so they are searched for in the voxels farther than ``hide_m`` from all bars."""
+    """The short bars between the ``bars`` of a voxel map. They have few points next to long bars, and their ends lie in
+    the tubes of these. So the search is limited to voxels farther than ``hide_m`` from all bars."""
     hidden = within(voxels.means(), bars, hide_m)
     points = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
     points = voxel_grid(points, STRUT_TUBE_M / math.sqrt(3))
     if len(points) < MIN_VOTES:
         return Segments.empty()
     struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    # Both ends, extended by up to the reach of a joint, come near to a bar.
+    # Both ends must come near a bar when extended by at most the reach of a joint.
     extension = np.arange(0, REACH_M + 1e-9, 0.03)[:, None, None] * struts.direction
     extended = np.stack([struts.start - extension, struts.end + extension])
     near = within(extended.reshape(-1, 3), bars, TUBE_M).reshape(extended.shape[:3])
@@ -65,12 +65,12 @@ def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GR
 def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = math.inf) -> Segments:
     """Join the pieces of bars, drop copies of stronger bars, and sort by strength.
 
-    Pieces are in line, at most `PIECE_GAP_MAX_M` apart, and at most `TUBE_M` beside each other. A joined bar has the
+    Pieces are almost parallel, at most `PIECE_GAP_MAX_M` apart and offset by at most `TUBE_M`. A joined bar has the
     moments of its pieces, each taken as a uniform bar of its points.
 
     A copy lies mostly within `COPY_M` of a stronger bar, at a small angle, and rises across it by at most ``rise_m``
-    metres over its length. The rise tells it from a brace at an acute angle to its chord: a line through the points of
-    a tube rises by at most the tube's radius, a brace of 1 m at 12° by 0.2 m. By default such braces are copies.
+    metres over its length. The rise distinguishes it from a brace at an acute angle to its chord: a line through the
+    points of a tube rises by at most its radius, a brace of 1 m at 12° by 0.2 m. By default, both are dropped.
 
     The widths ``width_m (B,)``, NaN if unknown, widen the bounds, since points of an angle section lie up to 0.8
     flanges from its centroid, and the middles of its faces half a flange apart.
@@ -89,7 +89,7 @@ def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = m
 
 
 def _joined(bars: Segments, fate: IntArray) -> Segments:
-    """The remaining bars, joined with the pieces whose ``fate`` they are."""
+    """The remaining bars, each joined with the pieces that ``fate`` assigns to it."""
     remaining = np.flatnonzero(fate == np.arange(len(bars)))
     joined = bars.take(remaining)
     for k, bar in enumerate(remaining):
@@ -111,7 +111,7 @@ def _joined(bars: Segments, fate: IntArray) -> Segments:
 
 @njit(cache=True)
 def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-untyped-def]
-    """The stronger bar that each bar joins, itself for none, or −1 for a copy. At most one join a bar and round."""
+    """The stronger bar that each bar is joined to, its own index if none, −1 for a copy; at most one join per bar."""
     n = len(length)
     fate = np.arange(n)
     taken = np.zeros(n, np.bool_)
@@ -120,7 +120,7 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
             if fate[i] != i:
                 continue
             apart = 0.0
-            for k in range(3):  # scalars, since few of all pairs are near
+            for k in range(3):  # scalar, since most pairs are rejected here
                 middle = start[j, k] + 0.5 * length[j] * direction[j, k]
                 apart += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
             if math.sqrt(apart) > 0.5 * (length[i] + length[j]) + PIECE_GAP_MAX_M + copy[i]:
@@ -142,7 +142,7 @@ def _fates(start, direction, length, copy, aside, rise):  # type: ignore[no-unty
                 break
             if cosine < math.cos(IN_LINE_RAD) or taken[i] or taken[j] or max(low - length[i], -high) > PIECE_GAP_MAX_M:
                 continue
-            # Their distance is that in the middle of the gap or of the overlap.
+            # Distance in the middle of the gap or of the overlap.
             t = 0.5 * (min(max(low, 0.0), length[i]) + min(max(high, 0.0), length[i]))
             r = start[i] + t * direction[i] - start[j]
             s = (r * direction[j]).sum()

@@ -27,17 +27,17 @@ from steelnb.types import Array, IntArray, Scan, Segments
 END_TUBES = 1.2
 """Points within this many tube radii of the ends of a bar take no part in the fit of its section."""
 TILT_DETERMINED_RAD, TILT_MAX_RAD = 0.02, 0.1
-"""A bar whose direction has a standard deviation above the first keeps its direction in the fit of its section, and in
-the end runs from joint to joint; above the second it is dropped."""
+"""A bar whose direction has a standard deviation above the first keeps its axis when its section is fitted, and finally
+runs from joint to joint. Above the second, it is dropped."""
 Stages = tuple[tuple[int, int], ...]
-"""Stages ``(n, steps)`` of an adjustment: one pixel in n takes part in so many steps."""
+"""Stages ``(n, steps)`` of an adjustment: number of steps with one in n pixels."""
 REACH_TUBES, MARGIN_TUBES = 2.4, 0.5
 """Reach and margin of `BarVoxels.around`, in tube radii."""
 FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
-"""Maximum distance of a point of an adjustment from the front face of its bar, in standard deviations of the range
-noise and in tube radii; and minimum noise ratio, below which poses and sections are wrong, not points. With
-``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor a larger bound leaves too few
-points of the first scan, which holds the world frame."""
+"""Maximum distance of a point from the front face of its bar in an adjustment, in standard deviations of the range
+noise and in tube radii; and minimum noise ratio for the first, below which large residuals are due to poses and
+sections. With ``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor, a larger bound
+leaves too few points of the first scan, which fixes the world frame."""
 
 
 def reconstruct(
@@ -48,21 +48,21 @@ def reconstruct(
 ) -> Structure:
     """Bars and joints of a structure from all scans of a flight and their smoothed or corrected poses.
 
-    There are two passes: the bars that stand out, then the shorter ones between them, which show once their sections
-    are fitted. The axis of a bar is the line through the centroids of its sections, angles or circles. A bar with too
-    few points for its section or direction is dropped, and so are lines in plates (`fusion.section_choice`).
+    There are two passes: first the dominant bars, then the shorter ones between them, which become visible once the
+    sections of the first are fitted. The axis of a bar is the line through the centroids of its sections. A bar with
+    too few points for its section or direction is dropped, and so are lines in plates (`fusion.section_choice`).
 
     Parameters
     ----------
     scans : K scans, points in the sensor frame, NaN for no return; read several times, one in memory at a time.
     T_world_drone : ``(K, 4, 4)``, the corrected poses.
     T_drone_sensor : ``(4, 4)``, the mount of the sensor, default identity.
-    settings : see `StructureSettings`. With ``adjust``, poses and bars are adjusted together first (`fusion.problem`).
-        Smoothing does this better.
+    settings : see `StructureSettings`. With ``adjust``, poses and bars are adjusted together first (`fusion.problem`);
+        smoothing does this more accurately.
 
     Returns
     -------
-    `Structure` in the world frame, metres. An empty one has the reason.
+    `Structure` in the world frame, metres. An empty one states the reason.
 
     Raises `InputError` if the poses do not fit the scans or are not finite, or if no scan has a return above the floor.
     """
@@ -81,13 +81,13 @@ def reconstruct(
     if not len(segments):
         return Structure.empty(reason)
     _, segments = flight.refined(segments, rise_m=TUBE_M)
-    # Axes through the middles of points hide short bars that axes through centroids do not.
+    # Now that axes run through centroids, the voxels near bars hide fewer short bars.
     struts = find_struts(flight.voxels, segments, TUBE_M)
     _, segments = flight.refined(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = flight.fit(trim_bends(segments), every=1)
     fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))  # a tilt is NaN if points are too few
     if not len(fitted.tilt):
-        return Structure.empty("no bar was seen well enough to tell its direction")
+        return Structure.empty("no bar has enough points to determine its direction")
     structure = _tied(fitted)
     return replace(structure, segments=between_joints(structure, fitted.tilt > TILT_DETERMINED_RAD))
 
@@ -95,7 +95,7 @@ def reconstruct(
 def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: StructureSettings) -> None:
     """Add the points of a scan to the voxels, with weights 1/range².
 
-    Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, in half the voxels.
+    Ranges of organised scans are smoothed first: thin bars are then found at twice the distance, with half the voxels.
     """
     points, weight, _ = world_points(
         _flat(smooth_ranges(scan.points)), T_world_sensor, settings.range_max_m, settings.floor_m
@@ -134,8 +134,8 @@ class MappedScans:
     def mapped(
         cls, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1
     ) -> "MappedScans":
-        """With one in ``every`` scans in voxels (`insert_scan`). Raises `InputError` if there is no return above the
-        floor."""
+        """Accumulate one in ``every`` scans in voxels (`insert_scan`). Raises `InputError` if there is no return above
+        the floor."""
         voxels = VoxelMap(VOXEL_M)
         for k, scan in zip(range(0, len(scans), every), scans[::every], strict=True):
             insert_scan(voxels, scan, T_world_sensor[k], settings)
@@ -150,8 +150,8 @@ class MappedScans:
     def bar_points(
         self, voxels: BarVoxels, every: int = 1, pixels: int = 1, bars: Bars | None = None, sigma_ratio: float = 1.0
     ) -> Iterator[tuple[int, Array, IntArray]]:
-        """For one in ``every`` scans, of one in ``pixels`` of its points: the number of the scan, the points on bars in
-        the sensor frame, and their bars. With ``bars``, only points within `FACE_SIGMAS` of their front faces
+        """Yield, for one in ``every`` scans, its number, its points on bars in the sensor frame, and their bars; one in
+        ``pixels`` points is used. With ``bars``, only points within `FACE_SIGMAS` of their front faces are taken
         (`BarVoxels.on_face`); ``sigma_ratio``: range noise as a multiple of that in `points.ranges`."""
         s, sigmas = self.settings, FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
         for k, scan in zip(range(0, len(self.scans), every), self.scans[::every], strict=True):
@@ -168,11 +168,11 @@ class MappedScans:
         self, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
         tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, sigma_ratio: float | None = None,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
-        """The bars of `find_and_fit` and the poses, adjusted together; and the equations of the last step.
+        """Adjust the poses and the bars of `find_and_fit` together; returns also the equations of the last step.
 
         ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad`` and ``inertial`` as for `Problem`. All
-        steps of a stage have the same `bar_points`. Without a ``sigma_ratio``, those far from the front faces take
-        part, too.
+        steps of a stage use the same `bar_points`. Without a ``sigma_ratio``, these include points far from the front
+        faces.
 
         Raises `InputError` if fewer than ``bars_min`` bars have a known section.
         """
@@ -191,7 +191,7 @@ class MappedScans:
         return state, equations
 
     def fit(self, bars: Segments, every: int) -> FittedBars:
-        """Fit sections, angles, circles or planes, to the points on each bar in one in ``every`` scans. The axes move
+        """Fit a section (angle, circle or plane) to the points on each bar in one in ``every`` scans. The axes move
         to the centroids."""
         across, n = sections.frames(bars.direction), len(bars)
         histogram, sightings = np.zeros((n, *sections.HISTOGRAM)), np.zeros(n, dtype=np.int64)
@@ -210,7 +210,7 @@ class MappedScans:
 
     def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans. Bars extended to their joints have
-        more points, so a second fit is more exact. Raises `InputError` if there are none."""
+        more points, so a second fit is more accurate. Raises `InputError` if there are no bars."""
         segments, reason = find_bars(self.voxels, grids=1)
         if not len(segments):
             raise InputError(reason)
@@ -219,8 +219,8 @@ class MappedScans:
         return fitted
 
     def refined(self, bars: Segments, every: int = 5, rise_m: float = math.inf) -> tuple[FittedBars, Segments]:
-        """The bars fitted, and then extended to their joints and merged (`merge_pieces`). With a bound ``rise_m``, bars
-        whose direction is weakly determined keep it."""
+        """Fit the bars, then extend them to their joints and merge them (`merge_pieces`). With a finite ``rise_m``,
+        bars whose direction is poorly determined keep their axes."""
         bars = trim_bends(bars)
         fitted = self.fit(bars, every)
         if rise_m < math.inf:
@@ -231,7 +231,7 @@ class MappedScans:
 
 
 def _tied(fitted: FittedBars) -> Structure:
-    """The structure of fitted bars, extended to their joints."""
+    """The structure of fitted bars after extending them to their joints."""
     bars = fitted.bars
     width = np.where(bars.is_bar, bars.flange, 2 * bars.segments.radius)
     joint, tie, segments = find_joints(bars.segments, width)

@@ -1,4 +1,4 @@
-"""Ridges of the weight of a voxel map: the voxels along bars, without the range noise around them."""
+"""Ridges in the weights of a voxel map: the voxels along bars, without the range noise around them."""
 
 import math
 
@@ -16,9 +16,9 @@ def ridge_points(
 ) -> Array:
     """Points on ridges ``(R, 3)``, metres, in the frame of the map.
 
-    Range noise spreads the points of a bar along the rays, into voxels of little weight. So a voxel stays if it has at
-    least ``share_min`` of the largest weight within ``radius_m``. The means of these voxels move once to the weighted
-    mean of those within ``contract_m``. The voxels in ``hidden (V,)`` have no weight.
+    Range noise spreads the points of a bar along the rays, into voxels of little weight. So a voxel is kept if it
+    has at least ``share_min`` of the largest weight within ``radius_m``. Its mean is then moved, once, to the weighted
+    mean of the kept voxels within ``contract_m``. Voxels in the mask ``hidden (V,)`` are ignored.
     """
     key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
     if hidden is not None:
@@ -42,7 +42,7 @@ def _around(radius_m: float, voxel_m: float) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def _ridge(centre, weight, around, share_min, key, slot):  # type: ignore[no-untyped-def]
-    """Mask of the voxels that stay."""
+    """Mask of the voxels that are kept."""
     stay = weight > 0.0
     for n in range(len(centre)):
         bound = weight[n] / share_min

@@ -1,15 +1,15 @@
 """The section of each bar: an angle, a round tube or a plate, whichever explains the depths of its points.
 
-An angle section is fitted to depths and to the edges of its outline (`fusion.section_fit`). Its two flanges may follow
+An angle section is fitted to depths and to the edges of its outline (`fusion.section_fit`). Its two flanges can follow
 an arc, and explain the depths of a plate about as well as a plane does. So the shapes are compared by depths alone, to
-which the angle section is fitted anew. If another explains them about as well, the bar is an angle section.
+which the angle section is fitted again. A tube, or a plate seen from few directions, must explain them clearly better.
 
-The near face of a circle of radius r lies at the depth √(r² − y²) at the position y beside its axis. So depths alone
-determine radius and axis, from one side as well as from all.
+At the position y beside its axis, the near face of a circle of radius r has the depth √(r² − y²). Depths alone thus
+determine radius and axis, even if all are seen from one side.
 
-Lines in the points of decks and gussets look like bars. The thickness of an angle section would set the views of the
-two sides of a plate a centimetre apart, and with them the poses. How thick a plate is cannot be told from the drift of
-those poses, so it has only one face, on the side with more points.
+Lines in the points of decks and gussets look like bars. Modelled as an angle section, a plate would have two faces a
+centimetre apart, which would shift the poses that see either. A plate's thickness cannot be distinguished from the
+drift of these poses, so a plate has only one face, on the side with more points.
 """
 
 import math
@@ -25,21 +25,21 @@ from steelnb.types import Array
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""
 TUBE_MAX_M = 0.12
-"""Maximum radius of a tube: nearly flat faces are arcs of 14 cm and more."""
+"""Maximum radius of a tube. Circles fitted to nearly flat faces have radii of 14 cm and more."""
 TUBE_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
-"""A bar is round if a circle leaves at most this share of the squared depths that the best angle section leaves, and if
-its log-likelihood is larger by this much: half the number of cells times the logarithm of the share, as for normal
+"""A bar is round if the cost of a circle is at most this share of that of the best angle section, and if its
+log-likelihood is larger by this much: minus half the number of cells times the logarithm of the share, as for normal
 residuals of unknown variance. In 7000 fits to angle sections (development seeds 11 and 12, both sensors and flights,
-true and corrected poses) the least share beyond 100 cells was 0.86, and the largest log-likelihood 15."""
+true and corrected poses), the smallest share above 100 cells was 0.86, and the largest log-likelihood ratio 15."""
 SEARCH_STEPS, CIRCLE_STEPS = 10, 6
 PLATE_MIN_M, PLATE_SHARE_MAX, VIEWS_MIN, FEW_VIEWS_SHARE_MAX = 0.16, 1.5, 5, 0.75
-"""A bar is a plate if its points spread at least this wide, and planes leave at most a share of the squared depths that
-the best angle section leaves: the first share, or the second if the bar was seen from fewer directions than
-`VIEWS_MIN`, from which an angle may show one flange alone. Of 40 bars on plates of the report's tower (development
-seed 11) this tells 22, the largest; of 340 on angles, there and on the tapered tower, none. Two of 210 members of the
-tapered tower pass for plates up one face with seed 1."""
+"""A bar is a plate if its points are at least this wide, and the cost of planes is at most a share of that of the best
+angle section: the first share, or the second if the bar was seen from fewer than `VIEWS_MIN` directions, from which
+only one flange of an angle may be visible. Of 40 bars on plates of the report's tower (development seed 11), this
+recognises the 22 largest; of 340 on angles, there and on the tapered tower, it accepts none. On a flight up one face of
+the tapered tower (seed 1), it mistakes two of 210 members for plates."""
 SLOPE_MAX = 0.3
-"""Largest slope of a plate along the bar: a line lies in its plate. A plane that the line pierces is none."""
+"""Largest slope of a plate along the bar. A plane that the line of the bar pierces is not a plate."""
 PLANE_STEPS = 8
 
 
@@ -64,7 +64,7 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
     """Fit `Sections` to the bars of a histogram ``(B, PARTS, VIEWS, CELLS, 4)``; ``length (B,)`` metres.
 
     The bars of one structure resemble each other, and a thin bar seen from one side has little information. So if some
-    bar is clearly round, the likelihoods of all bars together decide on the others, unless one of them clearly differs.
+    bar is clearly round, the pooled likelihood decides on all others, except those that clearly are angle sections.
     """
     n = len(length)
     none = np.full((3, n), np.nan)
@@ -109,7 +109,7 @@ def fit_sections(histogram, length):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def angle_cost(cells, fitted, b):  # type: ignore[no-untyped-def]
-    """Cost of the depths at the angle section of bar b, which was fitted to depths and edges."""
+    """Cost of the depths for the angle section of bar b as fitted to depths and edges."""
     corner, state = np.empty((6, 2)), np.empty(4)
     outline(fitted.turn[b], fitted.flange[b], corner)
     state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
@@ -126,7 +126,7 @@ def least_angle_cost(cells, merged, face, side):  # type: ignore[no-untyped-def]
 def _make_plate(fitted, b, cells, merged, angle, face, side):  # type: ignore[no-untyped-def]
     """Replace the section of bar b by a plane if its points are those of a plate; returns whether they are.
 
-    ``angle``: its `angle_cost`. The flange of a plate is infinite, and its turn the direction that it faces.
+    ``angle``: its `angle_cost`. The flange of a plate is infinite, and its turn is the direction of its normal.
     """
     cost, width, middle, normal = fit_planes(cells)
     bound = PLATE_SHARE_MAX if np.unique(cells[:, 6]).size >= VIEWS_MIN else FEW_VIEWS_SHARE_MAX
@@ -143,11 +143,11 @@ def _make_plate(fitted, b, cells, merged, angle, face, side):  # type: ignore[no
 
 @njit(cache=True)
 def fit_planes(cells):  # type: ignore[no-untyped-def]
-    """Fit a pair of parallel planes to the `cells_of` a bar, one to those seen from either side.
+    """Fit a pair of parallel planes to the `cells_of` a bar, one to the cells seen from each side.
 
-    Returns their cost and the width of the points across the bar, that of a uniform strip, metres; and of the side with
+    Returns their cost; the width of the points across the bar, as of a uniform strip, metres; and for the side with
     more points, their mean ``(3,)``, across and along the bar from its middle, and the normal towards the viewer. The
-    cost is infinite if the planes lie across the bar (`SLOPE_MAX`).
+    cost is infinite if the planes are too steep along the bar (`SLOPE_MAX`).
     """
     points, share = np.column_stack((cells[:, 0], cells[:, 1], cells[:, 5])), cells[:, 2].copy()
     loss, weight, towards, from_mean = share, share, np.ones(len(cells)), points.copy()
@@ -190,7 +190,7 @@ def _make_round(fitted, b, cells, cost, state, normal):  # type: ignore[no-untyp
 def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
     """Fit a circle to the `cells_of` a bar, after a search with its `merged_cells`; returns the cost.
 
-    Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` there.
+    Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` at that state.
     """
     total, low, start = cells[:, 2].sum(), np.inf, np.zeros(ROUND_DOF)
     no_edges, corner = np.empty((0, 6)), np.full((6, 2), np.nan)

@@ -1,8 +1,8 @@
 """Least-squares fit of an equal-leg angle section to the points of a bar: flange, rotation, position and slope of its
 axis, the line through the centroids of its sections.
 
-The width of the outline and the depth of the near faces are fitted together, to the histograms of `fusion.sections`. A
-grid search over flanges and rotations, with the faces from a table, is followed by Gauss-Newton.
+The width of the outline and the depth of the near faces are fitted together, to the histograms of `fusion.sections`.
+A grid search over flanges and rotations, which looks faces up in a table, is followed by Gauss-Newton.
 """
 
 import math
@@ -14,26 +14,26 @@ from steelnb.fusion import sections
 from steelnb.fusion.sections import VIEWS, front_face, outline
 
 TURNS = VIEWS
-"""Number of rotations in the search. A section rotated by one of them looks the same from the next direction."""
+"""Number of rotations in the search. A section rotated by one step looks the same from the next direction."""
 PROFILE = 128
-"""Number of cells of a face in the table of the search: half a millimetre and less."""
+"""Number of cells of a face in the table of the search; each is at most 1.1 % of the flange wide."""
 FLANGES_M = np.array([0.025, 0.032, 0.04, 0.05, 0.063, 0.08, 0.1, 0.125, 0.16, 0.2])
 DEPTH_SCALE_M = 0.03
 OUTLINE_WEIGHT = 0.5
-"""Weight of an edge of the outline against all depths from its direction."""
+"""Weight of an edge of the outline relative to all depths from its direction."""
 ROUND_DOF = 5
-"""Degrees of freedom of a round section: position (2), slope (2), radius. An angle is turned by a search instead."""
+"""Degrees of freedom of a round section: position (2), slope (2), radius. The rotation of an angle is searched for."""
 RADIUS_MIN_M, RADIUS_MAX_M = 0.005, 0.15
 """Bounds of the radius."""
 TELL_APART_M = 0.003
-"""Fits whose root mean square residuals differ by much less are equally likely, and averaged."""
+"""Fits whose root mean square residuals differ by much less are about equally likely, and are averaged."""
 
 
 @njit(cache=True)
 def profiles():  # type: ignore[no-untyped-def]
     """Table of the near face of a section with flange 1 from each direction: depth and slope of `front_face` across its
-    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. Other flanges are the same in another scale, and
-    other rotations from another direction."""
+    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. Other flanges follow by scaling, and other
+    rotations by a shift of the direction."""
     corner = np.empty((6, 2))
     outline(0.0, 1.0, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
@@ -56,7 +56,7 @@ def robust(residual, weight):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # type: ignore[no-untyped-def]
-    """`settle` without slopes, for a whole number of rotations, by faces from the table `profiles`, in scalars."""
+    """`settle` without slopes, at the rotation number ``turn``, with faces from the table `profiles`; in scalars."""
     cost = 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
@@ -159,7 +159,7 @@ def _add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untype
 
 @njit(cache=True)
 def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no-untyped-def]
-    """Levenberg-Marquardt from ``state (D,)``, in place, at most 3 cm or 0.03 a step; the cost before the last one.
+    """Damped Gauss-Newton from ``state (D,)``, in place, at most 3 cm or 0.03 a step. Returns the cost before the last.
 
     ``total``: weight of all points. The ``corner`` of a round section follows its radius.
     """
@@ -175,7 +175,7 @@ def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no
 
 @njit(cache=True)
 def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
-    """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search with its `merged_cells` and the
+    """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search that uses its `merged_cells` and the
     tables `profiles`.
 
     Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
@@ -209,7 +209,7 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
                 if cost < low:
                     low, flange, turn = cost, flange0 * (1.0 + i * size), turn0 + j * size
                     settled[:] = state
-    # Mean and spread of all fits of the search, weighted by likelihood.
+    # Mean and spread of all fits in the search, weighted by likelihood.
     weight = np.exp(-0.5 * (tried[:, 0] - tried[:, 0].min()) / total / (TELL_APART_M * TELL_APART_M))
     u, v = (weight * tried[:, 3]).sum() / weight.sum(), (weight * tried[:, 4]).sum() / weight.sum()
     square = (weight * (tried[:, 3] ** 2 + tried[:, 4] ** 2)).sum() / weight.sum()

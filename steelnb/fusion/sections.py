@@ -1,9 +1,9 @@
 """Angle sections, round tubes and plates: their outlines, and histograms of the points of a bar by viewing direction.
 
-A Time-of-Flight sensor measures the near face of a bar. The offset from there to the axis depends on the section and
-its rotation about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction, the points
-spread as wide as the outline, and their mean depth follows the near faces. Range noise acts along the line of sight
-only, so it blurs the depth, which is averaged, but not the width.
+A Time-of-Flight sensor measures the near face of a bar. The offset from this face to the axis depends on the section
+and its rotation about the axis. Both can be estimated (`fusion.section_fit`): from each viewing direction, the points
+are as wide as the outline, and their mean depth is that of the near faces. Range noise acts only along the line of
+sight, so it blurs the depth, which is averaged, but not the width.
 
 The frame of a bar has two axes u and v across it and one along it (`frames`). A round tube is a section whose turn is
 NaN and whose flange is its diameter. Its outline has its radius in place of the first corner, and NaN for the others.
@@ -19,11 +19,11 @@ from steelnb.points.ranges import range_sigma_m
 from steelnb.types import Array
 
 PLATE_M = 0.5
-"""Half of the edge of a plate: longer than the reach of a bar."""
+"""Half of the edge length of a plate's outline, longer than the reach of a bar's voxels."""
 VIEWS, CELLS, PARTS = 24, 32, 6
 """Number of bins: directions of 15°, cells of 1 cm beside the line of sight, and parts along a bar."""
 HISTOGRAM = PARTS, VIEWS, CELLS, 4
-"""Shape of the histogram of a bar: of each part, direction and cell, number of points, weight, weighted sums of u and
+"""Shape of the histogram of a bar. For each part, direction and cell: number of points, weight, weighted sums of u and
 v."""
 CELL_M = 0.01
 THICKNESS = 1 / 12
@@ -40,8 +40,8 @@ def frames(direction: Array) -> Array:
 
 @njit(cache=True)
 def in_frame(direction, across, x, y, z):  # type: ignore[no-untyped-def]
-    """Components of a vector in the world frame across a bar (two) and along it, by the unit vectors ``across (2, 3)``
-    and ``direction (3,)``."""
+    """Components of a vector, world frame, along the unit vectors of a bar: ``across (2, 3)``, then ``direction
+    (3,)``."""
     e1, e2 = across[0], across[1]
     return (
         x * e1[0] + y * e1[1] + z * e1[2],
@@ -62,8 +62,8 @@ def sighting(T, point, start):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def accumulate(points, T, bar, start, direction, length, across, margin, histogram):  # type: ignore[no-untyped-def]
-    """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``, without
-    those within ``margin`` metres of the ends of a bar, where others join it, but at most a third at either end."""
+    """Add points ``(N, 3)`` in the frame of a sensor at ``T (4, 4)`` to the histograms of their bars ``(N,)``. Points
+    near the ends, where other bars join, are left out: within ``margin`` metres, or a third of the length if less."""
     for i in range(len(points)):
         b = bar[i]
         x, y, z, cx, cy, cz = sighting(T, points[i], start[b])
@@ -92,7 +92,7 @@ def accumulate(points, T, bar, start, direction, length, across, margin, histogr
 
 @njit(cache=True)
 def direction_of(view):  # type: ignore[no-untyped-def]
-    """Cosine and sine of the middle of a viewing direction."""
+    """Cosine and sine of the middle of a bin of viewing directions."""
     angle = (view + 0.5) * 2.0 * math.pi / VIEWS - math.pi
     return math.cos(angle), math.sin(angle)
 
@@ -120,15 +120,15 @@ def cells_of(histogram, length):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def merged_cells(histogram):  # type: ignore[no-untyped-def]
-    """The `cells_of` a bar with its parts merged: fewer, and enough to search with."""
+    """The `cells_of` a bar with its parts merged: fewer cells, which suffice for a search."""
     return cells_of(np.expand_dims(histogram.sum(axis=0), 0), 0.0)
 
 
 @njit(cache=True)
 def edges_of(histogram):  # type: ignore[no-untyped-def]
     """Edges of the outline ``(R, 6)`` from each direction with enough points: low and high edge, cosine and sine of the
-    direction, weight, number of the direction. At an edge, where the number of points falls to half of that inside,
-    blur moves as many out as in."""
+    direction, weight, number of the direction. An edge is where the number of points falls to half of that inside,
+    since blur moves as many points out as in."""
     found = np.empty((VIEWS, 6))
     n = 0
     for view in range(VIEWS):
@@ -136,7 +136,7 @@ def edges_of(histogram):  # type: ignore[no-untyped-def]
         total = count.sum()
         if total < 60.0:
             continue
-        # Half the mean over points, which weighs full cells most; for a uniform strip it is half of its level.
+        # Half of the mean count over points, not cells; for a uniform strip, this is half of its level.
         half = 0.5 * (count * count).sum() / total
         middle = int((count * np.arange(CELLS)).sum() / total + 0.5)
         if count[middle] < half:
@@ -183,8 +183,8 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it, and its slope;
-    −1e9 outside of the outline. The corners are counterclockwise, so an edge that faces the viewer runs upwards."""
+    """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it, and its slope.
+    −1e9 outside of the outline. The corners are counterclockwise, so ``beside`` grows along edges facing the viewer."""
     if corner[5, 0] != corner[5, 0]:
         if abs(beside) >= 0.999 * corner[0, 0]:
             return -1e9, 0.0
@@ -204,11 +204,11 @@ def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-def]
-    """Residual of a point: its distance from the front face of a bar along the line of sight across the bar, metres;
+    """Residual of a point: its distance from the front face of a bar along the line of sight across the bar, metres.
     NaN if it lies beyond an end or beside the outline, or if the bar or its face is seen at a grazing angle.
 
-    In the frame of the bar (`in_frame`), ``u, v, t`` is the vector from its start to the point, ``p, q, w`` that from
-    the point to the sensor. Returns also the standard deviation by the range noise, the distance to the sensor across
+    In the frame of the bar (`in_frame`), ``u, v, t`` is the vector from its start to the point, and ``p, q, w`` from
+    the point to the sensor. Returns also the standard deviation due to range noise, the distance to the sensor across
     the bar, cosine and sine of the direction, the position beside the axis, and height and slope of the face there.
     """
     square, square_3d = p * p + q * q, p * p + q * q + w * w
@@ -219,7 +219,7 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
     beside = -sine * u + cosine * v
     front, rise = front_face(corner, cosine, sine, beside)
     residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
-    # The noise at the range of the face: at the measured range, points brought nearer by noise would count more.
+    # The noise at the range of the face. At the measured range, points that noise moves nearer would weigh more.
     sigma = range_sigma_m(range_ * (1.0 + residual / distance)) * distance / range_
     return residual, sigma, distance, cosine, sine, beside, front, rise
 

@@ -1,5 +1,5 @@
-"""The map of an odometry by segments: segments of all scans so far, associated and merged by their moments; and the
-report's incremental reconstruction, which ties its bars at joints."""
+"""The map of segment odometry: the segments of all scans so far, associated and merged by their moments; and the
+report's incremental reconstruction, which ties the bars of the map at joints."""
 
 import math
 
@@ -22,9 +22,9 @@ GAP_MAX_M = 0.2
 def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
     """The nearest of K known segments for each of M new ones ``(M,)``, −1 if none matches; both in one frame, metres.
 
-    Two segments match if the angle between them and the distance across are within the
-    settings, and the gap along the known axis within `GAP_MAX_M`. The distance across is that in the middle of their
-    overlap, or of the gap between them. The order of the ends of a segment does not matter.
+    Two segments match if the angle between them and the distance across are within the settings, and the gap along the
+    known axis is within `GAP_MAX_M`. The distance across is measured in the middle of their overlap, or of the gap
+    between them. The order of the ends of a segment does not matter.
     """
     if not len(new) or not len(known):
         return np.full(len(new), -1, dtype=np.int64)
@@ -95,7 +95,7 @@ class SegmentMap:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
-        into the earlier. Earlier ``segments`` do not change.
+        into the earlier. A ``segments`` object read before this call does not change.
         """
         target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
@@ -159,11 +159,11 @@ class SegmentMap:
 
 
 def structure_of(bars: SegmentMap) -> Structure:
-    """The bars of a map with at least `SIGHTINGS_MIN` sightings, tied at joints (`find_joints`); an empty structure has
-    the reason.
+    """The bars of a map with at least `SIGHTINGS_MIN` sightings, tied at joints (`find_joints`). An empty structure
+    states the reason.
 
-    The axis of a bar runs in the middle of its points, so on the near side of its section; its width is NaN.
-    ``sigma_m``: the spread of the points over the root of the sightings, since the points of one sighting err together.
+    The axis of a bar runs through the middle of its points, so on the near side of its section; its width is NaN.
+    ``sigma_m``: spread of the points over the root of the sightings, since errors within one sighting are correlated.
     """
     chosen = bars.sightings >= SIGHTINGS_MIN
     segments, sightings = bars.segments.take(chosen), bars.sightings[chosen]

@@ -1,6 +1,6 @@
 """Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
 
-At the better poses of the second round more bars are found, with more exact sections.
+The second round starts from better poses, so it finds more bars and fits their sections more accurately.
 """
 
 from dataclasses import replace
@@ -16,8 +16,8 @@ from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
-"""Of each round, the number of fits of sections, and its stages. Half of the pixels in the last stage makes aligned
-errors larger by a fifth, one fit of sections in both rounds by half."""
+"""Number of times that sections are fitted, and stages, for each round. With half of the pixels in the last stage,
+aligned errors are larger by a fifth; with one fit of sections in both rounds, by half."""
 BARS_MIN = 3
 """Minimum number of bars with a section."""
 
@@ -37,15 +37,15 @@ def smooth(
     estimate : the corrected poses.
     settings : of the bars, as for `reconstruct`.
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
-    imu : errors of the IMU's data sheet; with them, its readings are factors (`fusion.inertial`).
+    imu : errors from the IMU's data sheet; if given, its readings are factors (`fusion.inertial`).
 
     Returns
     -------
     The estimate with new poses, of which the first is the prior's, since drift begins there. The points of the map are
-    those of one in three scans at the poses before the last steps. Its segments are the bars, with their axes through
-    the centroids of their sections. A flight without bars returns its estimate, with the reason in ``unsmoothed``.
+    those of one in three scans, at the poses before the last round. Its segments are the bars, with axes through the
+    centroids of their sections. With too few bars, the old estimate is returned, with the reason in ``unsmoothed``.
 
-    Raises `InputError` if the readings are in other units or axes.
+    Raises `InputError` if the readings have other units, axes or another clock (`check_imu`).
     """
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor

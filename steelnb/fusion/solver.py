@@ -1,7 +1,7 @@
 """Gauss-Newton on the problem of an adjustment (`fusion.problem`): normal equations and steps.
 
-The poses form a chain, and each observes few bars. So their block tridiagonal matrix is eliminated first, and the bars
-are solved for by its Schur complement.
+The poses form a chain, so their matrix is block tridiagonal. They are eliminated first, and the bars are solved for by
+the Schur complement.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,8 @@ from steelnb.fusion.problem import BAR_SIGMA, Problem
 from steelnb.types import Array
 
 TINY = 1e-12
-"""Smaller numbers count as zero. Contributions of a bar fade from pose to pose once it is out of view, and arithmetic
-with denormal numbers is slow."""
+"""Smaller numbers count as zero. The contributions of a bar decay from pose to pose once it is out of view, and
+arithmetic with denormal numbers is slow."""
 
 
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
@@ -41,8 +41,8 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
 def normal_equations(
     problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
 ) -> tuple[ChainEquations, Array, Array, Array]:
-    """The normal equations of all factors: of the states of K scans, the block ``(K, D, 6 B)`` between them and the
-    bars, and of the bars, matrix ``(6 B, 6 B)`` and vector ``(B, 6)``; the arguments are those of `improve`.
+    """The normal equations of all factors: those of the states of K scans, the block ``(K, D, 6 B)`` between states and
+    bars, and the matrix ``(6 B, 6 B)`` and vector ``(B, 6)`` of the bars. For the arguments see `improve`.
 
     A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
     """
@@ -66,8 +66,8 @@ def normal_equations(
 class Chain(NamedTuple):
     """Block Cholesky factor L of a block tridiagonal matrix A = L Lᵀ of K poses.
 
-    ``inverse (K, D, D)``: inverses of the diagonal blocks of L. ``onward`` and ``back (K, D, D)``: the coefficients by
-    which the solution of the previous pose enters that of each pose in L⁻¹, and that of the next pose in L⁻ᵀ.
+    ``inverse (K, D, D)``: inverses of the diagonal blocks of L. ``onward`` and ``back (K, D, D)``: coefficients of the
+    previous pose's solution in forward substitution, and of the next pose's in back substitution.
     """
 
     inverse: Array
@@ -76,7 +76,7 @@ class Chain(NamedTuple):
 
     @classmethod
     def factored(cls, matrix: Array, beside: Array) -> "Chain":
-        """From the blocks of A on its diagonal ``(K, D, D)`` and above it ``(K − 1, D, D)``.
+        """Factor A from its blocks on the diagonal ``(K, D, D)`` and above it ``(K − 1, D, D)``.
 
         Raises `numpy.linalg.LinAlgError` if A is not positive definite.
         """
@@ -91,7 +91,7 @@ class Chain(NamedTuple):
         return result
 
     def backward(self, forward: Array) -> Array:
-        """L⁻ᵀ times the columns ``forward (K, D, M)``. If these are L⁻¹ times other columns, it is A⁻¹ times those."""
+        """L⁻ᵀ times the columns ``forward (K, D, M)``. After `forward`, this is A⁻¹ times the original columns."""
         result = self.inverse.transpose(0, 2, 1) @ forward
         _sweep(self.back, result, True)
         return result
@@ -119,7 +119,7 @@ def _factor(matrix, beside, inverse, onward, back):  # type: ignore[no-untyped-d
 
 @njit(cache=True)
 def _sweep(coefficient, columns, backwards):  # type: ignore[no-untyped-def]
-    """Substitution from neighbour to neighbour: add the neighbour's columns times the coefficients of each pose."""
+    """Substitution along the chain: add to each pose its coefficient times its neighbour's columns."""
     poses, size, count = columns.shape
     for i in range(1, poses):
         k, other = (poses - 1 - i, poses - i) if backwards else (i, i - 1)

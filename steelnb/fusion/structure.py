@@ -14,11 +14,11 @@ class Structure:
     """Bars and joints in the world frame, metres, z up.
 
     ``segments``: axes of the B bars; ``width_m (B,)``: width of the flange, or diameter of a round tube, NaN if
-    unknown; ``sightings (B,)``: number of scans that observed a bar; ``sigma_m (B,)``: standard deviation of the
-    position of its axis across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), a row for each bar that a joint ties.
+    unknown; ``sightings (B,)``: number of scans that observed a bar; ``sigma_m (B,)``: standard deviation of its
+    axis's position across. ``joint (J, 3)``; ``tie (T, 2)``: (joint, bar), one row for each bar that a joint ties.
     ``reason``: why the structure is empty, else empty. ``opening (B, 3)``: unit vectors across the bars from the corner
-    of the angle section to between its flanges, NaN if unknown; None if all are unknown. ``tube (B,)``: which bars are
-    round tubes; None if none is known to be one.
+    of the angle section to between its flanges, NaN if unknown; None if all are unknown. ``tube (B,)``: mask of the
+    round tubes; None if none is known.
     """
 
     segments: Segments

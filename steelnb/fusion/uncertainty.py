@@ -1,11 +1,11 @@
 """Covariances of the poses and bars of a smoothed flight, from the equations of `fusion.solver`.
 
 Only the diagonal blocks of the inverse are needed. Those of the chain of poses follow from its factor. The bars add
-A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. Nothing is approximated.
+A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. This is exact.
 
-Points of one bar in one scan share an error: its section is fitted, mixed pixels lie at its edges, and a sensor sees
-the near side. So each scan observes a bar displaced across by an unknown vector, which is marginalised: the information
-of a bar in a scan saturates, however many pixels it has. The drift enters by the increments of the prior.
+The points of one bar in one scan have correlated errors: the fitted section is inexact, mixed pixels lie at edges, and
+only the near side is visible. So each scan observes a bar displaced across by an unknown vector, which is marginalised.
+The information of a bar in a scan thus saturates with the number of pixels. Drift enters by the prior's increments.
 """
 
 import numpy as np
@@ -23,26 +23,26 @@ SHARED_SIGMA_M = 0.001
 """Standard deviation, per axis, of the displacement that all points of a bar in a scan share, at the range noise of
 `points.ranges`. It grows with the square of that noise, as two sensors show."""
 END_SIGMA_M = 0.006
-"""Standard deviation, per axis, of the model error at either end of a bar, the same for all scans: its section type may
-not be modelled, or be fitted to a part of it. It grows with the range noise. Both were calibrated on seeds 11 to 15."""
+"""Standard deviation, per axis, of the model error at either end of a bar, common to all scans: its section type may
+not be modelled, or fitted to only part of it. It grows with the range noise. Both were calibrated on seeds 11 to 15."""
 ATTITUDE_SIGMA_RAD = 0.01
-"""Standard deviation of the prior's roll and pitch if they are fixed: half a degree, as of attitude filters on small
-drones. The position does not contain it."""
+"""Standard deviation of the prior's roll and pitch if they are fixed: half a degree, as for attitude filters on
+small drones. It is not propagated to the position."""
 FREE_SIGMA = 10.0
-"""A larger standard deviation, metres or radians, means that nothing holds that direction."""
+"""A larger standard deviation, metres or radians, means that no factor constrains that direction."""
 AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 HOLD = 1e-6
-"""Information that keeps the matrix of free poses positive definite: a standard deviation of 1 km."""
+"""Information added to keep the matrix of free poses positive definite: a standard deviation of 1 km."""
 
 
 def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array]:
     """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
-    Of the steps of the sensor's poses ``(K, D, D)`` (`fusion.poses`), zero for the first one, since it is held; and of
-    the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and flange.
-    What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, half a metre per metre.
+    Returns those of the steps of the sensor's poses ``(K, D, D)`` (`fusion.poses`), zero for the first, which is fixed;
+    and of the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and
+    flange. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
 
-    Raises `InputError` if nothing holds a pose, with the free direction.
+    Raises `InputError` with the free direction if a pose is not constrained.
     """
     equations = _with_displacements(equations, SHARED_SIGMA_M * problem.sigma_ratio**2)
     n, size = len(equations.block), pose_size(problem.tilt_sigma_rad)
@@ -65,7 +65,7 @@ def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s
 
 
 def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquations:
-    """The equations after the marginalisation of a displacement across of each bar in each scan."""
+    """The equations after marginalising a displacement across the axis for each bar in each scan."""
     cross, shares, scan = equations.cross, equations.shares, equations.pair_scan
     displacement = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
     gain = cross[:, :, :2] @ displacement
@@ -81,7 +81,7 @@ def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquat
 def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:
     """Covariances ``(K, 6, 6)`` of the drone's poses, metres and radians, from those of the sensor's ``(K, D, D)``.
 
-    They are those of a perturbation δ in the world frame, in the order x, y, z, roll, pitch, yaw: the true pose has the
+    They refer to a perturbation δ in the world frame, in the order x, y, z, roll, pitch, yaw: the true pose has the
     position t + δ[:3] and the rotation exp(δ[3:]) R. The first pose defines the world, so its block is zero.
     """
     arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
@@ -99,8 +99,8 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
 def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio: float) -> Array:
     """Covariances ``(B, 4, 4)`` of the axes of bars, from their marginals ``(B, 6, 6)`` in the frames ``across``.
 
-    In the frame `sections.frames` of each segment's direction: two of the position of its middle across, metres, and
-    two of its direction, metres across per metre along. They include `END_SIGMA_M` times ``sigma_ratio``, the range
+    They are in the frame `sections.frames` of each segment's direction: position of its middle across (2), metres, and
+    direction (2), metres across per metre along. They include `END_SIGMA_M` times ``sigma_ratio``, the range
     noise as a multiple of that in `points.ranges`.
     """
     rotation = frames(segments.direction) @ across.transpose(0, 2, 1)
@@ -114,7 +114,7 @@ def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio:
 
 
 def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
-    """Standard deviation ``(B,)``, metres, of the position of axes across, in the direction in which it is largest;
-    from their covariances ``(B, 4, 4)``, at the distances ``along_m (B,)`` from their middles."""
+    """Standard deviation ``(B,)``, metres, of axes in the direction across in which it is largest, at the distances
+    ``along_m (B,)`` from their middles, given their covariances ``(B, 4, 4)``."""
     at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
     return np.sqrt(np.linalg.eigvalsh(at @ covariance @ at.transpose(0, 2, 1))[:, -1])

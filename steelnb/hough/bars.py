@@ -21,8 +21,8 @@ ASSIGN_DX = 1.2
 END_MARGIN_M = 0.05
 """A bar also takes points up to this far past its ends."""
 OWN_SHARE_MIN = 0.33
-"""Minimum share of a bar in all points within twice `ASSIGN_DX`. Chords between two bars at their joint fall below it:
-half of all wrong segments, and one in a hundred of the right ones (seeds 11 to 16)."""
+"""Minimum share of the points within twice `ASSIGN_DX` of a bar that belong to it. Chords between two bars at a joint
+fall below it. It rejects half of all wrong segments and one in a hundred correct ones (seeds 11 to 16)."""
 ROUNDS = 3
 """Rounds of assignment and refit; after three the axes no longer move."""
 
@@ -47,9 +47,9 @@ def bars_of_lines(points: Array, lines: Lines, points_min: int = POINTS_MIN) -> 
 
 
 def in_passes(find: Callable[[Array], Segments], points: Array, dx: float, points_min: int = POINTS_MIN) -> Segments:
-    """Bars found in the points, and those found in a second pass over the points that are on none of them.
+    """Bars found in the points, and bars found in a second pass over the points that are on none of the first.
 
-    A line across many bars takes points of each before it is dropped; the second pass has those points again.
+    A line across many bars takes points of each before it is dropped; the second pass can use those points again.
     """
     first = find(points)
     remaining = points[nearest_bar(points, first, EXCLUDE_DX * dx, dx) < 0]
@@ -59,10 +59,10 @@ def in_passes(find: Callable[[Array], Segments], points: Array, dx: float, point
 
 
 def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MIN) -> Segments:
-    """Refit each bar to all points ``(N, 3)`` that are nearest to its axis, and merge collinear bars; `ROUNDS` times.
+    """Refit each bar to all points ``(N, 3)`` that are nearest to its axis, and merge collinear bars, `ROUNDS` times.
 
-    A detected bar may cover half of the true width or two thirds of the length. At the end, bars that do not pass the
-    bounds or have too few of the points around them are dropped.
+    A detected bar may cover half of the true width or two thirds of the length. At the end, bars that fail the bounds
+    or own too few of the points around them are dropped.
     """
     px, py, pz = np.ascontiguousarray(points.T)
     for round_ in range(ROUNDS):
@@ -73,7 +73,7 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
         piece = np.column_stack([begin[:-1], begin[1:]])
         piece = piece[np.diff(piece, axis=1).ravel() >= 2]
         if not final:
-            # Pieces of a bar that others occlude: its axis is now known well enough to bridge wider gaps.
+            # Join the pieces of a partly occluded bar: its axis is now known well enough to bridge wider gaps.
             order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
         bounds = (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M) if final else (0.0, np.inf, 0.0, 0.0)
         bars = Segments(*filter_pieces(px, py, pz, order, piece, *bounds))

@@ -1,8 +1,8 @@
 """Segments of a whole structure: Hough transforms of small blocks, then a greedy selection among their segments.
 
 A single transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of
-a long line by many dx. And a line across twenty bars of a face gets more votes than each bar. Blocks a few bars wide
-avoid both, but they cut bars and find each of them several times. Their segments are therefore proposals. The score of
+a long line by many dx. And a line across twenty bars of a face gets more votes than any bar. Blocks a few bars wide
+avoid both, but they cut bars and find the same bar several times. Their segments are therefore proposals. The score of
 a proposal is the number of points in its tube minus `RING_WEIGHT` times the number in the ring around it. The best
 proposal is grown through the whole cloud. Then its points are removed, which lowers the scores of the proposals that
 share them.
@@ -30,11 +30,11 @@ LENGTH, PCA_RATIO = 5.0, 0.9
 RING_WEIGHT = 0.75
 """Weight of a point in the ring from dx to 2 dx. At 1 a planar surface scores zero, but so do bars whose points scatter
 by dx: on ten surveyed towers, 1 loses up to 60 % of the points that 0.75 explains. At 0.5, a third of a tower jittered
-by 1 m passes for bars, at 0.75 a twentieth."""
+by 1 m is taken for bars; at 0.75, a twentieth."""
 MIN_VOTES = 8
 """Minimum number of points of a bar."""
 EXCLUDE_DX = 1.25
-"""Points within this many dx of a chosen segment are removed, or wide bars would be found twice."""
+"""Points within this many dx of a chosen segment are removed, so that wide bars are not found twice."""
 SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
 """Shifts of the grids of blocks, in half blocks."""
 
@@ -120,7 +120,7 @@ def _pairs(cubes, start, direction, length, dx):
 
     The pairs of point i are ``pair[first[i] : first[i + 1]]``. The entry for proposal k is 2k + 1 in the tube and 2k in
     the ring. The first pass counts the pairs of point i in ``first[i + 2]``. The second one writes them from
-    ``first[i + 1]`` on, which is advanced past them.
+    ``first[i + 1]`` on, and advances it past them.
     """
     visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
     first, pair = np.zeros(len(cubes.px) + 2, np.int64), np.empty(0, np.int32)

@@ -52,7 +52,7 @@ def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, near):
 
     The line is a + t u with t from ``begin`` to ``end``. All points within the distance of `sort_into_cubes` are
     written, and some that are farther away. ``visited (C + 1,)`` starts with zeros. It holds the number of the last
-    walk through each cube, and the number of walks.
+    walk through each cube and, as its last entry, the number of walks.
     """
     # Clip the line to the bounding box, so that the time does not depend on its length.
     a, u = (ax, ay, az), (ux, uy, uz)

@@ -28,7 +28,7 @@ def directions(granularity: int) -> Array:
     """Unit vectors ``(5 * 4**granularity + 1, 3)`` that cover the half sphere evenly, one of each opposite pair.
 
     ``granularity`` 4 gives 1281 directions about 4° apart, 6 gives 20481 about 1° apart. They are in the order of the
-    published program, which breaks ties by it.
+    published program, which breaks ties by this order.
     """
     vertices = [np.array(corner) for corner in _CORNERS]
     triangles = list(_TRIANGLES)

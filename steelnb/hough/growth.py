@@ -15,8 +15,8 @@ FITS_MAX = 8
 def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run):
     """Write the indices of a run of free points within ``radius`` of a line to ``run``; returns their number.
 
-    A run has no gap above ``gap`` along the line. Of several runs, the one that overlaps most with the interval from
-    ``low`` to ``high`` is taken. The search extends a few gaps past that interval, and farther if the run does.
+    A run has no gap above ``gap`` along the line. If there are several, the one that overlaps most with the interval
+    from ``low`` to ``high`` is taken. The search extends a few gaps past that interval, and farther if the run does.
     """
     beyond = 4.0 * gap
     while True:
@@ -68,8 +68,8 @@ def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes,
 def trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, ring_weight, visited, near):
     """Trim a grown segment, which may have outgrown its bar, to the interval with the best score.
 
-    Returns (low, high, score). A free point within ``radius`` scores 1, one within twice that −``ring_weight``. The
-    interval consists of slices as long as ``radius``: the maximum-sum interval of Kadane.
+    Returns (low, high, score). A free point scores 1 within ``radius``, and −``ring_weight`` from there to twice
+    ``radius``. Scores are summed over slices of length ``radius``; the best interval is Kadane's maximum-sum interval.
     """
     slices = np.zeros(int((high - low) / radius) + 1)
     for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):

@@ -12,7 +12,7 @@ from steelnb.points.inputs import checked_cloud
 from steelnb.types import Array, Lines
 
 DX_MIN_M, DX_PER_SPACING, SAMPLE = 0.07, 1.2, 5000
-"""Minimum of the default dx, dx over the spacing of the points, number of points whose spacing is measured."""
+"""Minimum of the default dx, its ratio to the point spacing, and number of points that are sampled for the spacing."""
 MAX_CELLS = 1 << 26
 """Maximum size of the vote image: 64 million cells of 4 bytes, 256 MiB."""
 
@@ -78,7 +78,7 @@ def detect_lines(
 def default_dx(points: Array) -> float:
     """Default ``dx`` of lines and segments for finite ``points (N, 3)``, metres. Raises `InputError`.
 
-    It is 1.2 times the median spacing of the points, at least 7 cm, which holds a bar of a tower with its noise, and at
+    It is 1.2 times the median spacing of the points, but at least 7 cm, enough for a tower's bar with its noise, and at
     most half the diagonal of the cloud.
     """
     points, low, high = distinct_points(points)
@@ -86,7 +86,7 @@ def default_dx(points: Array) -> float:
 
 
 def spacing(points: Array) -> float:
-    """Median distance of the points ``(N, 3)`` to their nearest neighbours, metres, of at most `SAMPLE` points."""
+    """Median distance of at most `SAMPLE` of the points ``(N, 3)`` to their nearest neighbours, metres."""
     sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)]
     return float(np.median(cKDTree(points).query(sample, k=min(2, len(points)))[0][:, -1]))
 

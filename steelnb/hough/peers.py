@@ -18,13 +18,13 @@ from steelnb.rng import stream
 from steelnb.types import Array, Lines, Segments
 
 PLANES_MAX, NEIGHBOURS_MIN, VARIANCE_FLOOR_M2 = 30, 10, 1e-5
-"""Maximum number of planes of RANSAC, minimum number of neighbours within dx of DBSCAN, minimum variance of a mixture
-component along any axis."""
+"""Maximum number of RANSAC planes; minimum number of points within dx of a DBSCAN core point, itself included; minimum
+variance of a mixture component along any axis."""
 GRANULARITY = 3
-"""Of `detect_lines`. Directions 8° apart suffice, since the lines are then fitted to their points."""
+"""Granularity of `detect_lines`. Directions 8° apart suffice, since the lines are then fitted to their points."""
 SAMPLE_M, DRAWS = 0.5, 50
-"""RANSAC draws the second point of a line within `SAMPLE_M` of the first, in up to `DRAWS` draws. Two arbitrary points
-of 10,000 are seldom on one bar."""
+"""RANSAC draws the second point of a line within `SAMPLE_M` of the first, in up to `DRAWS` draws. Two random points
+of 10,000 are seldom on the same bar."""
 FAILURES = 3
 """RANSAC stops after this many lines in a row with too few points."""
 
@@ -32,15 +32,15 @@ FAILURES = 3
 def find_bars(
     method: str, points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, **options: Any
 ) -> Segments:
-    """The bars in points by a method of `METHODS`, refined alike for all methods.
+    """Find bars by a method of `METHODS`; the refinement is the same for all methods.
 
     Parameters
     ----------
     points: ``(N, 3)`` in metres, any frame, finite.
-    seed: of the methods that draw.
+    seed: for methods that draw random numbers.
     dx: distance of a bar's points from its axis, metres; default `default_dx`.
     points_min: minimum number of points of a bar.
-    options: of the method.
+    options: further arguments of the method.
 
     Raises `InputError` as `steelnb.hough.detect_lines`.
     """
@@ -99,7 +99,7 @@ def _ransac_planes(points: Array, seed: int, dx: float, points_min: int, trials:
 
 
 def _dbscan(points: Array, seed: int, dx: float, points_min: int) -> Segments:
-    """Clusters of points with at least `NEIGHBOURS_MIN` others within ``dx``, and the principal axis of each.
+    """Clusters of points with at least `NEIGHBOURS_MIN` points within ``dx``, and the principal axis of each.
 
     Source: Ester et al., "A Density-Based Algorithm for Discovering Clusters", KDD 1996.
     """
@@ -119,8 +119,8 @@ def _gmm(
 ) -> Segments:
     """Gaussian mixture with the number of ``components`` that minimises the Bayesian information criterion.
 
-    The bars are the principal axes of the components. The mixtures are fitted to ``sample`` random points and then
-    assign all points.
+    The bars are the principal axes of the components. The mixtures are fitted to ``sample`` random points; the best one
+    then assigns all points to its components.
     """
     from sklearn.mixture import GaussianMixture
     from threadpoolctl import threadpool_limits

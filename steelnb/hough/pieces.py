@@ -64,11 +64,11 @@ def _mean_and_axis(origin, m):
 
 @njit(cache=True)
 def merge(px, py, pz, order, piece, distance, gap_max):
-    """Merge collinear pieces: a new ``order``, and the merged pieces in it.
+    """Merge collinear pieces; returns a new ``order`` and the merged pieces in it.
 
     Starting from the piece with the most points, absorb every piece of similar direction whose ends are both within
-    ``distance`` of its axis and which leaves no gap above ``gap_max`` along it. The axis is then fitted again, and the
-    search repeated until no piece is absorbed.
+    ``distance`` of its axis and which leaves no gap above ``gap_max`` along it. The axis is refitted after each, and
+    the search is repeated until no piece is absorbed.
     """
     n = len(piece)
     mean, moment, axis, ends = np.empty((n, 3)), np.empty((n, 10)), np.empty((n, 3)), np.empty((n, 2, 3))

@@ -6,7 +6,7 @@ On Line 7 (2017), 184–196: equations (2), (3) and (7), and Algorithm 1.
 The published program stores the votes of all directions and searches all of them in every round. Here they are not
 stored. Removing points can only lower votes, so the last maximum of a direction is an upper bound of its current one.
 The directions are in a heap sorted by that bound. Only the top one is voted again, until the top is up to date. The
-lines are the same.
+lines are identical.
 """
 
 from heapq import heapify, heapreplace
@@ -80,7 +80,7 @@ def vote(px, py, pz, bx, by, bz, box, half, inverse_dx, columns, image, index):
 def fit_line(px, py, pz, chosen, count):
     """Orthogonal least squares line through the points ``chosen[:count]``: (along, across, mean, direction).
 
-    ``along`` is the sum of squared distances to the mean along the line, ``across`` that of squared distances to it.
+    ``along`` is the sum of squared distances from the mean along the line, ``across`` that of distances from the line.
     """
     mx, my, mz, m = moments_about_mean(px, py, pz, chosen, count)
     along, across, ux, uy, uz = principal_axis(m[4], m[5], m[6], m[7], m[8], m[9])
@@ -137,7 +137,7 @@ def drop(removed, px, py, pz, original):
 
 @njit(cache=True, nogil=True)
 def iterate(px, py, pz, sphere, box, half, dx, columns, min_votes, max_lines, skip_weak):
-    """Algorithm 1: find the strongest line, fit it, remove its points, repeat: the fields of `Lines`.
+    """Algorithm 1: find the strongest line, fit it, remove its points, repeat. Returns the fields of `Lines`.
 
     ``px, py, pz`` are overwritten.
     """

@@ -134,4 +134,4 @@ def _pose(T: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _ns(stamp_s: float) -> int:
-    return round(Decimal(stamp_s) * 10**9)  # a float product would be off by a hundred
+    return round(Decimal(stamp_s) * 10**9)  # a float product would be off by 100 ns

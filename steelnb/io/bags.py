@@ -147,9 +147,9 @@ class Bag:
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
     def mount(self, body: str, frame: str, optical: bool) -> tuple[Array, str]:
-        """``T_drone_frame (4, 4)`` by tf_static, or the identity if unknown, and its source in words.
+        """``T_drone_frame (4, 4)`` from tf_static, or the identity if unknown, and its source in words.
 
-        With ``optical`` the points of the frame have been converted from optical axes.
+        ``optical``: the points of the frame have already been converted from optical axes.
         """
         body = body or "base_link"
         (T_root_body, body_root), (T_root_frame, frame_root) = self._to_root(body), self._to_root(frame)
@@ -159,7 +159,7 @@ class Bag:
         return T_drone_frame @ (T_OPTICAL_SENSOR if optical else np.eye(4)), f"tf_static {body} → {frame}"
 
     def _to_root(self, frame: str) -> tuple[Array, str]:
-        """``T_root_frame (4, 4)`` by tf_static, and the name of the root."""
+        """``T_root_frame (4, 4)`` from tf_static, and the name of the root."""
         T_root_frame = np.eye(4)
         for _ in self._static:  # bounds the depth of the tree
             parent, T_parent_frame = self._static.get(frame, (frame, np.eye(4)))
@@ -169,7 +169,7 @@ class Bag:
     def to_points(self, scans: str) -> tuple[Callable[[Any], Array], bool]:
         """Converter of a message to points ``(H, W, 3)`` or ``(N, 3)``, and whether it converts from optical axes.
 
-        Depth images have optical axes, and clouds in a frame with an optical name. Raises `InputError`.
+        Depth images have optical axes, as have clouds in a frame with an optical name. Raises `InputError`.
         """
         read: Callable[[Any], Array] = cloud_points
         optical = _axes(self.frame_of.get(scans, "")) is T_OPTICAL_SENSOR
@@ -230,7 +230,7 @@ def depth_points(image: Any, K: Array) -> Array:
 
 
 def _axes(frame: str) -> Array:
-    """Rotation ``(4, 4)`` from the drone's axes to those of a frame: optical by its name (REP 103), else the same."""
+    """Rotation ``(4, 4)`` from the drone's axes to a frame's: optical axes by its name (REP 103), else the identity."""
     return T_OPTICAL_SENSOR if frame.endswith(("_optical_frame", "_optical")) else np.eye(4)
 
 

@@ -16,8 +16,8 @@ from steelnb.libraries import import_open3d
 from steelnb.types import Array
 
 SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
-"""A cloud whose mean is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. That holds for
-UTM coordinates, not for those of a site."""
+"""A cloud whose mean is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM
+coordinates are that large, coordinates of a site are not."""
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
 
@@ -121,7 +121,7 @@ def _read_las(path: Path) -> Any:
 
 
 def _read_text(path: Path) -> Any:
-    """x, y and z in the first three columns, separated by blanks, in a CSV by commas; ``#`` starts a comment."""
+    """x, y and z in the first three columns, separated by blanks (in a CSV by commas); ``#`` starts a comment."""
     separator = "," if path.suffix.lower() == ".csv" else r"\s+"
     return pd.read_csv(path, sep=separator, header=None, usecols=[0, 1, 2], comment="#", dtype=np.float64).to_numpy()
 

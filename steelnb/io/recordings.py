@@ -142,8 +142,8 @@ def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
 def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
     """Open a folder of clouds, sorted by the numbers in their names, 9 before 10.
 
-    Stamps are read from the names, as seconds with a decimal point or as whole nanoseconds. Otherwise they are those of
-    the poses, of which there must be as many.
+    Stamps are read from the names, as seconds with a decimal point or as whole nanoseconds. If the names have none, the
+    clouds have the stamps of the poses, so their numbers must agree.
     """
     folder, skipped = path / scans if scans else path, Counter[str]()
     files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in READERS and file.suffix.lower() != ".txt"]

@@ -1,4 +1,4 @@
-"""The basin of convergence of a registration, and false convergence during a flight."""
+"""The basin of convergence of a registration: the starts from which a scan finds its true pose."""
 
 import copy
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from steelnb.simulation import Truth
 from steelnb.types import Array, Flight
 
 RIGHT_M = 0.1
-"""An end within this distance of the truth is right: the edge of the report's voxel."""
+"""Maximum error of a right result: the edge of the report's voxel."""
 MAP_EVERY = 4
 
 
@@ -25,13 +25,13 @@ def find_basin(
     offset_m: Array,
     on_progress: Callable[[float], None] | None = None,
 ) -> pd.DataFrame:
-    """Basin of convergence: register scan ``frame`` from starts ``offset_m (N, 3)`` beside its true pose, to a map of
-    one in `MAP_EVERY` of the other scans at their true poses; a row a start.
+    """Register scan ``frame`` from starts that are off its true pose by ``offset_m (N, 3)``, one row per start. The map
+    holds every `MAP_EVERY`-th scan at its true pose, without ``frame``.
 
-    ``x_m``, ``y_m``, ``z_m`` of the start and ``error_m`` of the end from the truth; ``refused`` by the odometry; else
-    ``right`` within `RIGHT_M`, or ``wrong``, of which those ``stayed`` that hardly left their start, since the
-    registration trusts its prior, while the others ``locked`` onto something else.
-    Raises `InputError` for an odometry without clouds.
+    ``x_m``, ``y_m``, ``z_m``: the offset of the start; ``error_m``: position error of the result; ``refused``: the
+    odometry did not use the scan. Other results are ``right`` within `RIGHT_M` of the truth, else ``wrong``. A wrong
+    result has either ``stayed`` within `RIGHT_M` of its start, since the registration trusts its prior, or ``locked``
+    onto something else. Raises `InputError` for an odometry without clouds.
     """
     odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone

@@ -12,7 +12,7 @@ SLICE_M, POINTS_MIN = 1.0, 200
 
 
 def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, float]:
-    """Measure how a cloud is bent, by a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
+    """Measure how a cloud is bent: fit a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
     slice. Both are ``(N, 3)``, metres, world frame.
 
     Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of `SLICE_M` start
@@ -21,8 +21,8 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
 
     Returns ``bend_deg``, the angle between the rotations of the lowest and the highest slice; the maximum over the
     slices of the tilt and the yaw, ``tilt_max_deg`` and ``yaw_max_deg``, and of the displacement of the vertical
-    through ``axis (2,)``, ``offset_max_m``; and ``blur_mean_m``, the mean over the points of the root mean square
-    residual of their slice, which doubled surfaces raise.
+    through ``axis (2,)``, ``offset_max_m``; and ``blur_mean_m``, the mean of the slices' root mean square residuals,
+    weighted by their points. Doubled surfaces raise it.
     """
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")

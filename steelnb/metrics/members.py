@@ -1,4 +1,4 @@
-"""Segments by the members of a tower: which lies on which; recall, precision and errors."""
+"""Comparison of segments with the members of a tower: association, recall, precision and errors."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Recall, precision and errors of a reconstructed structure by a tower: bars, joints and their graph.
+"""Recall, precision and errors of a reconstructed structure against the tower: bars, joints and their graph.
 
 The axis of a member is the line through the centroids of its sections, as in structural engineering. The simulated
 joints are on the heels, the outer corners of the angles. So the true position of a joint is the point nearest to the
@@ -120,8 +120,8 @@ def toward_sensor_m(bars: Segments, member: IntArray, axes: Array, T_world_senso
     """Distance ``(B,)`` by which the middle of each bar lies nearer to the sensor than its member's axis, NaN for none.
 
     ``member (B,)`` is the member of each bar, or −1, ``axes (M, 2, 3)`` are the true axes, and ``T_world_sensor (K, 4,
-    4)`` the true poses. Measured across the axis, along the mean direction in which the bar was looked at from these
-    poses, near looks weighing more (1/distance²), as their points do.
+    4)`` the true poses. The distance is measured across the axis, along the mean viewing direction from the poses that
+    see the bar. Near views weigh more (1/distance²), as their points do.
     """
     inside = math.cos(0.5 * max(tof.fov_horizontal_rad, tof.fov_vertical_rad))
     toward = np.full(len(bars), np.nan)

@@ -1,4 +1,4 @@
-"""What a flight has seen of the steel."""
+"""Share of the steel that a flight has observed."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -7,13 +7,13 @@ from steelnb.simulation.truth import SLICE_M, Truth
 from steelnb.types import Array, Flight
 
 STEEL_M = 0.15
-"""A return counts for the slice of a member whose middle is so near."""
+"""Maximum distance of a return from the middle of the slice that it counts for."""
 EVERY = 5
-"""Of the returns, every fifth tells what was seen."""
+"""Only every fifth return is looked up."""
 
 
 def sight(flight: Flight, truth: Truth, floor_m: float) -> tuple[Array, Array]:
-    """Of each scan, its returns higher than ``floor_m`` at the true pose, and the share of the steel seen so far."""
+    """Number of returns above ``floor_m`` at the true pose, and share of the steel observed so far, of each scan."""
     tree = cKDTree(slices(truth.tower.axes))
     seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
     T_world_sensor = truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor

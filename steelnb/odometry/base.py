@@ -1,4 +1,4 @@
-"""The interface of every odometry, and what those of this package share."""
+"""The interface of every odometry, and the base class of those of this package."""
 
 import time
 from abc import ABC, abstractmethod
@@ -13,12 +13,12 @@ from steelnb.types import Array, OdometryStep, Scan, Segments
 
 SPACING_M = 0.05
 Outcome = tuple[Array, str, int, int]
-"""Pose ``T_world_drone (4, 4)``, why the scan was not used (else empty), number of matches, and number of directions in
-which the scan does not determine the pose."""
+"""Pose ``T_world_drone (4, 4)``, the reason if the scan was not used (else empty), number of matches, and number of
+directions in which the scan does not determine the pose."""
 
 
 class Odometry(Protocol):
-    """Corrects a drifting pose, scan by scan. A class needs `update` alone, and no base class."""
+    """Corrects a drifting pose, scan by scan. A class needs only the method `update`; it need not inherit."""
 
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan.
@@ -48,7 +48,7 @@ class BaseOdometry(ABC):
 
     Parameters
     ----------
-    settings : of the family ``kind``, default ``OdometrySettings.preset(method)``.
+    settings : an instance of ``kind``, default ``OdometrySettings.preset(method)``.
     T_drone_sensor : (4, 4), the mount of the sensor, default identity.
 
     Raises `InputError` for settings of another family, and for a mount that is not rigid.
@@ -97,7 +97,7 @@ class BaseOdometry(ABC):
 
 
 def nothing_near(scan: Scan, crop_m: float) -> str:
-    """Why preprocessing left no point of a scan with returns; empty if some are near."""
+    """The reason if all returns of a scan are farther than ``crop_m``; empty otherwise, or if there are none."""
     distance = np.linalg.norm(scan.points.reshape(-1, 3), axis=1)
     distance = distance[np.isfinite(distance) & (distance > 0)]
     if not len(distance) or distance.min() <= crop_m:

@@ -1,4 +1,4 @@
-"""Odometry by clouds: the report's section 3.3, one loop for every method."""
+"""Odometry by clouds: the report's section 3.3, with one loop for all methods."""
 
 from typing import ClassVar
 
@@ -18,14 +18,14 @@ from steelnb.types import Array, Imu, IntArray, Scan
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
 POINTS_MIN = {False: 10, True: 100}
-"""Whether the prediction has a stated uncertainty → minimum number of points of a scan. Eight by eight pixels are never
-enough: they sample a surface more coarsely than the map's voxels."""
+"""Whether the prediction has a stated uncertainty → minimum number of points of a scan. With one, 8 × 8 pixels are too
+few: they sample a surface more coarsely than the map's voxels."""
 NORMALS_MIN = 0.05
-"""Minimum share of normals along a direction in which a scan corrects the prediction, if that has a stated uncertainty
-(`unobserved_shifts`). The share is up to 0.02 along a wall, with noise, at least 0.18 before the report's tower, and
-0.06 there with the report's sensor. On a tower 6 m wide it falls to 0.03 now and then."""
+"""Minimum strength of the normals along a direction, relative to the strongest one, for a scan to correct a prediction
+with a stated uncertainty there (`unobserved_shifts`). It is up to 0.02 along a noisy wall, and in front of the report's
+tower at least 0.18, or 0.06 with the report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
 JUMP_MAX_VOXELS = 10
-"""Largest accepted distance of a registration from its prediction, in voxels of the map."""
+"""Maximum accepted distance of a registration from its prediction, in voxels of the map."""
 ITERATIONS_MAX = {"xyz": 200, "xyz_yaw": 150, "se3": 150}
 """Degrees of freedom → maximum number of iterations of the solver, as in the report's programs."""
 ITERATIONS_MEASURED = 20
@@ -37,9 +37,9 @@ EPSILONS = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
 class CloudOdometry(BaseOdometry):
     """Registers each scan to the map of the scans before it.
 
-    The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, they
-    are those of the points accumulated around each voxel and of the sensor's noise along each ray. Points are then
-    moved by the near-side bias (`near_side`), and the solver extrapolates its steps and stops earlier (`EPSILONS`).
+    The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, the
+    target's are those of the points accumulated around each voxel, and the source's follow from the range noise. Then,
+    points are moved by the near-side bias (`near_side`), and the solver extrapolates and stops earlier (`EPSILONS`).
 
     Settings are of the family of clouds or faces. ``imu``: readings in the drone frame, used up to the current scan if
     the settings have ``inertial``.
@@ -95,7 +95,7 @@ class CloudOdometry(BaseOdometry):
         return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.measured else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
-        """The part of the map that a scan may see, None without any, and covariances of its points."""
+        """The part of the map that a scan may see, None if empty, and the covariances of the scan's points."""
         chosen = self._in_sight(self.map, points, T_init)
         if not len(chosen):
             return None, None
@@ -117,8 +117,8 @@ class CloudOdometry(BaseOdometry):
         return voxels.near((low + high) / 2, reach_m)
 
     def _ray_covariances(self, points: Array) -> Array:
-        """Covariances of points, drone frame: range noise along each ray, half of its floor across. Upper triangles
-        ``(N, 6)``."""
+        """Covariances of points, drone frame, as upper triangles ``(N, 6)``. The standard deviation is the range
+        noise along each ray, and half of `SIGMA_M` across it."""
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
@@ -130,7 +130,7 @@ class CloudOdometry(BaseOdometry):
     def _register(
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
     ) -> tuple[RegistrationResult | None, str]:
-        """The registration of a scan, and why it is not used."""
+        """The registration of a scan, and the reason if it is not used."""
         s, known = self.settings, self.prediction.known
         if len(points) < POINTS_MIN[known]:
             return None, "too few points"

@@ -9,31 +9,31 @@ from steelnb.odometry.prediction import PRIOR_SIGMA
 from steelnb.types import Array, Segments
 
 GAIN = 0.5
-"""Share of the mean distance by which `average` corrects: the report's."""
+"""Share of the mean offset by which `average` corrects, as in the report."""
 SIGHTINGS_MIN = 2
 """Minimum number of sightings of a bar in `bar_equations`. Chosen on seeds 11 and 12."""
 DAMPING_PAIRS = 1.0
-"""Weight of no correction, in pairs of mean weight. It holds a direction that no bar constrains. Chosen on seeds 11 and
-12."""
+"""Weight of a zero correction, in pairs of mean weight. It constrains directions that no bar does. Chosen on seeds 11
+and 12."""
 ITERATIONS_MAX = 10
 TOLERANCE_M = 1e-4
 SIGMA_FLOOR_M = 0.02
-"""Added to the radius of a segment: as only the near side of a bar is visible, its axis is never known better."""
+"""Added in quadrature to a segment's radius: the near-side bias limits how well the axis of a bar is known."""
 POINTS_MAX = 100.0
 """More points do not make a segment more accurate: the near-side bias remains. Chosen on seeds 11 and 12."""
 PRIOR = np.array([PRIOR_SIGMA[1] ** -2.0] + [PRIOR_SIGMA[0] ** -2.0] * 3)
 """Information of the prediction about (yaw, x, y, z)."""
 TURN_ARM_M = 3.0
-"""The distance at which a yaw is compared with a shift, metres."""
+"""Lever arm that converts a yaw to a shift in the stopping criterion, metres."""
 
 
 Correction = tuple[Array, int]
-"""Yaw (rad) and shift (m) of a pose, ``(4,)``, world frame, and the number of pairs that they are from."""
+"""Yaw (rad) and shift (m) of a pose, ``(4,)``, world frame, and the number of pairs used."""
 NO_CORRECTION: Correction = np.zeros(4), 0
 
 
 def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """No correction: the map that drift makes (the report's Figure 3.4a)."""
+    """No correction, which shows the map distorted by drift (the report's Figure 3.4a)."""
     return NO_CORRECTION
 
 
@@ -48,11 +48,11 @@ def average(observed: Segments, known: SegmentMap, robust_scale_m: float, positi
 
 
 def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """The translation that aligns the segments with their bars, by their distances perpendicular to the bars.
+    """The translation that minimises the distances of the segments perpendicular to their bars.
 
     Minimises Σ w ‖(I − d dᵀ)(p + x − q)‖² + λ‖x‖² by iteratively reweighted least squares. d is the direction of the
     bar, and w the segment's share of the points times the Geman-McClure weight. Each iteration finds new pairs. λ
-    (`DAMPING_PAIRS`, in pairs of mean weight) holds a direction that no bar constrains.
+    (`DAMPING_PAIRS`, in pairs of mean weight) constrains directions that no bar does.
     """
 
     def equations(state: Array) -> tuple[Array, Array, int]:
@@ -68,8 +68,8 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
 def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """Translation and yaw about ``position (3,)`` that align the segments with their bars: `bar_equations`, iterated.
 
-    Gauss–Newton with new pairs in each iteration. The information of the prediction (`PRIOR`) holds the directions that
-    no bar constrains.
+    Gauss–Newton with new pairs in each iteration. The information of the prediction (`PRIOR`) constrains the directions
+    that no bar does.
     """
 
     def equations(state: Array) -> tuple[Array, Array, int]:
@@ -79,7 +79,7 @@ def least_squares_yaw(observed: Segments, known: SegmentMap, robust_scale_m: flo
 
 
 def _solved(equations: Callable[[Array], tuple[Array, Array, int]], prior: Array) -> Correction:
-    """The correction, with or without yaw, that solves its normal equations and has the information ``prior (k,)``."""
+    """The correction, with or without yaw, by Gauss–Newton with a zero-mean prior of information ``prior (k,)``."""
     state, step, matches = np.zeros(4), np.zeros(4), 0
     free = slice(4 - len(prior), 4)
     for _ in range(ITERATIONS_MAX):
@@ -110,7 +110,7 @@ def bar_equations(
     across = across_of(end - np.repeat(bars.start, 2, axis=0), direction)
     robust = 1.0 / (1.0 + (across**2).sum(axis=1) / (robust_scale_m * robust_scale_m))
     weight = information * robust * robust
-    # Derivatives of an end by yaw, x, y and z, then their part perpendicular to the bar.
+    # Derivatives of an end with respect to yaw, x, y and z, then their part perpendicular to the bar.
     J = np.tile(np.vstack([np.zeros(3), np.eye(3)]), (len(end), 1, 1))
     J[:, 0, 0], J[:, 0, 1] = position[1] - end[:, 1], end[:, 0] - position[0]
     J = across_of(J, direction[:, None])
@@ -125,7 +125,7 @@ def across_of(vectors: Array, direction: Array) -> Array:
 
 
 def shared_ends(segments: Segments, bars: Segments) -> Array:
-    """Ends ``(P, 2, 3)`` of the overlap of each segment with its bar; twice its nearest end if they do not overlap."""
+    """Ends ``(P, 2, 3)`` of the overlap of each segment with its bar; without one, its nearest end, twice."""
     direction = bars.direction
     run = ((segments.end - segments.start) * direction).sum(axis=1)
     first = ((segments.start - bars.start) * direction).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Learned odometry: the translation between two range images by a small convolutional network.
+"""Learned odometry: a small convolutional network estimates the translation between two range images.
 
 After Wang, Clark, Wen and Trigoni, "DeepVO: Towards end-to-end visual odometry with deep recurrent convolutional neural
 networks" (ICRA 2017), for range images instead of colour, and without its recurrent part.
@@ -16,11 +16,11 @@ from steelnb.types import Array, Scan
 
 COLUMNS, ROWS = 48, 64
 TAN_HALF_WIDTH, TAN_HALF_HEIGHT = 0.9325, 1.327
-"""Size of a derotated image, and tangents of half its fields of view, as of a Starling 2's sensor."""
+"""Size of a derotated image, and tangents of half its fields of view, as for a Starling 2's sensor."""
 COVERAGE_MIN = 0.01
 """Minimum share of pixels with returns; scans with fewer are skipped."""
 GAP_MAX_S = 0.65
-"""Maximum time between the scans of a pair: in training, it is up to three periods of 0.2 s."""
+"""Maximum time between the scans of a pair. In training, it was up to three periods of 0.2 s."""
 UNIT_M = 0.1
 """Unit of length of the network's output."""
 MIRROR = np.array([1.0, -1.0, 1.0])
@@ -71,8 +71,8 @@ def motions(network: Network, images: np.ndarray) -> tuple[Array, Array]:
     """Translations ``(B, 3)`` of the sensor from the first to the second image of pairs ``(B, 4, ROWS, COLUMNS)``,
     ahead, left and up in metres, and their standard deviations ``(B, 3)``.
 
-    The mean of four evaluations: forwards and backwards in time, plain and mirrored. A sensor at rest therefore has no
-    motion, whatever the weights.
+    They are means of four evaluations: forwards and backwards in time, plain and mirrored. Identical images therefore
+    give zero translation, whatever the weights.
     """
     swapped = images[:, [2, 3, 0, 1]]
     output = network(np.concatenate([images, swapped, images[..., ::-1], swapped[..., ::-1]])).reshape(4, -1, 6)
@@ -84,7 +84,7 @@ def motions(network: Network, images: np.ndarray) -> tuple[Array, Array]:
 class DeepVoOdometry(BaseOdometry):
     """Integrates the translations that a network estimates from the derotated range images of two scans.
 
-    It uses the prior's first pose and its attitudes, but not its further positions. There is no map, so the errors
+    It uses the prior's first pose and its attitudes, but not its later positions. There is no map, so the errors
     accumulate. The ``matches`` of a step are the pixels with returns in both images. Raises `InputError` for weights
     that cannot be used.
     """

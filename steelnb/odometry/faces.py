@@ -1,13 +1,13 @@
-"""Odometry by the front faces of bars that the flight itself has found.
+"""Odometry by the front faces of bars found during the flight.
 
-A map of points is biased: a voxel averages over the faces that it holds, so a registration depends on the side from
-which the scan sees them. A bar whose section is known has no such bias.
+A map of points is biased: a voxel averages over the faces that it contains, so a registration depends on the side from
+which the scan sees them. A bar with a known section has no such bias.
 
 1. Every `KEYFRAME_S` a scan becomes a keyframe.
-2. Every `REFIT_S` a second thread finds bars in all keyframes, and adjusts bars and poses together
+2. Every `REFIT_S`, a second thread finds bars in all keyframes, and adjusts bars and poses together
    (`steelnb.fusion.keyframes`).
 3. Each scan is registered to the front faces of these bars (`steelnb.fusion.locate`).
-4. Odometry by clouds takes over where the bars do not determine the pose: at the beginning, and in new views.
+4. Odometry by clouds takes over where the bars do not determine the pose: at the start, and in unmapped areas.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -33,7 +33,7 @@ on the machine's speed; an adjustment takes up to 2 s on one core of a laptop.""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Number of points registered from a scan, and kept of a keyframe to fit bars to."""
 REFITTED_SIGMA = np.array([0.001, 0.001, 0.001, 0.003, 0.003, 0.003])
-"""Standard deviation of the latest pose in the adjusted bars, radians and metres."""
+"""Standard deviation of the latest pose relative to the adjusted bars, radians and metres."""
 GATE = {4: 18.5, 6: 22.5}
 """Degrees of freedom → gate on the squared Mahalanobis distance of a registration from its prediction: the 99.9 %
 quantile of chi-squared. A larger distance means that wrongly fitted bars led the registration astray."""
@@ -42,8 +42,8 @@ quantile of chi-squared. A larger distance means that wrongly fitted bars led th
 class FaceOdometry(CloudOdometry):
     """Corrects a drifting pose by the front faces of bars, with odometry by clouds as the fallback.
 
-    After an adjustment the output pose catches up gradually, by at most `DRIFT_SIGMA` a scan, so it never jumps. The
-    readings of an ``imu`` take part in the adjustments, too.
+    After an adjustment, the output pose catches up gradually, by at most `DRIFT_SIGMA` per scan, so it never jumps.
+    Adjustments also use the readings of an ``imu``.
     """
 
     kind, method = FaceSettings, "faces"
@@ -68,10 +68,10 @@ class FaceOdometry(CloudOdometry):
         self._lag = np.zeros(pose_size(self.tilt_sigma_rad))
         self._adjustment: Future[Problem | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
-        self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes that came during an adjustment
+        self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes taken during an adjustment
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
-        if not scan.stamp_s > self._stamp_s:  # scans without stamps are taken to come at the usual rate
+        if not scan.stamp_s > self._stamp_s:  # assume the usual rate for scans without stamps
             scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
         self._stamp_s = scan.stamp_s
         fit = self._located(scan, prior)
@@ -96,7 +96,7 @@ class FaceOdometry(CloudOdometry):
         return self.faces.bars.take(self.faces.bars.is_bar).segments if self.faces else Segments.empty()
 
     def _located(self, scan: Scan, prior: Array) -> Fit | None:
-        """Registration of a scan to front faces; None if it is refused."""
+        """Registration of a scan to front faces; None if it is rejected."""
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
@@ -131,7 +131,7 @@ class FaceOdometry(CloudOdometry):
             self.insert(cloud, T_world_drone)
 
     def _insert_waiting(self, T_correction: Array) -> None:
-        """Add the keyframes that came during an adjustment, moved by its correction ``T_correction (4, 4)``, world."""
+        """Add the keyframes taken during an adjustment, moved by its ``T_correction (4, 4)``, world frame."""
         for scan, points, T_sensor, prior in self._waiting:
             self.keyframes.add(scan, points, T_correction @ T_sensor, prior)
         self._waiting = []
@@ -164,7 +164,7 @@ class FaceOdometry(CloudOdometry):
         self._lag = pose_step(T_correction @ T_world_drone, output, len(self._lag))
 
     def _output_pose(self, T_world_drone: Array) -> Array:
-        """The output pose for an estimate: it lags behind after an adjustment, and catches up."""
+        """The output pose for an estimate, which lags behind after an adjustment and catches up."""
         for part, most in ((slice(-3, None), DRIFT_SIGMA[-1]), (slice(0, -3), DRIFT_SIGMA[0])):
             size = float(np.linalg.norm(self._lag[part]))
             self._lag[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0

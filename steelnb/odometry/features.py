@@ -1,4 +1,4 @@
-"""ORB features of an image, and their depths from the Time-of-Flight scan of the same moment."""
+"""ORB features of an image, and their depths from the Time-of-Flight scan taken at the same time."""
 
 import functools
 from types import ModuleType
@@ -18,7 +18,7 @@ FAST_THRESHOLD = 12
 WINDOW = 1.8
 """Radius, in pixels of the sensor, of a feature's neighbourhood, in which the surface must be smooth."""
 SAMPLE_STEP = 7
-"""Every seventh return is used to estimate the pixel spacing of neighbours."""
+"""One in seven returns is used to estimate the pixel spacing of neighbours."""
 POINTS_MIN = 6
 SMOOTH, FLAT = 3.0, 0.25
 """Maximum deviation of a depth from a smooth surface, in standard deviations; and maximum relative change of the depth
@@ -120,11 +120,11 @@ class DepthImage:
     def depth_at(self, pixel: Array) -> Array:
         """Depths ``(N,)``, metres, of the smooth surface around each of the pixels ``(N, 2)``; NaN without one.
 
-        A surface is smooth if a plane fits, whose inverse depth is linear in the pixel. There must be returns in all
-        four quadrants around the pixel, which excludes the edges of surfaces.
+        A surface is smooth if a plane fits it; the inverse depth of a plane is linear in the pixel. Returns must lie in
+        all four quadrants around the pixel, which excludes the edges of surfaces.
         """
         at, near = _pairs(pixel, self.pixel, self.radius_px)
-        # Sums depend on their order: that of a grid's cells, row by row.
+        # Floating-point sums depend on their order: sort by grid cell, row by row.
         column, row = (self.pixel / self.radius_px).astype(np.int64).T
         order = np.lexsort((near, column[near], row[near], at))
         at, near = at[order], near[order]
@@ -170,7 +170,7 @@ def match(
     against the second best. Each feature matches at most one landmark.
     """
     m, n = _pairs(expected, pixel, search_px)
-    apart = np.abs(depth[n] - expected_depth[m]) > 5 * np.maximum(SIGMA_M, SIGMA_SHARE * depth[n])  # not if unknown
+    apart = np.abs(depth[n] - expected_depth[m]) > 5 * np.maximum(SIGMA_M, SIGMA_SHARE * depth[n])  # False if unknown
     similar = (np.abs(octave[n] - expected_octave[m]) <= 1) & ~apart
     m, n = m[similar], n[similar]
     bits = np.bitwise_count(descriptor[n] ^ reference[m]).sum(axis=1, dtype=np.int64)

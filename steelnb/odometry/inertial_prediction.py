@@ -2,8 +2,8 @@
 
 Readings since the last scan are integrated from its pose, velocity and biases (`fusion.inertial`). The increment of the
 drifting prior, in position and yaw, is a measurement of the same motion. The predicted pose enters the registration
-with its covariance, and the registered pose corrects velocity and biases, too. So roll and pitch come from gravity over
-the whole flight, not from the prior, and a scan with little information follows the readings.
+with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come from gravity
+over the whole flight, not from the prior. A scan with little information follows the readings.
 
 Sources: Solà, "Quaternion kinematics for the error-state Kalman filter" (arXiv 1711.02508, 2017), with errors in the
 world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for increments, which depend on two poses.
@@ -32,7 +32,7 @@ VELOCITY_SIGMA_M_S, ROTATION_SIGMA_RAD = 10.0, 0.01
 
 class State(NamedTuple):
     """Pose ``T_world_drone (4, 4)``, ``velocity (3,)`` in the world frame, ``bias (6,)`` of gyroscope and accelerometer
-    and the ``covariance (15, 15)`` of their errors, at ``stamp_s``; the drifting pose ``prior (4, 4)`` then."""
+    and the ``covariance (15, 15)`` of their errors, at ``stamp_s``; ``prior (4, 4)``: the drifting pose then."""
 
     stamp_s: float
     prior: Array
@@ -82,9 +82,9 @@ class InertialPrediction:
     def correct(self, T_world_drone: Array, prior: Array, unobserved: Array, H: Array, arm: Array) -> None:
         """Update with the maximum a posteriori pose of a registered scan.
 
-        ``H (6, 6)`` is the information of prediction and registration together about the rotation and the shift of a
-        point, from which the drone lies ``arm (3,)``. Along ``unobserved (u, 3)``, unit vectors, the pose is the
-        prediction's.
+        ``H (6, 6)`` is the joint information of prediction and registration about rotation and shift of a point;
+        ``arm (3,)`` is the vector from there to the drone. Along the unit vectors ``unobserved (u, 3)``, the pose is
+        the prediction's.
         """
         observed, predicted = np.eye(6), self.information
         observed[3:, 3:] -= unobserved.T @ unobserved
@@ -93,7 +93,7 @@ class InertialPrediction:
         assert self.state is not None
         P = self.state.covariance
         before = P[POSE, POSE]
-        gain = np.linalg.solve(before, P[POSE]).T  # of all errors, given those of the pose
+        gain = np.linalg.solve(before, P[POSE]).T  # of all errors, from those of the pose
         step = gain @ _difference(self.state.T_world_drone, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + registered) - before) @ gain.T
         self.state = self.state._replace(
@@ -106,8 +106,8 @@ class InertialPrediction:
         self.state = self.predicted
 
     def adjust(self, T_correction: Array, T_world_drone: Array, prior: Array, variance: Array) -> None:
-        """Move the state by ``T_correction (4, 4)``, world frame, which adds a ``variance (6,)`` of rotation and
-        position of the drone."""
+        """Move the state by ``T_correction (4, 4)``, world frame, and add a ``variance (6,)`` of rotation and position
+        of the drone."""
         assert self.state is not None
         P = self.state.covariance.copy()
         P[range(6), range(6)] += variance
@@ -152,8 +152,8 @@ class InertialPrediction:
         return State(stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS], 0.5 * (P + P.T))
 
     def _integrated(self, old: State, stamp_s: float) -> tuple[Array, Array, Array, Array]:
-        """Pose and velocity by the readings, the derivative ``(15, 15)`` of the errors by those of the old state, and
-        the covariance of the noise."""
+        """Pose and velocity by the readings, the Jacobian ``(15, 15)`` of the errors with respect to those of the old
+        state, and the covariance of the noise."""
         passed_s, R = stamp_s - old.stamp_s, old.T_world_drone[:3, :3]
         imu, stamps_s = self.imu, np.array([old.stamp_s, stamp_s])
         read = integrated(imu.stamp_s, imu.specific_force, imu.angular_rate, stamps_s, old.bias[None])
@@ -176,7 +176,7 @@ class InertialPrediction:
     def _followed(
         self, old: State, prior: Array, expected: Array, passed_s: float
     ) -> tuple[Array, Array, Array, Array]:
-        """The same by the prior's increment, if readings are missing: its shift counts as a measurement."""
+        """The same from the prior, if readings are missing. Its shift gets a sigma of 1 m, as it is also measured."""
         F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
         T = old.T_world_drone.copy()
         T[:3, :3] = T[:3, :3] @ old.prior[:3, :3].T @ prior[:3, :3]
@@ -188,14 +188,14 @@ class InertialPrediction:
 
 
 def information_at(information: Array, arm: Array) -> Array:
-    """Information ``(6, 6)`` about the rotation and the shift of one point → that of a point which lies ``arm (3,)``
-    from it."""
+    """Convert information ``(6, 6)`` about the rotation and the shift of one point to that of another point, which is
+    offset from it by ``arm (3,)``."""
     by_twist = _by_twist(-arm)
     return np.asarray(by_twist.T @ information @ by_twist)
 
 
 def _by_twist(arm: Array) -> Array:
-    """Derivative ``(6, 6)`` of the rotation and shift of a point, ``arm (3,)`` from the centre of a twist."""
+    """Derivative ``(6, 6)`` of the rotation and shift of a point at ``arm (3,)`` from the centre of a twist."""
     by_twist = np.eye(6)
     by_twist[3:, :3] = -_cross(arm)
     return by_twist

@@ -9,7 +9,7 @@ from steelnb.odometry.features import Features
 from steelnb.types import Array, IntArray
 
 SIGHTINGS_MAX = 50
-"""The weight of a new observation stops decreasing after this number, so a landmark's position can still change."""
+"""The weight of a new observation stops decreasing after this number, so that positions can still change."""
 ANGLE_MIN = 0.6
 """Minimum cosine between the current and the first viewing direction of a landmark."""
 MISSES_MAX = 8
@@ -32,7 +32,7 @@ class Expected(NamedTuple):
 
 
 class LandmarkMap:
-    """At most ``count_max`` landmarks, ``table (N,)`` of `LANDMARK`; of more, the least recently observed ones are
+    """At most ``count_max`` landmarks, ``table (N,)`` of `LANDMARK`. Beyond that, the least recently observed are
     removed."""
 
     def __init__(self, count_max: int) -> None:

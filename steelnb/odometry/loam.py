@@ -10,7 +10,7 @@ from steelnb.settings import LoamSettings, OdometrySettings
 from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
-"""Edge 0, plane 1 → number of features per part of a scan line for registering a scan to the last one, as published."""
+"""Edge (0) or plane (1) → number of features per part of a scan line in scan-to-scan registration, as published."""
 ITERATIONS_MAX = 15
 SIGMA_M = 0.02
 """Standard deviation of a feature's distance from its line or plane; the unit of ``robust_scale``."""
@@ -20,8 +20,8 @@ class LoamOdometry(CloudOdometry):
     """Registers the features of each scan to lines and planes of the previous scans.
 
     Features are those of Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time" (RSS 2014). A scan is
-    registered to the last one (section V), starting from the prior's motion, then to the map (section VI), here for
-    every scan. Geman-McClure weights replace the bisquare ones.
+    registered to the last one (section V), starting from the prior's motion, then to the map (section VI). Unlike
+    there, every scan is registered to the map, and Geman-McClure weights replace the bisquare ones.
 
     Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are first sorted into scan lines.
     """

@@ -44,7 +44,7 @@ ODOMETRIES: dict[str, type[BaseOdometry]] = {
 }
 """Family of settings → its odometry."""
 GIVEN = ("T_drone_sensor", "imu", "images")
-"""Parts of a flight that the constructor of an odometry, also of the user's, may ask for by these names."""
+"""Parts of a flight that the constructor of an odometry, built-in or the user's, may take under these names."""
 
 
 def make_odometry(
@@ -57,7 +57,7 @@ def make_odometry(
 
 
 def _wanted(make: Callable[..., Any], given: dict[str, Any]) -> dict[str, Any]:
-    """Those of the ``given`` arguments that a constructor asks for by name."""
+    """The ``given`` arguments that a constructor takes by name."""
     return {name: given[name] for name in inspect.signature(make).parameters if name in given}
 
 
@@ -71,8 +71,8 @@ def correct(
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
     evenly over the scans. ``on_step`` as for `run`. ``own`` is a class that replaces the odometry of the settings
-    (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU have other
-    units or axes.
+    (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU do not fit
+    the prior (`check_imu`).
     """
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
@@ -90,10 +90,10 @@ def correct(
 
 
 def load_odometry(name: str) -> Callable[..., Odometry]:
-    """The class that ``MODULE:CLASS`` names, of a module that is installed or lies in the working directory.
+    """Load the class ``MODULE:CLASS`` from an installed module, or from one in the working directory.
 
-    Raises `InputError` if module, class or its method `update` is missing, or if its constructor needs anything but
-    `GIVEN`.
+    Raises `InputError` if module, class or its method `update` is missing, or if its constructor requires arguments
+    other than `GIVEN`.
     """
     module_name, _, class_name = name.partition(":")
     sys.path.insert(0, str(Path.cwd()))

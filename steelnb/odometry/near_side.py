@@ -1,8 +1,8 @@
 """Near-side bias: the distance from the visible surfaces of bars to their axes, from the width of the bars in a scan.
 
 A sensor sees the near side of a bar, so its points lie nearer than the axis, from every direction. When the view turns,
-they move around the bar, and a registration mistakes this for a motion of the drone. Points moved away from the sensor
-by the right length lie around the axis, whatever the direction of view.
+they move around the bar, and a registration mistakes this for a motion of the drone. If they are moved away from the
+sensor by the right length, they lie around the axis, whatever the direction of view.
 
 Over all directions of view, the pixels lie mean(F) / (2 mean(w)) before the centroid of a section, where w is its width
 and F the area between its front and its back. By Cauchy's formula, mean(w) is the perimeter of the hull over pi
@@ -20,7 +20,7 @@ from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
 WIDTH_MAX_M = 0.4
-"""Wider surfaces are no bars."""
+"""Wider surfaces are not bars."""
 
 
 class NearSide:
@@ -53,11 +53,11 @@ class NearSide:
 def apparent_width(image):  # type: ignore[no-untyped-def]
     """(sum, count) of the width of the strip around each pixel of an organised scan, up to `WIDTH_MAX_M`.
 
-    A strip of width w crossed by a row over the length h and by a column over v has 1/w² = 1/h² + 1/v², whatever its
-    direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.
+    If a row crosses a strip of width w over the length h, and a column over v, then 1/w² = 1/h² + 1/v², whatever the
+    strip's direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.
     """
     rows, columns = image.shape[0], image.shape[1]
-    distance = ranges_ahead(image)  # what is not before the sensor has no slope to it
+    distance = ranges_ahead(image)  # NaN if not in front of the sensor, where slopes are undefined
     along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
     measure_runs(image, distance, 1, along_row)
     measure_runs(image.transpose(1, 0, 2), distance.T, 2, along_column.T)

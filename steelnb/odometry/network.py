@@ -1,4 +1,4 @@
-"""A small convolutional network in NumPy, and the file of its weights. It is trained by ``scripts/train-deepvo``."""
+"""A small convolutional network in NumPy, and its weights file. ``scripts/train-deepvo`` trains it."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -51,7 +51,7 @@ def convolved(x: np.ndarray, kernel: np.ndarray, stride: int) -> np.ndarray:
 
 
 def read_network(path: Path = WEIGHTS) -> Network:
-    """Read a network from a file of weights. Raises `InputError`, also for another version or architecture."""
+    """Read a network from a weights file. Raises `InputError`, also for another version or architecture."""
     form = f"weights of version {VERSION!r}"
     with reading(path, form), np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}

@@ -1,7 +1,7 @@
 """Visual odometry by ORB features with depths from the Time-of-Flight sensor: the report's section 2.1.1.
 
 This is the tracking of ORB-SLAM (Mur-Artal, Montiel, Tardós, IEEE Transactions on Robotics 31, 2015) with a local map,
-without bundle adjustment and loop closing.
+but without bundle adjustment or loop closure.
 """
 
 from typing import NamedTuple
@@ -28,12 +28,12 @@ INLIER_WEIGHT = 0.25
 FEATURES = 800
 """Maximum number of features per image."""
 KEYFRAME_M, TURN_RAD_PER_M = 0.1, 0.5
-"""A keyframe is taken after this distance, where this many radians of rotation count as a metre."""
+"""A keyframe is taken after this distance; this many radians of rotation count as one metre."""
 SEARCH_PX, HAMMING = 8.0, 60
 """Search radius around the predicted pixel, and maximum Hamming distance of the 256-bit descriptors. An error of 5 cm,
 the prior's standard deviation, is 8 pixels of the forward camera at 1.1 m."""
 NEAR_PX, NEAR_HAMMING = 3.0, 110
-"""The same for the second search, from the pose of the first solve."""
+"""The same for the second search, which starts from the result of the first."""
 RATIO = 0.85
 """Ratio test: maximum distance of the best descriptor relative to the second best (Lowe, IJCV 60, 2004: 0.8)."""
 ROBUST_SCALE = 2.0
@@ -41,7 +41,7 @@ ROBUST_SCALE = 2.0
 MATCHES_MIN = 8
 """Minimum number of matches: four for a pose, and four to check it."""
 LANDMARKS_MAX = 10_000
-"""Of more landmarks, the least recently observed ones are removed."""
+"""Maximum number of landmarks; beyond it, the least recently observed ones are removed."""
 NO_IMAGES = CameraImages(np.zeros(0), (), np.eye(3), np.eye(4))
 
 

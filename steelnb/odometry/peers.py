@@ -26,7 +26,7 @@ MapPoints = Callable[[], Array]
 
 
 class PeerOdometry(BaseOdometry):
-    """Corrects a drifting pose by a library. The prior's motion replaces the library's own prediction.
+    """Corrects a drifting pose with a library. The prior's motion replaces the library's own prediction.
 
     The voxel is ``preprocess.voxel_leaf_m``; points beyond ``preprocess.crop_m`` are ignored.
     """

@@ -10,19 +10,19 @@ from steelnb.settings import ImuSettings
 from steelnb.types import Array, Imu
 
 DRIFT_GAIN = 0.05
-"""Gain of the filter of the drift's rate. Chosen on the development seeds 11 and 12."""
+"""Gain of the filter of the drift rate. Chosen on the development seeds 11 and 12."""
 PRIOR_SIGMA = 0.05, 0.02
-"""Standard deviations of a correction by segments or by image features from its prediction, metres and radians. Chosen
-on the development seeds 11 and 12."""
+"""Standard deviations of the prediction for corrections by segments or image features, metres and radians. Chosen on
+the development seeds 11 and 12."""
 
 
 class Prediction:
     """Alpha-beta filter of the correction of a drifting prior, with alpha = 1 and beta = `DRIFT_GAIN`.
 
     The correction turns the drone about itself and then moves it, both in the world frame. With a ``prior_sigma``
-    (metres and radians), the filter estimates the rate of the drift and predicts with it; without, it predicts the last
-    correction. A solver that starts behind the drift stops a little behind it in every frame. The map keeps these
-    errors, and under a constant drift they add up. After a scan that was not registered, the rate is not used.
+    (metres and radians), the filter estimates the drift rate and predicts with it; otherwise it predicts the last
+    correction. A solver that starts behind the drift also stops slightly behind it, in every scan. The map retains
+    these errors, so they accumulate under a constant drift. After a scan that was not registered, the rate is not used.
 
     If ``tilt_sigma_rad`` is above 0, the prior's roll and pitch have errors: a Gauss-Markov process with that standard
     deviation and the correlation time `fusion.poses.TILT_S`. Their correction decays and has no rate.
@@ -60,17 +60,17 @@ class Prediction:
         return T
 
     def terms(self, T_predicted: Array, points: Array) -> list[Term]:
-        """The cost of the distance from the predicted pose: of the rotation and of the shift of the mean of ``points
-        (N, 3)``, drone frame. Empty if the prediction has no stated uncertainty."""
+        """The cost of deviating from the predicted pose: rotation, and shift of the mean of ``points (N, 3)``, drone
+        frame. Empty if the prediction has no stated uncertainty."""
         return [prior_term(self.information, T_predicted, points)] if self.known else []
 
     def correct(
         self, T_world_drone: Array, prior: Array, unobserved: Array = NONE, H: Array = NONE, arm: Array = NONE
     ) -> None:
         """Update with the pose of a registered scan. ``unobserved (u, 3)``: unit vectors along which the pose is the
-        predicted one, so the rate of the drift is unknown. ``H`` and ``arm`` are for `InertialPrediction` alone."""
+        predicted one, so the drift rate is unknown. Only `InertialPrediction` uses ``H`` and ``arm``."""
         turn, offset = T_world_drone[:3, :3] @ prior[:3, :3].T, T_world_drone[:3, 3] - prior[:3, 3]
-        if self._followed:  # a jump after a gap is no rate
+        if self._followed:  # a jump after a gap is not a rate
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
             turned = Rotation.from_matrix(turn @ self.turn.T, assume_valid=True).as_rotvec()
             self.turn_rate = self.turn_rate + self.gain * (turned - self.turn_rate)
@@ -84,7 +84,7 @@ class Prediction:
         self._followed, self._last_s = False, self._current_s
 
     def adjust(self, T_correction: Array, T_world_drone: Array, prior: Array, variance: Array) -> None:
-        """Continue from an adjusted pose ``T_correction @ T_world_drone``; an adjustment is no motion."""
+        """Continue from an adjusted pose ``T_correction @ T_world_drone``, without a change of the drift rate."""
         self.lose()
         self.correct(T_correction @ T_world_drone, prior)
 

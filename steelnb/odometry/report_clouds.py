@@ -1,9 +1,9 @@
-"""Cloud odometry as in the report's program: its section 3.3, with the faults of its source.
+"""Cloud odometry as in the report's program: its section 3.3, including the faults of its source code.
 
 Facts from the published source (`pointcloud_alignment_node.cpp`, for PCL 1.10): a scan is transformed by E times the
-drifting pose, where E is the correction so far, and registered to the whole map. The step ΔT is applied as E ΔT. As it
-acts on points that E has already moved, ΔT E would be right. The aligned scan is added to the map, which is downsampled
-to one point per voxel, where old and new points have equal weight. The sensor's mount is ignored. If registration fails
+drifting pose, where E is the correction so far, and registered to the whole map. The step ΔT is applied as E ΔT. Since
+E has already moved the points, ΔT E would be correct. The aligned scan is added to the map, which is then downsampled
+to one point per voxel; old and new points have equal weight. The sensor's mount is ignored. If registration fails
 or the step is too large, E and the map stay unchanged.
 """
 
@@ -23,7 +23,7 @@ from steelnb.types import Array, Scan
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
 """Corners of the crop box; sensor frame, metres."""
 TURN_MAX_RAD, MOVE_MAX_M = np.pi / 8, 1.0
-"""Larger steps are rejected. Both refer to ΔT itself, a motion about the world's origin."""
+"""Larger steps are rejected. Both bounds apply to ΔT itself, a motion about the world's origin."""
 VOXEL_M = 0.1
 """Edge of the map's voxels."""
 

@@ -1,4 +1,4 @@
-"""Segment odometry as in the report's program: its section 3.2, with the faults of its source.
+"""Segment odometry as in the report's program: its section 3.2, including the faults of its source code.
 
 Facts from the published source (`pointcloud_segmentation_node.cpp`): the segments of a scan are placed at the drifting
 position minus the error so far. Each is matched to the first bar that is near both its ends and overlaps it. The error
@@ -18,7 +18,7 @@ from steelnb.settings import OdometrySettings, ReportSegmentSettings
 from steelnb.types import Array, Scan, Segments
 
 NO_FLOOR_M = -1e6
-"""No floor filter: the points of the floor take part in the Hough transform."""
+"""No floor filter: the Hough transform includes the points of the floor."""
 FLOOR_M = 0.3
 """Segments with both ends below this height are dropped."""
 RADIUS_M = 0.05
@@ -69,10 +69,10 @@ class ReportSegmentOdometry(BaseOdometry):
 class ReportBars:
     """The original's map: bars as lines ``anchor + t * vector``, each ``(B, 3)``, with ends ``reach (B, 2)`` in t.
 
-    Bars are never merged with each other. The original's weight of a segment is an integer division of its points by
-    all points, which gives 0, so it is always the smallest one (`WEIGHT`), and a bar hardly moves. Its factors for the
-    weights are all above 0.995, and are omitted. It tests overlap along x, which fails for bars perpendicular to x;
-    here the test is along the bar.
+    Bars are never merged with each other. The original computes the weight of a segment by an integer division of its
+    points by all points. The result is 0, so the minimum (`WEIGHT`) always applies, and a bar hardly moves. Its factors
+    for the weights are all above 0.995, and are omitted. It tests overlap along x, which fails for bars perpendicular
+    to x; here the test is along the bar.
     """
 
     def __init__(self) -> None:
@@ -112,7 +112,7 @@ class ReportBars:
 
     def insert(self, segments: Segments) -> Array:
         """Fuse each segment with its bar, or start a new bar. All segments are matched to the bars before this call. If
-        two match the same bar, the later one counts.
+        two match the same bar, the later one determines its line.
 
         Returns the offsets ``(P, 3)`` of the matched segments: perpendicular to the segment, from the bar's anchor to
         its line. The anchor may lie far from the visible part of the bar.

@@ -1,4 +1,4 @@
-"""Pose of a camera from its landmarks: robust Gauss-Newton on reprojection errors."""
+"""Pose of a camera from landmarks: robust Gauss-Newton on reprojection errors."""
 
 from typing import NamedTuple
 
@@ -44,8 +44,8 @@ def solve_pose(
     ``landmark (N, 3)``, world frame, were observed as ``features``. ρ is the Geman-McClure loss with a ``scale`` in
     standard deviations. The third residual, of the inverse depth, applies where a depth was measured. Up to a factor,
     it is ORB-SLAM2's coordinate in a virtual right camera (Mur-Artal, Tardós, IEEE Transactions on Robotics 33, 2017,
-    section III.B). Steps are twists in the columns of ``free (6, k)``, about the world position of ``middle (3,)``, a
-    point in the drone frame. None for singular equations.
+    section III.B). Steps are twists in the span of ``free (6, k)`` about the world position of ``middle (3,)``, a
+    point in the drone frame. Returns None if the equations are singular.
     """
     T = T_init
     for _ in range(ITERATIONS_MAX):
@@ -71,13 +71,13 @@ def solve_pose(
 def linearise(
     landmark: Array, features: Features, K: Array, T_world_camera: Array, centre: Array, scale: float
 ) -> tuple[Array, Array, Array]:
-    """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` by a twist (ω, v) of the pose about
-    ``centre (3,)``, world frame, and the robust weights ``(N,)``."""
+    """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` with respect to a twist (ω, v) of
+    the pose about ``centre (3,)``, world frame, and the robust weights ``(N,)``."""
     R, depth = T_world_camera[:3, :3], features.depth
     sigma_px = PIXEL_SIGMA * SCALE ** features.octave.astype(np.float64)
     point = ((landmark - T_world_camera[:3, 3])[:, :, None] * R).sum(axis=1)
     x = np.where(point[:, 0] < FRONT_M, np.nan, point[:, 0])
-    # Residuals u = c − f·y/x, v = c − f·z/x and 1/x, and their derivatives by the point.
+    # Residuals u = c − f·y/x, v = c − f·z/x and 1/x, and their derivatives with respect to the point.
     error, gradient = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
     for k in range(2):
         f = K[k, k] / (x * sigma_px)

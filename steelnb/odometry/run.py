@@ -21,7 +21,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
 
-    Raises `InputError` where fewer scans can be read than the flight has poses, and for an update that gives no step.
+    Raises `InputError` if fewer scans can be read than the flight has poses, or if an update returns no `OdometryStep`.
     """
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
@@ -36,7 +36,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
         if on_step:
             on_step(k, scan, step)
     if len(steps) < len(flight):
-        raise InputError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one a pose")
+        raise InputError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one per pose")
     stages = steps[0].seconds if steps else ()
     return Estimate(
         prior=flight.prior,

@@ -1,4 +1,4 @@
-"""Odometry by segments: the report's section 3.2, with its own rule of correction and others."""
+"""Odometry by segments: the report's section 3.2, with the report's correction and others."""
 
 import hashlib
 import time
@@ -26,9 +26,9 @@ _shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 class SegmentOdometry(BaseOdometry):
     """Corrects a drifting pose by the bars of its map.
 
-    The report's rules correct the position only, at points on the surfaces seen, and assume a constant drift.
-    ``least_squares_yaw`` also corrects the yaw, moves points by the near-side bias (`near_side`), and follows the rate
-    of the drift. Roll and pitch are the prior's. If a scan shows no bar of the map, the correction stays.
+    ``least_squares_yaw`` corrects position and yaw, moves points by the near-side bias (`near_side`), and estimates the
+    drift rate. The other methods correct at most the position, use points as measured, and predict the last correction.
+    Roll and pitch are the prior's. If a scan shows no bar of the map, the predicted pose is used.
     """
 
     kind, method = SegmentSettings, "least_squares_yaw"
@@ -80,7 +80,7 @@ class SegmentOdometry(BaseOdometry):
 
 
 def segments_in(points: Array, settings: HoughSettings) -> Segments:
-    """Segments of a scan's points ``(N, 3)``; none if there are too few points for one."""
+    """Segments of a scan's points ``(N, 3)``; none if there are too few points or their extent is too small."""
     if len(points) < settings.min_votes or not np.ptp(points, axis=0).max() > settings.dx_m:
         return Segments.empty()
     return detect_segments_with(points, settings)
@@ -88,8 +88,8 @@ def segments_in(points: Array, settings: HoughSettings) -> Segments:
 
 @contextmanager
 def shared_segments() -> Iterator[None]:
-    """Within this context, equal points are segmented once for all odometries with equal settings: several methods on
-    one flight mostly get the same points. Each odometry reports the time of the first segmentation."""
+    """Within this context, equal points are segmented only once for all odometries with equal settings: several methods
+    on one flight often have the same points. Each odometry reports the time of the first segmentation."""
     token = _shared.set({})
     try:
         yield
@@ -100,7 +100,7 @@ def shared_segments() -> Iterator[None]:
 def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
     """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
     begin, shared = time.perf_counter(), _shared.get()
-    if shared is None:  # of the points of a single run, no hash is needed
+    if shared is None:  # a single run needs no hash of its points
         return segments_in(points, settings), time.perf_counter() - begin
     key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
     if key not in shared:

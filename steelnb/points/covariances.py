@@ -12,9 +12,9 @@ from steelnb.types import Array, IntArray
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 """Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
 FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Row and column → place in that order."""
+"""Row and column → index in that order."""
 NEIGHBOURS = 20
-"""Default number of points of a covariance, as in PCL's GICP."""
+"""Default number of points per covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3
 """Variance along the normal of a plane-shaped covariance; its variance in the plane is 1."""
 
@@ -22,8 +22,8 @@ PLANE_THICKNESS = 1e-3
 def neighbour_covariances(points: Array, neighbours: int = NEIGHBOURS, tree: KdTree | None = None) -> Array:
     """Covariance of the nearest ``neighbours`` points of each point, itself included: upper triangles ``(N, 6)``, m².
 
-    ``points (N, 3)`` must be finite. Pass their ``tree`` if it is already built; with ``points`` being ``tree.point``,
-    the result is in the order of the tree. Ties for the last neighbour are broken arbitrarily.
+    ``points (N, 3)`` must be finite. Pass their ``tree`` if it is already built; if ``points`` is ``tree.point``, the
+    result is in the order of the tree. Ties for the last neighbour are broken arbitrarily.
     """
     tree = tree or build_kdtree(points)
     in_order = np.full((len(tree.point), 6), np.nan)

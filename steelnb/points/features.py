@@ -18,11 +18,11 @@ feature are excluded."""
 REGIONS = 4
 """Number of subregions of a scan line; each contributes an equal share of the features."""
 SMOOTH = 5e-3
-"""Smoothness threshold, as published: an edge lies above it, a planar point below."""
+"""Smoothness threshold, as published: edge points are above it, planar points below."""
 GRAZING = 4.0
 """A surface is roughly parallel to the ray if the range changes by more than this many times the step across it."""
 STEP_M = 0.15
-"""Range difference of neighbours above which they are on two surfaces."""
+"""Neighbours farther apart than this, in range or in space, are on different surfaces."""
 RING_GAP_RAD = 1e-3
 """Gap in elevation between two lasers of a spinning LiDAR."""
 RING_MAX_RAD = 1e-2
@@ -42,10 +42,10 @@ def loam_features(image: Array, edges: int = 20, planes: int = 40) -> Features:
     """LOAM's features of an organised scan ``(H, W, 3)``, sensor frame, metres, NaN for no return.
 
     The smoothness of point i is c = ‖Σ (X_i − X_j)‖ / (|S| ‖X_i‖) over its neighbours j in the scan line (equation 1);
-    pixels without a return are skipped. Each of the four subregions of a line gives up to ``edges`` points of largest
-    and ``planes`` points of smallest smoothness. Excluded are neighbours of a chosen point on the same surface, points
-    on surfaces roughly parallel to the ray, and occluded boundaries. LOAM matches scans by the first 2 edges and 4
-    planar points of each subregion and maps ten times as many.
+    pixels without a return are skipped. Each of the four subregions of a line contributes up to ``edges`` points of
+    largest and ``planes`` points of smallest smoothness. Neighbours of a chosen point on the same surface, points on
+    surfaces roughly parallel to the ray, and occluded boundaries are excluded. LOAM matches consecutive scans by the
+    first 2 edge and 4 planar points of each subregion, and matches ten times as many to its map.
     """
     point = np.empty((image.shape[0] * REGIONS * (edges + planes), 3))
     plane, rank = np.empty(len(point), np.int64), np.empty(len(point), np.int64)

@@ -132,7 +132,7 @@ def next_leaf(tree, x, y, z, limit, depth, node_of, node_distance):
 
 @njit(cache=True)
 def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, node_distance):
-    """Write the indices in ``tree.point`` of the nearest points to ``found``, their squared distances to ``distance``.
+    """Find the nearest points: indices in ``tree.point`` go to ``found``, squared distances to ``distance``.
 
     Up to ``k_most`` points within √limit, nearest first; returns their number. A tight limit makes the search faster.
     ``node_of (64,)`` and ``node_distance (64, 4)`` are buffers.
@@ -172,6 +172,6 @@ def within(tree, x, y, z, limit, found_x, found_y, found_z, node_of, node_distan
         for k in range(tree.left[leaf], tree.right[leaf]):
             dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
             found_x[count], found_y[count], found_z[count] = point[k, 0], point[k, 1], point[k, 2]
-            count += np.uint64(dx * dx + dy * dy + dz * dz <= limit)  # without a branch: faster
+            count += np.uint64(dx * dx + dy * dy + dz * dz <= limit)  # branch-free, which is faster
         leaf, depth = next_leaf(tree, x, y, z, limit, depth, node_of, node_distance)
     return np.int64(count)

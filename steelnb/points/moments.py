@@ -1,7 +1,7 @@
 """Compiled moments of weighted points, and eigenvectors of symmetric 3×3 matrices.
 
 Moments are a tuple of ten numbers (w, x, y, z, xx, xy, xz, yy, yz, zz): the total weight and the weighted sums of the
-coordinates and of their products. Their origin is near the points, since sums about a distant origin lose digits.
+coordinates and of their products. Choose an origin near the points: sums about a distant one lose digits.
 Symmetric matrices are upper triangles in the order xx xy xz yy yz zz.
 """
 
@@ -23,7 +23,7 @@ def add_point(m, w, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def add_moments(m, other, x, y, z):
-    """Moments ``m`` plus ``other`` moments about the origin (x, y, z), by the parallel-axis theorem."""
+    """Moments ``m`` plus the moments ``other``, whose origin is (x, y, z), by the parallel-axis theorem."""
     w, sx, sy, sz = other[0], other[1], other[2], other[3]
     return (
         m[0] + w, m[1] + (sx + w * x), m[2] + (sy + w * y), m[3] + (sz + w * z),

@@ -1,4 +1,4 @@
-"""Filters of every scan, in the order of the report: invalid returns, pass-through, voxel grid."""
+"""Filters applied to every scan, in the report's order: invalid returns, pass-through, voxel grid."""
 
 import math
 
@@ -12,10 +12,10 @@ from steelnb.types import Array, Scan
 
 @njit(cache=True)
 def crop(points, T_drone_sensor, lower, upper, up, height, floor):
-    """Pass-through filter: points ``(M, 3)`` in the drone frame of the returns ``(N, 3)`` in the sensor frame, metres.
+    """Pass-through filter: from returns ``(N, 3)`` in the sensor frame to points ``(M, 3)`` in the drone frame, metres.
 
     Keeps finite returns inside the box from ``lower (3,)`` to ``upper (3,)`` in the drone frame, bounds included, that
-    are not below ``floor`` in the world frame. A point's height there is ``height`` + ``up (3,)`` · point.
+    are not below ``floor`` in the world frame. The height of a point is ``height`` + ``up (3,)`` · point.
     """
     T = T_drone_sensor
     kept = np.empty((len(points), 3))
@@ -33,10 +33,10 @@ def crop(points, T_drone_sensor, lower, upper, up, height, floor):
 
 
 def voxel_grid(points: Array, leaf_m: float) -> Array:
-    """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, as PCL's VoxelGrid.
+    """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, like PCL's VoxelGrid.
 
-    Metres. Voxels are aligned with the origin, and the centroids are sorted by voxel, so the order of the points only
-    affects rounding. Raises ValueError if the leaf is not positive or far too small.
+    Lengths in metres. Voxels are aligned with the origin, and centroids are sorted by voxel, so the order of the points
+    only affects rounding. Raises ValueError if the leaf is not positive or far too small.
     """
     if not leaf_m > 0:
         raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
@@ -56,7 +56,7 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
 def _group_by_voxel(points, leaf_m, low, extent):
     """Points stably sorted by voxel, and the index of the first point of each voxel.
 
-    The voxels are found by a hash table and only they are sorted, since they are far fewer than the points.
+    A hash table finds the voxels; only these are sorted, since they are far fewer than the points.
     """
     n = len(points)
     table_key, table_slot = hash_table(np.empty(0, np.int64), n)

@@ -10,8 +10,8 @@ SIGMA_M, SIGMA_SHARE = 0.01, 0.01
 """Standard deviation of a range that every estimator assumes: 1 cm up to 1 m, 1 % beyond, as in data sheets of
 Time-of-Flight cameras such as that of the Starling 2."""
 GATE_SIGMAS = 4.0
-"""Largest difference of two ranges of one surface, in standard deviations of one range. The difference
-of two has √2 times that."""
+"""Gate on the difference of two ranges of one surface, in standard deviations of a single range. The
+standard deviation of the difference is √2 times as large."""
 
 
 @njit(cache=True)
@@ -24,7 +24,7 @@ def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
 def ranges_ahead(image):  # type: ignore[no-untyped-def]
     """Ranges ``(H, W)`` of an organised scan ``(H, W, 3)``, sensor frame, metres; NaN where there is no return.
 
-    Points not in front of the sensor count as no return: many drivers write zeros for it.
+    Points that are not in front of the sensor count as no return, for which many drivers write zeros.
     """
     rows, columns = image.shape[0], image.shape[1]
     distance = np.empty((rows, columns))

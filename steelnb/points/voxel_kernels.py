@@ -58,7 +58,7 @@ def put(key, slot, table_key, table_slot):
 
 @njit(cache=True)
 def hash_table(keys, capacity):
-    """Hash table (key, slot) with room for ``capacity`` voxels. It holds ``keys``, the slot of each being its index."""
+    """Hash table (key, slot) with room for ``capacity`` voxels. It holds ``keys``; the slot of each is its index."""
     size = 16
     while size < 2 * capacity:
         size *= 2
@@ -72,7 +72,7 @@ def hash_table(keys, capacity):
 def insert(points, weights, voxel, table_key, table_slot, keys, moment, mean, last_mark, size, mark, accumulate):
     """Add points to the voxels; returns the number of all voxels.
 
-    ``mark`` numbers the insertion. ``last_mark`` holds the last one that touched each voxel.
+    ``mark`` is the number of this insertion, ``last_mark`` that of the last insertion that touched each voxel.
     """
     touched = np.empty(len(points), np.int64)
     count = 0
@@ -142,7 +142,7 @@ def link(first, last, keys, table_key, table_slot, around):
 def shapes(index, slots, floor, value, voxel, around, moment):
     """Write the covariances of all points in the 3×3×3 voxels around the voxels ``slots[index]`` to ``value[index]``.
 
-    ``floor`` is added on their diagonals. Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are
+    ``floor`` is added to their diagonals. Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are
     skipped.
     """
     for at in index:

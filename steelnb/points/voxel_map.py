@@ -10,8 +10,8 @@ from steelnb.types import Array, IntArray
 class VoxelMap:
     """Voxels of edge ``voxel_m``, metres, in the world frame, with the weight, mean and covariance of their points.
 
-    With ``accumulate`` the mean is that of all inserted points. Without, the map is filtered again after every scan as
-    in the report: the old mean of a voxel counts as one point. The slot of a voxel never changes. The time of an
+    With ``accumulate``, the mean is that of all inserted points. Otherwise, the map is voxelised again with every scan
+    as in the report: the old mean of a voxel counts as one point. The slot of a voxel never changes. The time of an
     insertion depends on the size of the scan, not of the map. Raises `InputError`.
     """
 

@@ -15,7 +15,7 @@ from steelnb.types import Array
 METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 """Method → error."""
 NEIGHBOURS_MIN = 4
-"""Minimum number of points of a covariance."""
+"""Minimum number of points to estimate covariances from."""
 
 
 def register(
@@ -35,11 +35,11 @@ def register(
     Parameters
     ----------
     source, target: clouds ``(N, 3)`` or images ``(H, W, 3)`` in metres. Points that are not finite are dropped. The
-        target may also be a `VoxelMap`, of which the means are used.
+        target may also be a `VoxelMap`, whose means are used.
     method: ``icp`` (point to point), ``plane`` (point to plane) or ``gicp`` (distribution to distribution; Segal et
         al., RSS 2009).
-    dof: degrees of freedom: ``xyz``, ``xyz_yaw`` or ``se3``, with the yaw about the z axis. The others keep the values
-        of ``T_init``.
+    dof: degrees of freedom: ``xyz``, ``xyz_yaw`` or ``se3``, with the yaw about the z axis. The others keep their
+        values in ``T_init``.
     max_correspondence_m: maximum distance of a pair, metres.
     robust_scale: scale of the Geman-McClure weights, in metres, for gicp in standard deviations; default no weights.
     iterations_max: maximum number of iterations.

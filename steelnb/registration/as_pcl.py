@@ -1,8 +1,8 @@
 """ICP and GICP with the solver and stopping rules of PCL, which the programs of the report called.
 
-Source: PCL 1.13 (`icp.hpp`, `gicp.hpp`, `default_convergence_criteria.hpp`). The report ran 1.10. Versions of that time
-compare the norm of the whole gradient of GICP with the bound; 1.13 compares translation and angles separately. Source
-and target are in the world frame and every step is a motion about its origin, so the bounds on the translation of a
+Source: PCL 1.13 (`icp.hpp`, `gicp.hpp`, `default_convergence_criteria.hpp`). The report ran 1.10. At that time,
+GICP compared the norm of the whole gradient with the bound; 1.13 compares translation and angles separately. Source
+and target are in the world frame, and every step is a motion about its origin. So the bounds on the translation of a
 step are stricter far from the origin. ``setRANSACOutlierRejectionThreshold`` has no effect: neither class reads it.
 """
 
@@ -17,10 +17,10 @@ from steelnb.types import Array
 PAIRS_MIN = {"point": 3, "gicp": 4}
 """With fewer pairs a registration fails."""
 MSE_CHANGE_MIN_M2 = 1e-12
-"""ICP also stops when the mean squared error of the pairs changes by less than this."""
+"""ICP also stops when the mean squared error of the correspondences changes by less than this."""
 ROTATION_EPSILON = 2e-3
-"""GICP stops when no entry of the rotation matrix changes by more than this, and none of the translation by more than
-``epsilon``."""
+"""GICP stops when every entry of the rotation matrix changes by less than this, and every entry of the translation by
+less than ``epsilon``."""
 
 
 class Aligned(NamedTuple):
@@ -44,7 +44,7 @@ def icp_as_pcl(
 
     It stops after a step with ‖translation‖² ≤ ``epsilon`` and cos(angle) ≥ 1 − ``epsilon``; for 1e-3 that is a step
     below 3.2 cm and 2.6°. It also stops when the mean squared error of the pairs changes by less than the fraction
-    ``mse_change_min``. Exhausted iterations count as converged.
+    ``mse_change_min``. Reaching ``iterations_max`` counts as converged.
     """
     T, previous_mse_m2 = np.eye(4), 0.0
     search = target.search(source, max_correspondence_m)
@@ -76,10 +76,10 @@ def gicp_as_pcl(
 ) -> Aligned:
     """Generalized ICP of ``source (N, 3)`` with ``covariance (N, 6)`` from the identity.
 
-    Each step pairs the points, fixes the metrics of the pairs and calls `minimise`. That stops at a gradient of 1e-2,
-    which leaves an error of up to a centimetre in the plane of a surface. The pose is therefore biased towards its
+    Each step finds correspondences, fixes their metrics and calls `minimise`, which stops at a gradient of 1e-2. This
+    leaves an error of up to a centimetre in the plane of a surface. The pose is therefore biased towards its
     start in directions with few normals. `minimise` also stops when single precision hides the slope (`mean_cost`).
-    Exhausted iterations count as converged.
+    Reaching ``iterations_max`` counts as converged.
     """
     T, x = np.eye(4), np.zeros(6)
     search = target.search(source, max_correspondence_m)

@@ -14,7 +14,7 @@ from steelnb.points.covariances import FULL, UPPER
 
 STEPS_MAX = 20
 GRADIENT_MAX = 1e-2
-"""Stop when the gradients by translation (m) and by angles (m²/rad) are both shorter than this."""
+"""Stop when the gradients with respect to translation (m) and angles (m²/rad) are both shorter than this."""
 DESCENT, CURVATURE = 0.01, 0.01
 """Fletcher's ρ and σ: minimum descent of a step and maximum slope after it, as fractions of the initial slope."""
 EXTRAPOLATED_MAX, FROM_LOW, FROM_HIGH = 9.0, 0.05, 0.5
@@ -49,8 +49,8 @@ def mean_cost(x, source, target, metric, gradient):
     Points and R p + t are in single precision, as in PCL: close to the minimum, rounding hides the slope and the search
     ends.
 
-    The derivative by an angle is the moment of the forces M e about its axis: x rotated by pitch and yaw, y rotated by
-    yaw, and z.
+    The derivative with respect to an angle is the moment of the forces M e about its axis: x rotated by pitch and yaw,
+    y rotated by yaw, and z.
     """
     T = euler_pose(x)
     S = T.astype(np.float32)
@@ -79,7 +79,7 @@ def mean_cost(x, source, target, metric, gradient):
 
 @njit(cache=True, error_model="numpy")
 def minimise(x, source, target, metric):
-    """Minimise `mean_cost` from ``x (6,)``, in place, in 1 to `STEPS_MAX` steps."""
+    """Minimise `mean_cost` from ``x (6,)``, in place, in at most `STEPS_MAX` steps."""
     g, g_new = np.empty(6), np.empty(6)
     cost = mean_cost(x, source, target, metric, g)
     length = math.sqrt((g * g).sum())

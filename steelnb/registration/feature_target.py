@@ -13,7 +13,7 @@ from steelnb.types import Array, IntArray
 NEIGHBOURS = 5
 """Number of features to which a line or plane is fitted."""
 EIGENVALUE_RATIO = 3.0
-"""Minimum ratio of the two eigenvalues of the covariance that tell a line, or a plane, from other shapes."""
+"""Minimum ratio of the largest to the middle eigenvalue of a line, and of the middle to the smallest of a plane."""
 ALONG_M2 = 100.0
 """Variance along a line or in a plane, so large that a pair does not constrain these directions."""
 
@@ -25,7 +25,7 @@ class FeatureTarget:
     ``trees`` index the edge and the planar features. ``plane (N,)`` is 1 for planar source points and 0 for edge
     points. The covariance of a pair is ``sigma_m`` squared across its line or plane and very large along it. The
     residual is therefore the distance to the line or plane in standard deviations: equations 2 and 3 of Zhang and
-    Singh, "LOAM" (RSS 2014). Lines and planes are fitted by the eigenvectors of the neighbours, as in its section VI.
+    Singh, "LOAM" (RSS 2014). Lines and planes are eigenvectors of the neighbours' covariance, as in its section VI.
     """
 
     trees: tuple[KdTree, KdTree]

@@ -1,10 +1,10 @@
 """Translations that the visible surfaces do not determine, such as those along a wall or over flat ground.
 
-The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even along a smooth wall the pairs
-therefore fit best at one pose: that of the earlier scan. The information of that false minimum grows with the number of
-points, so no prior outweighs it. Translations along which hardly any surface has its normal are left out of the solve
-and keep their prediction. This is the solution remapping of Zhang, Kaess and Singh, "On degeneracy of
-optimization-based state estimation problems" (ICRA 2016), based on the normals instead of the Hessian, which contains
+The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even along a smooth wall the
+correspondences therefore fit best at one pose: that of the earlier scan. The information of this false minimum grows
+with the number of points, so no prior outweighs it. The solver therefore keeps the predicted translation in directions
+in which hardly any surface has its normal. This is the solution remapping of Zhang, Kaess and Singh, "On degeneracy of
+optimization-based state estimation problems" (ICRA 2016). It uses the normals instead of the Hessian, which depends on
 the sampling.
 """
 

@@ -29,8 +29,8 @@ Term = Callable[[Array, Array], tuple[Array, Array, float]]
 class RegistrationResult:
     """Pose and convergence of a registration.
 
-    ``T_target_source (4, 4)``; ``iterations``; ``inliers``, the number of pairs within the maximum correspondence
-    distance; ``reason``, why it stopped.
+    ``T_target_source (4, 4)``; ``iterations``; ``inliers``: number of pairs within the maximum correspondence distance;
+    ``reason``: why the solver stopped.
 
     ``H (6, 6)`` is the final normal matrix of a twist ξ = (ω, v) in the axes of the target: a rotation about ``centre
     (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are unit vectors along which
@@ -48,7 +48,7 @@ class RegistrationResult:
 
     @property
     def converged(self) -> bool:
-        """Whether it ended at a step below both bounds."""
+        """Whether the last step was below both bounds."""
         return self.reason == "converged"
 
 
@@ -177,8 +177,8 @@ def scaled_basis(free: Array, metric: Array) -> Array:
 def pairs_needed(error: str, free: Array) -> int:
     """Minimum number of pairs that determine the free directions ``(6, k)``.
 
-    A pair of a plane gives one equation. One pair of points gives the position, a second one yaw, a third one the
-    rotation about the line through both.
+    A point-to-plane pair is one equation. One pair of points determines the position, a second one yaw, and a third one
+    the rotation about the line through both.
     """
     return free.shape[1] if error == "plane" else min(1 + int(np.linalg.matrix_rank(free[:3])), 3)
 
@@ -195,9 +195,9 @@ def worse(
     linearise: Callable[..., Normal], source: Array, target: AnyTarget, limit: float, T: Array, here: Normal,
     T_best: Array, best: Normal, match: IntArray,
 ) -> bool:  # fmt: skip
-    """Whether the pairs of the best pose have a higher loss at T, where new pairs alone may raise it, too.
+    """Whether the pairs of the best pose have a higher loss at T. New pairs may raise the loss of a better pose, too.
 
-    This is checked only if the total and the mean loss rose, or if a tenth of the pairs was lost.
+    This is checked only if the total and the mean loss rose, or if more than a tenth of the pairs was lost.
     """
     rose = here.loss > best.loss and here.loss * best.inliers > best.loss * here.inliers
     if not rose and here.inliers >= 0.9 * best.inliers:
@@ -208,7 +208,7 @@ def worse(
 
 
 def _step(normal: Normal, basis: Array, damping: float) -> Array | None:
-    """Solution ``(6,)`` of the damped normal equations in the observed directions; None if there are none."""
+    """Solution ``(6,)`` of the damped normal equations in the observed directions; None if H is zero or not finite."""
     A = basis.T @ normal.H @ basis
     if not np.isfinite(A).all():
         return None
@@ -224,8 +224,8 @@ def _extrapolated(step: Array, before: Array | None, metric: Array) -> tuple[Arr
     """The step ``(6,)`` extrapolated to the limit of the iteration, and the step to compare the next one with.
 
     New pairs and robust weights make the iteration converge linearly: each step is r times the one before, so this step
-    and all later ones add up to 1/(1 − r) of it. If two steps have similar directions, the second is multiplied by
-    that, at most by five. After Besl and McKay, "A method for registration of 3-D shapes", PAMI 14 (1992), section
+    and all later ones add up to 1/(1 − r) of it. If two steps have similar directions, the second is scaled by this
+    factor, at most by five. After Besl and McKay, "A method for registration of 3-D shapes", PAMI 14 (1992), section
     IV.C, and Aitken.
     """
     if before is None:

@@ -20,15 +20,15 @@ CACHED = 3
 
 Search = Callable[[Array], IntArray]
 """Pose ``T_target_source (4, 4)`` → index ``(N,)`` of the target point of each source point, −1 if none is within the
-limit. The array is that of the call before."""
+limit. Each call overwrites and returns the same array."""
 
 
 @dataclass(frozen=True)
 class Target:
     """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 
-    The error ``plane`` needs the normals, ``gicp`` the covariances; those not needed have length zero. ``filled``
-    computes the covariances on demand.
+    The error ``plane`` needs the normals, ``gicp`` the covariances; an array that is not needed has length zero.
+    ``filled`` computes the covariances on demand.
     """
 
     tree: KdTree
@@ -38,7 +38,7 @@ class Target:
 
     @classmethod
     def with_planes(cls, tree: KdTree) -> "Target":
-        """With GICP's covariances, from the nearest neighbours of each point."""
+        """A target with GICP's covariances, computed from the nearest neighbours of each point."""
         planes = PlaneCovariances(tree, NEIGHBOURS)
         return cls(tree, covariance=planes.value, filled=planes)
 

@@ -1,4 +1,4 @@
-"""Frozen settings, one class per module, and presets in TOML files. Unknown keys are errors.
+"""Frozen settings, one class per stage or family of methods, and presets in TOML files. Unknown keys are errors.
 
 Start with four of them: the sensor, its range (``preprocess.crop_m``), the floor (``preprocess.floor_m``) and the
 method. Lengths are in metres, angles in radians, times in seconds; the unit is in the name.

@@ -14,7 +14,7 @@ from steelnb.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 DURATION_MAX_S = 14_400.0
-"""Four hours, since a flight's poses and IMU samples are held in memory."""
+"""Four hours. A flight is limited because its poses and IMU samples are held in memory."""
 Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -117,7 +117,7 @@ def parse_parameter(text: str) -> tuple[str, Any]:
     for read in (ast.literal_eval, lambda text: tomllib.loads(f"value = {text}")["value"]):
         try:
             parsed = read(value)
-            json.dumps(parsed)  # raises for what cannot be a notebook's parameter: sets, bytes, dates
+            json.dumps(parsed)  # raises for values that a notebook's parameter cannot have: sets, bytes, dates
         except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
             continue
         return name, parsed

@@ -12,9 +12,9 @@ from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettin
 
 
 class ExperimentSettings(Settings):
-    """All that one run depends on. ``seed`` determines drift, sensor noise and gusts, not the tower.
+    """Everything that one run depends on. ``seed`` determines drift, sensor noise and gusts, not the tower.
 
-    With ``imu``, the readings have its errors, and the prior has the roll and pitch that a filter estimates from them.
+    With ``imu``, the readings have its errors, and a filter estimates the prior's roll and pitch from them.
     `Noise.parse` explains ``noise_name``.
     """
 

@@ -1,4 +1,4 @@
-"""Settings of the estimators: one class a family of methods, and the reconstruction. Lengths in metres, angles in
+"""Settings of the estimators, one class per family of methods, and of the reconstruction. Lengths in metres, angles in
 radians."""
 
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -32,9 +32,9 @@ class PreprocessSettings(Settings):
 class HoughSettings(Settings):
     """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments.
 
-    ``dx_m`` is the cell of the transform and the largest root mean square radius of a segment. ``granularity`` is how
-    often the icosahedron of directions is subdivided. ``skip_weak`` passes over a line with too few points where the
-    original ends its search.
+    ``dx_m`` is the cell width of the transform and the maximum root mean square radius of a segment. ``granularity`` is
+    how often the icosahedron of directions is subdivided. With ``skip_weak``, a line with too few points is dropped and
+    the search goes on; in the original, such a line ends the search.
     """
 
     dx_m: Positive = 0.07
@@ -49,7 +49,7 @@ class HoughSettings(Settings):
 
 
 class FusionSettings(Settings):
-    """Association of segments with mapped bars: angle, and distance across, on top of both radii if ``add_radii``."""
+    """Gates of a segment and a mapped bar: angle, and perpendicular distance, plus both radii if ``add_radii``."""
 
     angle_max_rad: Positive = 0.13962634015954636  # 8 degrees
     distance_max_m: Positive = 0.15
@@ -63,14 +63,14 @@ def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
 
 
 Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
-"""Errors of the IMU whose readings predict the pose of a scan (`steelnb.odometry.inertial_prediction`) and take part in
-smoothing, None for none."""
+"""Errors of the IMU, None to use no IMU. Its readings predict the pose of each scan
+(`steelnb.odometry.inertial_prediction`) and take part in smoothing."""
 
 
 class OdometrySettings(Settings):
-    """What all families have; `preset` gives those of a method.
+    """Settings that all families share; `preset` returns the settings of a method.
 
-    ``smooth``: after the last scan, all poses and bars are adjusted together (`steelnb.fusion.smooth`).
+    ``smooth``: adjust all poses and bars together after the last scan (`steelnb.fusion.smooth`).
     """
 
     method: str
@@ -81,8 +81,8 @@ class OdometrySettings(Settings):
 
     @staticmethod
     def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
-        """The settings of a method with a sensor's data; ``overrides`` as for `override`. A method by front faces or by
-        image features uses the IMU beside the sensor. Raises `InputError`.
+        """The settings of a method with a sensor's data; ``overrides`` as for `override`. The families ``faces`` and
+        ``orb`` use the IMU of the sensor's preset. Raises `InputError`.
 
         >>> settings = OdometrySettings.preset("faces")
         >>> settings.family, settings.map_voxel_m
@@ -103,9 +103,9 @@ class OdometrySettings(Settings):
 
 
 class SegmentSettings(OdometrySettings):
-    """Correction by segments; the method is the rule (`steelnb.odometry.corrections`).
+    """Odometry by segments; the method names the correction rule (`steelnb.odometry.corrections`).
 
-    ``robust_scale_m``: scale of the robust weights (Geman-McClure) of all rules but ``average``.
+    ``robust_scale_m``: scale of the robust weights (Geman-McClure) of both least-squares rules.
     """
 
     family: ClassVar[str] = "segments"
@@ -116,7 +116,7 @@ class SegmentSettings(OdometrySettings):
 
 
 class MapSettings(OdometrySettings):
-    """Registration to voxel maps with voxels of ``map_voxel_m``, of points at most ``max_correspondence_m`` apart."""
+    """Registration to voxel maps: maximum correspondence distance, and edge of a voxel of the map."""
 
     max_correspondence_m: Positive = 0.3
     map_voxel_m: Positive = 0.1
@@ -125,13 +125,13 @@ class MapSettings(OdometrySettings):
 class RegistrationSettings(MapSettings):
     """Registration of each scan to a voxel map.
 
-    ``error`` × ``dof`` are the solver's; ``robust_scale`` is that of Geman-McClure weights, None for none. ``map``: the
-    map is ``re-voxelised`` with every scan, as in the original, or keeps means ``weighted`` by count. A ``measured``
-    map does so too; `steelnb.odometry.clouds` says what else it changes. ``prior_sigma``: standard deviations of a
-    correction from its prediction, metres and radians; the prediction then follows the rate of the drift. None assumes
-    a constant drift. If ``sigma_filter_px`` is above 0, each range of an organised scan is first averaged with the
-    ranges of its surface within that many pixels (`steelnb.points.smooth_ranges`). ``tilt_sigma_rad``: standard
-    deviation of the prior's roll and pitch, which are then corrected, too; 0 keeps them.
+    ``error`` and ``dof`` select the solver's residual and its degrees of freedom; ``robust_scale`` is the scale of
+    Geman-McClure weights, None for none. ``map``: a ``re-voxelised`` map is voxelised again with every scan, as in the
+    original; a ``weighted`` one averages all points of a voxel. So does a ``measured`` one; `steelnb.odometry.clouds`
+    says what else it changes. ``prior_sigma``: standard deviation of a correction about its prediction, metres and
+    radians; the prediction then follows the rate of the drift. With None, it is the last correction. Ranges of one
+    surface within ``sigma_filter_px`` pixels are averaged first, unless it is 0 (`steelnb.points.smooth_ranges`).
+    ``tilt_sigma_rad``: standard deviation of the prior's roll and pitch. If above 0, they are corrected, too.
     """
 
     prior_sigma: tuple[Positive, Positive] | None = None
@@ -151,13 +151,13 @@ class CloudSettings(RegistrationSettings):
 
 
 class FaceSettings(RegistrationSettings):
-    """Odometry by the front faces of bars beside one by clouds (`steelnb.odometry.faces`)."""
+    """Odometry by the front faces of bars, with odometry by clouds as the fallback (`steelnb.odometry.faces`)."""
 
     family: ClassVar[str] = "faces"
 
 
 class LoamSettings(MapSettings):
-    """LOAM (`steelnb.odometry.loam`). What else `RegistrationSettings` has is fixed."""
+    """LOAM (`steelnb.odometry.loam`). The other settings of `RegistrationSettings` are fixed."""
 
     family: ClassVar[str] = "loam"
 
@@ -186,7 +186,7 @@ class DeepVoSettings(OdometrySettings):
 
 
 class LibrarySettings(OdometrySettings):
-    """Odometry of a library, which the method names (`steelnb.odometry.peers`)."""
+    """Odometry by the library that the method names (`steelnb.odometry.peers`)."""
 
     family: ClassVar[str] = "library"
 
@@ -195,13 +195,13 @@ CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariance
 
 
 class ReportCloudSettings(OdometrySettings):
-    """The report's programs for odometry by clouds, one a method (`steelnb.odometry.report_clouds`).
+    """The report's programs for odometry by clouds, one per method (`steelnb.odometry.report_clouds`).
 
-    ``switched`` are the traits of the original that are replaced: ``floor``, points below ``preprocess.floor_m`` are
-    left out; ``thinning``, the scan goes through a voxel grid of ``preprocess.voxel_leaf_m``; ``mount``, the scan is
-    placed at the sensor instead of at the drone; ``gates``, no step is too large; ``order``, a step joins the
-    correction on the left; ``covariances`` of GICP are those of the neighbours instead of planes; ``solver``,
-    `steelnb.registration.align` instead of PCL's.
+    ``switched`` names the original's traits to replace. ``floor``: points below ``preprocess.floor_m`` are cut off.
+    ``thinning``: the scan is downsampled by a voxel grid of ``preprocess.voxel_leaf_m``. ``mount``: the scan is placed
+    at the sensor instead of at the drone. ``gates``: steps of any size are accepted. ``order``: a step multiplies the
+    correction from the left. ``covariances``: GICP uses the neighbours' covariances instead of planes. ``solver``:
+    `steelnb.registration.align` replaces PCL's solver.
     """
 
     family: ClassVar[str] = "report_clouds"
@@ -226,8 +226,8 @@ FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Fami
 class StructureSettings(Settings):
     """The final reconstruction (`steelnb.fusion.reconstruct`).
 
-    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: adjust poses and
-    bars together first, for poses that were corrected and not smoothed.
+    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: first adjust poses
+    and bars together, if the poses were corrected but not smoothed.
     """
 
     floor_m: Finite = 0.2

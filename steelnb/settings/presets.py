@@ -35,8 +35,8 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
 
 
 def sensor_preset(sensor: str) -> dict[str, Any]:
-    """The tables of a sensor's preset or of a file ``FILE.toml``. Values that are missing come from the preset that it
-    is ``based_on``. Raises `InputError`."""
+    """The tables of a sensor's preset or of a file ``FILE.toml``. Missing values come from the preset that ``based_on``
+    names. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = as_tuples(read_toml(Path(sensor), "a sensor's preset"))
     elif sensor in SENSORS:

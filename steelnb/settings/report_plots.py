@@ -1,4 +1,4 @@
-"""The report's plots of error over sample number: their flights, their noises, and the times of their samples."""
+"""The report's plots of error against sample number, with the flight, the noise and the sample times of each."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +20,7 @@ class ReportPlot:
     """One of the plots of ``presets/report-plots.toml``, named as in ``notebooks/report-curves.csv``.
 
     Sample k was taken at the simulator's step ``first_step + k * steps_per_sample``. The plot shows ``samples`` samples
-    after ``earlier_samples`` of another run. ``flight``: the flight's preset, if its name is not the trajectory's.
+    after ``earlier_samples`` from another run. ``flight``: the flight's preset, if its name is not the trajectory's.
     """
 
     figure: str
@@ -53,7 +53,7 @@ class ReportPlot:
         return STEP_S * float(np.ceil(self.first_step + (self.samples - 1) * self.steps_per_sample) + 1)
 
     def step_at(self, sample: Array) -> Array:
-        """Simulator steps ``(N,)`` at positions ``(N,)`` on the plot's sample axis; negative for the earlier run."""
+        """Simulator steps ``(N,)`` at positions ``sample (N,)`` on the plot's axis; not valid for the earlier run."""
         return np.asarray(self.first_step + (sample - self.earlier_samples) * self.steps_per_sample)
 
     @classmethod

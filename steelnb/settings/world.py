@@ -1,4 +1,4 @@
-"""Settings of the simulated world: tower, flight, sensors and drift. Estimators see only those of the IMU.
+"""Settings of the simulated world: tower, flight, sensors and drift. Estimators know only the IMU's settings.
 
 Lengths in metres, angles in radians, times in seconds.
 """
@@ -25,7 +25,7 @@ Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
 
 
 Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
-"""Of a member. Secondary: redundant members, webs of the arms, railings."""
+"""Kind of a member. ``secondary``: redundant members, webs of the arms, railings."""
 Sections = dict[Kind, tuple[Positive, Positive]]
 USUAL_SECTIONS: Sections = {
     "leg": (0.120, 0.010), "ring": (0.070, 0.006), "bracing": (0.070, 0.006), "arm": (0.060, 0.005),
@@ -38,7 +38,7 @@ def _with_usual(given: Any) -> Any:
 
 
 class TowerSettings(Settings):
-    """A steel lattice tower, from a list of ``members`` or, without a list, tapered with the other dimensions.
+    """A steel lattice tower: built from a list of ``members``, or without a list a tapered one of the given dimensions.
 
     ``members``: name of a CSV file of ``steelnb/presets``, such as ``report-tower``, or ``FILE.csv``
     (`steelnb.simulation.lattice`). ``section``: angles, or round rods with the flange's width as diameter.
@@ -144,9 +144,9 @@ surface; noise and dropout that depend on the amplitude; an error periodic in th
 
 
 class CameraSettings(Settings):
-    """A pinhole camera on the drone, with its optical axis along its x axis, y left, z up.
+    """A pinhole camera on the drone. In the camera frame, x is the optical axis, y left, z up.
 
-    ``mount_m`` and ``mount_rpy_deg``: its place, and its roll, pitch and yaw about the drone's axes.
+    ``mount_m`` and ``mount_rpy_deg``: its position, and its roll, pitch and yaw about the drone's axes.
     """
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -191,11 +191,11 @@ class TofSettings(CameraSettings):
 
 
 class ImuSettings(Settings):
-    """Errors of an IMU (`steelnb.simulation.imu`), each the same on its three axes; by default there are none.
-    ``presets/sensors/starling2-honest.toml`` has values of a real one, with their sources.
+    """Errors of an IMU (`steelnb.simulation.imu`), equal on all three axes, zero by default.
+    ``presets/sensors/starling2-honest.toml`` has the values of a real IMU, with their sources.
 
     ``..._noise``: white noise density, rad/s/√Hz and m/s²/√Hz; ``..._walk``: density of the bias random walk,
-    rad/s²/√Hz and m/s³/√Hz; ``..._bias``: standard deviation of the bias at the start, rad/s and m/s².
+    rad/s²/√Hz and m/s³/√Hz; ``..._bias``: standard deviation of the initial bias, rad/s and m/s².
     """
 
     gyro_noise: NotNegative = 0.0

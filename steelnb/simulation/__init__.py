@@ -1,4 +1,4 @@
-"""Settings → `Tower`, true flight, scans: the role of the report's Webots simulation."""
+"""Simulation of a tower, a flight and its sensors; it replaces the report's Webots simulation."""
 
 from steelnb.simulation.cameras import FORWARD, Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly

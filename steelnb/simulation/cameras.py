@@ -18,18 +18,18 @@ from steelnb.simulation.tower import Tower
 from steelnb.types import Array, IntArray, Trajectory
 
 RATE_HZ = 10.0
-"""Images a second."""
+"""Images per second."""
 EXPOSURE_S = 0.002
 SAMPLES = 4
-"""Rays per pixel, spread over its area and over the exposure time, which is centred on the stamp. They smooth edges and
-give motion blur."""
+"""Rays per pixel, spread over its area and over the exposure time, which is centred on the stamp. They anti-alias edges
+and produce motion blur."""
 READ_NOISE, GAIN = 1.0, 0.03
 """The variance of a pixel is READ_NOISE² + GAIN · grey, in grey levels of 255. The gain is in levels per photoelectron
 (EMVA Standard 1288)."""
 SPREAD_PX = 0.35
 """Distance of a pixel's outer rays from its centre ray."""
 BLUR_PX = 0.5
-"""With more motion than this during the exposure, all rays of every pixel are cast."""
+"""Image motion during the exposure, in pixels, above which all rays of every pixel are cast."""
 EDGE = 0.03
 """Relative difference of neighbouring ranges that counts as an edge."""
 

@@ -1,11 +1,11 @@
 """One exposure of a phase-measuring Time-of-Flight camera with the faults of a real one.
 
-Nine rays per pixel are spread over its footprint and over the exposure time. A return is a phasor. Its phase is the
-length of its path. Its amplitude is ρ·cos θ / r² for reflectivity, incidence and range (Lambertian surfaces). A pixel
-measures the phase of the sum (Lange, Seitz, "Solid-state time-of-flight range camera", IEEE Journal of Quantum
-Electronics 37, 2001). A mixed pixel, which sees two depths, therefore measures a range between them, and a pixel in a
-corner measures a range that is too long. The noise follows from the amplitude of the sum: its standard deviation is
-that at the range from which the data sheet's target returns the same amplitude (shot noise, same source).
+Nine rays per pixel are spread over its footprint and over the exposure time. Each return is a phasor, whose phase is
+proportional to the length of its path. Its amplitude is ρ·cos θ / r² for reflectivity ρ, incidence angle θ and range r
+(Lambertian surfaces). A pixel measures the phase of the sum (Lange, Seitz, "Solid-state time-of-flight range camera",
+IEEE Journal of Quantum Electronics 37, 2001). A mixed pixel, which sees two depths, therefore measures a range between
+them, and a pixel in a corner measures a range that is too long. The noise depends on the amplitude of the sum. Its
+standard deviation is that of the data sheet's target at the range where it returns this amplitude (shot noise, ibid.).
 
 Not modelled: multipath by the ground or by more than one other surface, occlusion of that surface, specular reflection,
 stray light in the lens, phase unwrapping errors, errors of the intrinsics, and errors of the time stamp.
@@ -28,17 +28,17 @@ Floats = NDArray[np.float32]
 
 _MAGIC = np.array([8, 1, 6, 3, 5, 7, 4, 9, 2])
 MOMENTS = (_MAGIC - 5) / 9
-"""Time of each of a pixel's nine rays, in exposure times from the middle of the exposure. The rays form a 3 × 3 grid,
-row by row. In a magic square neither rows nor columns correlate with time, and the centre ray has the middle moment.
-Such cameras also take nine raw images a scan (eight phases and a dark one)."""
+"""Times of a pixel's nine rays, relative to the middle of the exposure and in units of the exposure time. The rays form
+a 3 × 3 grid, row by row. The magic square keeps rows and columns uncorrelated with time and gives the centre ray the
+middle moment. Such cameras also take nine raw images per scan (eight phases and a dark one)."""
 MIDDLE = 4
 """Index of a pixel's centre ray."""
 AMBIGUITY_M = 7.5
-"""Unambiguous range: half the wavelength of 20 MHz, the difference of the 60 and 80 MHz of such cameras. Returns less
-than half of it apart mix to a range between them."""
+"""Unambiguous range: half the wavelength at 20 MHz, the difference between the 60 and 80 MHz that such cameras use. Two
+returns less than half of it apart mix to a range between them."""
 WIGGLE_PERIOD_M = 0.625
-"""A quarter of the period at 60 MHz: odd harmonics of the light, sampled at four phases (Lindner, Schiller, Kolb, Koch,
-"Time-of-Flight sensor calibration for accurate range sensing", CVIU 114, 2010)."""
+"""A quarter of the 2.5 m period at 60 MHz: the light's odd harmonics, sampled at four phases (Lindner, Schiller, Kolb,
+Koch, "Time-of-Flight sensor calibration for accurate range sensing", CVIU 114, 2010)."""
 _OFFSET_M = 1e-3
 """Scattered rays start this far off the surface, so that they do not hit it again."""
 
@@ -49,7 +49,7 @@ class Faults:
 
     ``footprint_px``: width of a pixel's footprint, which makes mixed pixels at depth edges; ``lateral_px``: standard
     deviation of the footprint's position; ``exposure_s``: exposure time of a scan, centred on its stamp; ``multipath``:
-    share of the light that is scattered on to another surface, 1 for a Lambertian one; ``reflectivity`` of all
+    scale of the light that travels via a second surface, 1 for Lambertian surfaces; ``reflectivity`` of all
     surfaces relative to the data sheet's target; ``sigma_max_m``: pixels with more noise than this, as predicted from
     their amplitude, are dropped; ``wiggle_m`` and ``phase_rad`` of the error that is periodic in the range;
     ``offset_m`` and ``scale_error`` of the range.
@@ -68,10 +68,10 @@ class Faults:
 
 
 REFLECTIVITY = 0.5
-"""Of weathered zinc relative to a white target, in the near infrared: assumed."""
+"""Reflectivity of weathered zinc in the near infrared, relative to a white target (assumed)."""
 STARLING2_FAULTS: dict[TofFault, dict[str, float]] = {
-    # A pixel sees its own square; lens blur is not modelled. Lateral noise is assumed: 1/sqrt(12), a position known to
-    # the pixel; Nguyen, Izadi, Lovell (3DIMPVT 2012) measure 0.8 with structured light.
+    # A pixel sees its own square; lens blur is not modelled. Lateral noise is assumed: 1/sqrt(12), that of positions
+    # rounded to pixels. Nguyen, Izadi, Lovell (3DIMPVT 2012) measure 0.8 with structured light.
     "footprint": {"footprint_px": 1.0, "lateral_px": 0.3},
     # Assumed: 8 + 1 raw images of up to 2 ms at 5 Hz (pmd Royale, MODE_9_5FPS_2000), each read out in about 1.3 ms.
     "exposure": {"exposure_s": 0.03},
@@ -79,15 +79,15 @@ STARLING2_FAULTS: dict[TofFault, dict[str, float]] = {
     "amplitude": {"reflectivity": REFLECTIVITY, "sigma_max_m": 0.07},  # pmd Royale, NoiseThreshold
     # Assumed: calibration leaves a few mm to 1 cm; the form is that of Lindner, Schiller, Kolb, Koch (CVIU 114, 2010).
     "wiggle": {"wiggle_m": 0.005},
-    # Standard deviations over the cameras of the type. The data sheet's error of 1 % from 0.5 to 4 m allows 5 mm at
+    # Standard deviations between cameras of this type. The data sheet's error of 1 % from 0.5 to 4 m allows 5 mm at
     # 0.5 m and, taken as three standard deviations, 0.3 % of the range.
     "calibration": {"offset_m": 0.005, "scale_error": 0.003},
 }
-"""Fault → its size for the camera of a Starling 2. "Assumed": no data sheet or paper gives it for this camera."""
+"""Size of each fault for the camera of a Starling 2. "Assumed": no data sheet or paper gives it for this camera."""
 
 
 def draw_faults(settings: TofSettings, random: np.random.Generator) -> Faults | None:
-    """The settings' faults of one camera of the type; None without faults."""
+    """Draw one camera of this type, with the faults that the settings name; None if they name none."""
     if not settings.faults:
         return None
     faults = Faults(**{name: size for fault in settings.faults for name, size in STARLING2_FAULTS[fault].items()})
@@ -97,7 +97,7 @@ def draw_faults(settings: TofSettings, random: np.random.Generator) -> Faults | 
 
 
 class Exposure(NamedTuple):
-    """Images ``(H, W)``: ``range_m`` float32 as measured, but without noise, infinite for no light;
+    """Images ``(H, W)``: ``range_m`` float32 as measured, but without noise, infinite without light;
     ``equivalent_range_m``, the range from which the data sheet's target, seen perpendicularly, returns as much light;
     ``exact_m`` and ``member`` of each pixel's centre ray, as from `cast_rays`."""
 
@@ -162,8 +162,8 @@ def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random
 
 @njit(cache=True)
 def _scattered_rays(bundle, range_m, normal, near, uniform, onward):
-    """A scattered ray from each of the hits ``near (M,)``. Its direction, the normal plus a random unit vector, is
-    cosine-distributed (Lambert)."""
+    """Write a scattered ray from each of the hits ``near (M,)`` to ``onward``. Its direction, the normal plus a random
+    unit vector, is cosine-distributed (Lambert)."""
     for m in range(len(near)):
         k = near[m]
         cosine = 0.0
@@ -182,9 +182,9 @@ def _scattered_rays(bundle, range_m, normal, near, uniform, onward):
 
 @njit(cache=True)
 def _multipath(bundle, range_m, near, onward, range_2_m, normal_2, share, multipath_m, multipath_amplitude):
-    """Multipath: half the path length, and the amplitude, of light that reached the hits ``near`` by a second surface.
+    """Write half the path length and the amplitude of light that travels via the hits ``near`` and a second surface.
 
-    As directions are cosine-distributed, the amplitude is the mean over the second surfaces of ρ·cos θ₂ / r₂².
+    As scattered directions are cosine-distributed, a pixel's amplitude is the mean of ρ²·cos θ₂ / r₂² over its rays.
     """
     for m in range(len(near)):
         if not np.isfinite(range_2_m[m]):
@@ -205,8 +205,8 @@ def _multipath(bundle, range_m, near, onward, range_2_m, normal_2, share, multip
 
 @njit(cache=True)
 def _mix_phasors(range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent):
-    """Range from the phase of the sum of a pixel's phasors, in the period around its strongest return, and the range
-    from which the data sheet's target returns the sum's amplitude. Both are infinite without light."""
+    """Write the range from the phase of a pixel's summed phasors, in the period around its strongest return, and the
+    equivalent range (`Exposure`) of their mean amplitude. Both are infinite without light."""
     rays_a_pixel, wave = range_m.shape[0], 2 * math.pi / AMBIGUITY_M
     for n in range(range_m.shape[1]):
         strongest = 0

@@ -20,7 +20,7 @@ from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STEP_S = 0.008
 COMMAND_S = 0.1
-"""Time from one command of a pilot to the next."""
+"""Interval between the commands of a pilot."""
 MASS_KG = 0.275
 INERTIA = (6e-4, 6e-4, 10e-4)
 HALF_BOX_M = (0.12, 0.12, 0.04)
@@ -41,11 +41,11 @@ class Command(NamedTuple):
 
 
 Pilot = Callable[[Trajectory, Imu], Command | None]
-"""Called every `COMMAND_S` with the true poses and exact IMU readings since its last call, from the last one of that
-call on. A pilot may use them only to simulate its sensors. None ends the flight."""
+"""Called every `COMMAND_S` with the true poses and exact IMU readings since its last call; the last sample of that
+call is repeated. A pilot may use them only to simulate its sensors. Returning None ends the flight."""
 Vector = Sequence[float]
 Reference = Callable[[int, Vector, Vector], Any]
-"""Number of the step, position and quaternion → reference position, velocity, acceleration and heading; None ends the
+"""Step number, position and quaternion → reference position, velocity, acceleration and heading; or None to end the
 flight."""
 STILL = (0.0, 0.0, 0.0)
 
@@ -53,11 +53,11 @@ STILL = (0.0, 0.0, 0.0)
 def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
-    A rigid body of 275 g has thrust along its z axis, and torques. Its velocity controller follows `minimum_jerk`
-    through waypoints, else `setpoints`; a ``pilot``'s commands replace these from their first point on. `gusts` act
-    through the drag. World frame and REP 103 drone frame; specific force (m/s²) and angular rate (rad/s) are means over
-    the step that ends at their stamp. Raises `CollisionError`, with time and position, when the body touches the
-    structure or the ground.
+    The drone is a rigid body of 275 g, driven by thrust along its z axis and by torques. A velocity controller follows
+    `minimum_jerk` through waypoints, or `setpoints` without waypoints. With a ``pilot``, it starts at their first point
+    and follows the pilot's commands. `gusts` act through drag. World frame and REP 103 drone frame; specific force
+    (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `CollisionError`, with time
+    and position, when the body touches the structure or the ground.
     """
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
@@ -95,7 +95,7 @@ def gusts(settings: FlightSettings, seed: rng.Seed, steps: int) -> Array:
     shocks = rng.stream(seed, "gust").standard_normal((steps, 3))
     decay = math.exp(-STEP_S / GUST_TIME_S)
     shocks = shocks * settings.gust_sigma_m_s * math.sqrt(1 - decay**2)
-    # scipy.signal.lfilter gives the same bits, but its import takes longer than a short flight.
+    # scipy.signal.lfilter is bit-identical, but its import takes longer than a short flight.
     return np.array(list(itertools.accumulate(shocks, lambda wind, shock: decay * wind + shock)))
 
 
@@ -110,8 +110,8 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
 
 
 def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Reference:
-    """Reference that follows a pilot's velocity commands: the position is free, and the heading is the integral of the
-    commanded rates from ``yaw`` on."""
+    """Reference for a pilot's velocity commands: the position is not controlled, and the heading is ``yaw`` plus the
+    integral of the commanded rates."""
     command, last_call = Command(), 0
 
     def reference(step: int, position: Vector, quaternion: Vector):  # type: ignore[no-untyped-def]
@@ -132,7 +132,7 @@ def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Referen
 
 
 def _import_pybullet() -> Any:
-    """PyBullet, without the line that its C code prints to stderr on the first import."""
+    """Import PyBullet, and suppress the line that its C code prints to stderr on the first import."""
     sys.stderr.flush()
     stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
@@ -160,7 +160,7 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
 
 
 def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:  # type: ignore[no-untyped-def]
-    """Control, step and record; returns the number of steps flown. All in scalars, as NumPy is ten times slower on
+    """Control, step and record; returns the number of steps flown. It uses scalars only: NumPy is ten times slower on
     3-vectors."""
     position, quaternion = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
     velocity, rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -213,7 +213,7 @@ def _loop(pybullet, client, body, reference, settings, wind, state, imu) -> int:
 
 
 def _in_body(m: Vector, v: Vector) -> tuple[float, float, float]:
-    """A vector of the world in the frame of a body with rotation ``m``, by rows."""
+    """Rotate a world-frame vector into the body frame; ``m``: the body's rotation matrix by rows."""
     return (
         m[0] * v[0] + m[3] * v[1] + m[6] * v[2], m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
         m[2] * v[0] + m[5] * v[1] + m[8] * v[2],

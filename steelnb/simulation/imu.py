@@ -14,7 +14,7 @@ FILTER_GAIN = 0.5
 
 
 def measured_imu(exact: Imu, settings: ImuSettings, seed: rng.Seed) -> Imu:
-    """Readings with white noise, a bias at the start, and a random walk of the bias.
+    """Readings with white noise, an initial bias, and a random walk of the bias.
 
     ``exact`` has equal time steps; its values are means over them. The streams of the seed are ``(sensor, part)`` with
     sensor ``gyro`` or ``accelerometer`` and part ``noise``, ``walk`` or ``bias``. Noise densities are those of an Allan
@@ -24,11 +24,11 @@ def measured_imu(exact: Imu, settings: ImuSettings, seed: rng.Seed) -> Imu:
 
 
 class ImuErrors:
-    """The errors of `measured_imu`, drawn for a whole flight at ``stamp_s (N,)`` and read piece by piece."""
+    """The errors of `measured_imu`, drawn for a whole flight at ``stamp_s (N,)`` and applied piece by piece."""
 
     def __init__(self, stamp_s: Array, settings: ImuSettings, seed: rng.Seed) -> None:
         step_s, shape = float(stamp_s[1] - stamp_s[0]), (len(stamp_s), 3)
-        self._errors = []  # white noise, bias at the start and its walk, of the specific force and of the angular rate
+        self._errors = []  # white noise, initial bias, bias walk: of the specific force, then of the angular rate
         for sensor in ("accelerometer", "gyro"):
             noise, walk, bias = (getattr(settings, f"{sensor}_{each}") for each in ("noise", "walk", "bias"))
             white = noise / math.sqrt(step_s) * rng.stream(seed, sensor, "noise").standard_normal(shape)
@@ -59,7 +59,7 @@ def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
 class AttitudeFilter:
     """`filtered_attitude` piece by piece, during a flight.
 
-    ``T_world_drone (4, 4)``: true pose at the start; ``step_s``: time from reading to reading.
+    ``T_world_drone (4, 4)``: true pose at the start; ``step_s``: interval between readings.
     """
 
     def __init__(self, T_world_drone: Array, step_s: float) -> None:

@@ -29,10 +29,10 @@ KINDS = get_args(Kind)
 PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
 """Triangles of a plate by corner; corner 3 lies opposite corner 0."""
 JOINT_M = 0.02
-"""Members that come this close meet in a joint."""
+"""Members within this distance of each other share a joint."""
 UPRIGHT, IN_FACE = 0.3, 0.5
-"""An upright member's direction has a horizontal part below `UPRIGHT`. Seen from above, a member in a face has a slope
-of at most `IN_FACE` to it."""
+"""A member is upright if the horizontal part of its unit direction is below `UPRIGHT`. Seen from above, a member in a
+face has a slope of at most `IN_FACE` against that face."""
 
 
 def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]:
@@ -62,8 +62,8 @@ def leg_half_width(members: str, z: float) -> float:
 
 
 def read_members(members: str) -> tuple[list[Kind], Array, Array]:
-    """Kinds and ends ``(M, 2, 3)`` of the members, and the triangles ``(P, 3, 3)`` of the plates, of a list of a preset
-    or of a file ``FILE.csv``. Raises `InputError`."""
+    """Kinds and ends ``(M, 2, 3)`` of the members of a list, and the triangles ``(P, 3, 3)`` of its plates. The list is
+    the name of a preset or a file ``FILE.csv``. Raises `InputError`."""
     path, ends, plates = members_file(members), [], []
     kinds: list[Any] = []
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -102,10 +102,10 @@ def _points(path: Path, line: int, row: list[str]) -> Array:
 
 
 def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
-    """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member the numbers of its joints from end to
+    """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member the indices of its joints from end to
     end.
 
-    A joint lies at the first end that belongs to it or, where members cross, midway between their axes.
+    A joint is placed at the first end that belongs to it or, where members cross, midway between their axes.
     """
     count = len(ends)
     points, owners = [ends.reshape(-1, 3)], [np.repeat(np.arange(count), 2)]
@@ -145,7 +145,7 @@ def _closest_points(segment: Array, others: Array) -> tuple[Array, Array]:
 
 
 def _flanges(axis: Array, out: Array) -> tuple[Array, Array]:
-    """Directions of the flanges of a member with a unit ``axis`` whose middle lies at ``out`` from that of the tower.
+    """Flange directions of a member with a unit ``axis``; ``out`` is its midpoint relative to the tower's centre.
 
     The flanges of an upright member point inwards along x and y. A member in a face has one flange in the face,
     pointing downwards, and one inwards. The second flange of a member inside the body points downwards.

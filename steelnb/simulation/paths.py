@@ -10,11 +10,11 @@ from steelnb.types import Array
 
 
 def path(flight: FlightSettings, tower: TowerSettings) -> tuple[Array, Array]:
-    """Corners ``(N, 3)`` of the path of a flight without waypoints, and its length ``(N,)`` up to each, metres, world
-    frame.
+    """Corners ``(N, 3)`` of the path of a flight without waypoints, world frame, and the path length ``(N,)`` at each
+    corner, metres.
 
-    ``zigzag`` zigzags up in front of the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
-    ``standoff_m`` from the body at every height. A ``planned`` flight has its starting point only.
+    ``zigzag`` climbs in zigzags before the face y < 0; ``loops`` flies rectangular loops around the body. Both keep
+    ``standoff_m`` from the body at every height. For a ``planned`` flight, only the starting point is returned.
     """
     heights = np.linspace(flight.height_min_m, flight.height_max_m, flight.levels)
     points: list[tuple[float, float, float]] = []
@@ -54,8 +54,8 @@ def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: 
 
 
 def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array | None = None) -> Array:
-    """Pose ``T_world_sensor (4, 4)``, with the flight's heading, at a ``share`` from 0 to 1 of the length of its path
-    or, if it has waypoints, of its duration. ``lean (3,)`` adds yaw, pitch and roll, radians."""
+    """Pose ``T_world_sensor (4, 4)``, with the flight's heading, at a ``share`` (0 to 1) of the path's length, or of
+    its duration if it has waypoints. ``lean (3,)`` adds yaw, pitch and roll, radians."""
     if flight.waypoints:
         *position, yaw = minimum_jerk(flight, np.array([share * flight.duration_s]))[0][0]
     else:
@@ -73,9 +73,9 @@ def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, A
     """Pose x, y, z, heading (metres, radians) and its first two derivatives, each ``(N, 4)``, at ``time_s (N,)``, of a
     flight through waypoints.
 
-    The motion between waypoints has minimum jerk and starts and ends at rest: after a share τ of the time, a share
-    10τ³ − 15τ⁴ + 6τ⁵ of the distance is done (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter
-    way, half turns anticlockwise.
+    Between waypoints, the drone moves with minimum jerk from rest to rest: after a share τ of the time, it has done a
+    share 10τ³ − 15τ⁴ + 6τ⁵ of the distance (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter way;
+    half turns are anticlockwise.
     """
     point = np.array(flight.waypoints)
     seconds, end_s = point[1:, 4], np.cumsum(point[:, 4])

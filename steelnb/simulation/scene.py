@@ -1,6 +1,6 @@
 """Ray casting against a tower's mesh (Open3D, Embree) on one thread.
 
-The results are the same bits on every processor; `cast_bundle` explains how.
+Results are bit-identical on every processor; `cast_bundle` explains how.
 """
 
 import math
@@ -17,7 +17,7 @@ from steelnb.types import Array, IntArray
 STEPS_PER_M = 65536.0
 """Ranges are rounded to this resolution."""
 TOUCH_M = 1e-5
-"""Surfaces touch, and a ray hits an edge, within this distance: float32 cannot tell them apart."""
+"""Tolerance within which surfaces touch and a ray hits an edge; float32 cannot resolve smaller distances."""
 MARGIN_M = 2e-5
 """Embree's triangles are enlarged by this margin on each side."""
 RESTART_M = np.float32(4e-6)
@@ -37,9 +37,9 @@ def rays(camera: CameraSettings) -> Array:
 class Scene(NamedTuple):
     """The T triangles of a tower and of the ground under it, in the world frame, metres.
 
-    ``mesh``: Open3D's, of triangles enlarged by `MARGIN_M`; ``member (T + 1,)`` of each triangle, −1 for the ground
-    and, as the last entry, for no hit; ``corner (T, 3, 3)``; ``plane (T, 4)``: unit normal n and offset d of n · x = d.
-    ``touching[begin[t] : begin[t + 1]]``: the triangles that touch, cross or overlap triangle t, in falling order.
+    ``mesh``: Open3D's scene of the triangles, enlarged by `MARGIN_M`; ``member (T + 1,)`` of each triangle, −1 for the
+    ground and, as the last entry, for no hit; ``corner (T, 3, 3)``; ``plane (T, 4)``: unit normal n and offset d of
+    n · x = d. ``touching[begin[t] : begin[t + 1]]``: triangles that touch, cross or overlap triangle t, descending.
     """
 
     mesh: Any
@@ -51,7 +51,7 @@ class Scene(NamedTuple):
 
 
 def make_scene(tower: Tower) -> Scene:
-    """The scene of a tower that stands on the ground, z = 0."""
+    """The scene of a tower on the ground at z = 0."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     corner = np.concatenate([tower.vertices[tower.triangles], ground[[(0, 1, 2), (0, 2, 3)]]]).astype(np.float64)
@@ -148,8 +148,8 @@ def world_rays(T_world_sensor: Array, ray: np.ndarray) -> np.ndarray:
 
 class Hits(NamedTuple):
     """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for no hit; ``normal
-    (..., 3)`` float32, unit normals of either sign, zero for no hit; ``triangle (...)``, the number of triangles for no
-    hit."""
+    (..., 3)`` float32, unit normals of either sign, zero for no hit; ``triangle (...)``, its index, or T for no hit
+    (`Scene`)."""
 
     range_m: np.ndarray
     member: IntArray
@@ -161,9 +161,9 @@ def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
     """The first hits of rays ``(..., 6)`` float32: origins and unit directions in the world frame.
 
     Embree uses the processor's approximate reciprocal, which differs between vendors. It therefore only proposes
-    triangles, from a slightly enlarged mesh. Whether a ray hits the true triangle is decided in float64; if it misses,
-    it restarts behind it. Where several triangles are hit at one point, the last one counts. The range is the distance
-    to its plane, rounded to 2⁻¹⁶ m (15 µm).
+    triangles, from a slightly enlarged mesh. A float64 test decides whether the ray hits the true triangle; if not, the
+    ray restarts behind it. If a ray hits several triangles at one point, the one with the highest index counts. The
+    range is the distance to its plane, rounded to 2⁻¹⁶ m (15 µm).
     """
     tensor, shape = import_open3d().core.Tensor.from_numpy, bundle.shape[:-1]
     ray = bundle.reshape(-1, 6)
@@ -182,8 +182,8 @@ def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
 def _resolve_hits(
     rays, pending, proposed, member_of, corner, plane, begin, touching, range_m, member, normal, triangle
 ):  # fmt: skip
-    """Fill in `Hits` of the ``pending (L,)`` ones of the ``rays (N, 6)``, each with its ``proposed (L,)`` triangle, a
-    number beyond the last for no hit. Returns the indices into ``pending`` of the rays that miss."""
+    """Fill in the `Hits` of ``rays (N, 6)`` with indices ``pending (L,)``. ``proposed (L,)``: the triangle proposed for
+    each, or an index beyond the last for no hit. Returns the indices into ``pending`` of the rays that miss."""
     ray = np.empty(6)
     missed, count = np.empty(len(pending), np.int64), 0
     for m in range(len(pending)):
@@ -239,8 +239,8 @@ def _distance(ray, corner, plane):
 
 @njit(cache=True)
 def _contains(corner, plane, t, x, y, z):
-    """Whether a point in the plane of triangle ``t`` lies within it or `TOUCH_M` of it. Its corners run anticlockwise
-    about the normal."""
+    """Whether a point in the plane of triangle ``t`` is inside it, or outside by at most `TOUCH_M`. The corners run
+    anticlockwise about the normal."""
     for k in range(3):
         n = (k + 1) % 3
         ax, ay, az = corner[t, k, 0], corner[t, k, 1], corner[t, k, 2]

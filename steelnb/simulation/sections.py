@@ -11,7 +11,7 @@ from steelnb.settings.world import Kind
 from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
-"""Stand in for a member's number: the ground, and a steel plate, which is no bar."""
+"""Used in place of a member's index: the ground, and a steel plate, which is not a bar."""
 SIDES = 16
 """Sides of a round rod; its surface is within 1.3 % of the circle's radius."""
 
@@ -21,7 +21,7 @@ class Member:
     """A straight bar. The axis of an angle is its heel, the outer corner; that of a round rod is its centre line.
 
     ``kind``: leg, ring, bracing, arm or secondary; ``section_m``: width and thickness of the flanges, or diameter and
-    radius; ``joints``: numbers of its joints from end to end; ``flange_a``, ``flange_b``: unit vectors from the heel
+    radius; ``joints``: indices of its joints from end to end; ``flange_a``, ``flange_b``: unit vectors from the heel
     along the flanges, world frame; for a round rod, any two directions perpendicular to the axis.
     """
 
@@ -91,4 +91,4 @@ _ROUND_PRISM = np.concatenate([
     np.stack([_LOW, _HIGH, _LOW + SIDES], 1), np.stack([_HIGH, _HIGH + SIDES, _LOW + SIDES], 1),
     _FAN[:, ::-1], SIDES + _FAN,
 ])  # fmt: skip
-"""The same with the outline of `_circle`."""
+"""The same for the outline of `_circle`."""

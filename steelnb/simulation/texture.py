@@ -29,7 +29,7 @@ ROUGHNESS_M = (0.012, 0.25)
 SUN = np.array([0.36, -0.48, 0.8])
 AMBIENT = 0.55
 STEEL, GROUND_GREY = (95.0, 140.0), 130.0
-"""Grey levels in full light: members draw from the range of steel, plates have its mean."""
+"""Grey levels in full light. Each member draws its own from the range of steel; plates have the range's mean."""
 STEEL_CONTRAST, GROUND_CONTRAST = 0.38, 0.15
 
 
@@ -45,7 +45,7 @@ class Texture(NamedTuple):
 
 
 def make_texture(tower: Tower) -> Texture:
-    """The texture of a tower, always the same."""
+    """The texture of a tower; it is deterministic."""
     axes, random = tower.axes, rng.stream(0, "texture-members")
     along = axes[:, 1] - axes[:, 0]
     along = along / np.linalg.norm(along, axis=1)[:, None]
@@ -63,7 +63,7 @@ def _pyramid() -> Floats:
         band = np.where((frequency >= low) & (frequency <= high), 1 / frequency, 0.0)
     white = np.fft.rfft2(rng.stream(0, "texture").standard_normal((SIZE, SIZE)))
     noise = np.fft.irfft2(band * white, s=(SIZE, SIZE))
-    tile = np.tanh(1.5 * noise / noise.std())  # sharpens the noise to blotches, like rust and paint
+    tile = np.tanh(1.5 * noise / noise.std())  # sharpens the noise into blotches, like rust and paint
     levels = [tile]
     while len(tile) > 1:
         tile = tile.reshape(len(tile) // 2, 2, len(tile) // 2, 2).mean(axis=(1, 3))

@@ -16,7 +16,7 @@ from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""
 FLOOR_M = 0.3
-"""Lowest point of a `View`."""
+"""Points of a `View` below this height are dropped."""
 AMPLITUDE_SCATTER = 0.1
 """Relative standard deviation of a driver's noise estimate, which comes from a pixel's measured amplitude."""
 
@@ -32,7 +32,7 @@ def scan_flight(
     trajectory: true poses of the drone at equal time steps, the first at t = 0.
     settings: pinhole, mount, rate, noise, limits and faults of the sensor, whose optical axis is its x axis.
     seed: scan k takes its noise from the stream ``("tof", k)``, so a longer flight begins with the scans of a shorter
-        one. With faults, the camera is drawn from ``("tof-camera",)`` and its rays from ``("tof-rays", k)``.
+        one. The faults of the camera come from ``("tof-camera",)``, its random rays from ``("tof-rays", k)``.
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
@@ -51,7 +51,7 @@ def scan_flight(
 
 
 def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
-    """Time steps, counted from t = 0, at which scans are taken up to ``last_s``."""
+    """Indices of the time steps, counted from t = 0, at which scans are taken, up to ``last_s``."""
     since_s = np.arange(0, last_s - settings.start_s + 1e-9, 1 / settings.rate_hz)
     return np.round((settings.start_s + since_s) / step_s).astype(int)
 
@@ -80,7 +80,7 @@ class TofCamera:
         self, T_world_sensor: Array, noise: np.random.Generator, random: np.random.Generator
     ) -> tuple[np.ndarray, Exposure]:
         """Measured ranges ``(H, W)`` from the poses ``(9, 4, 4)`` at the moments of an exposure, and the exposure
-        without noise. Without faults only the middle pose counts, and nothing is drawn from ``random``."""
+        without noise. Without faults, only the middle pose is used, and nothing is drawn from ``random``."""
         if self._faults:
             exposure = expose(self._scene, self.settings, self._faults, T_world_sensor, random)
         else:
@@ -90,7 +90,7 @@ class TofCamera:
         return image, exposure
 
     def scan_image(self, k: int, stamp_s: float, T_world_sensor: Array) -> tuple[np.ndarray, Exposure]:
-        """`measure` of scan k, NaN while the sensor is blind."""
+        """Scan k by `measure`; all NaN while the sensor is blind."""
         streams = rng.stream(self._seed, "tof", k), rng.stream(self._seed, "tof-rays", k)
         image, exposure = self.measure(T_world_sensor, *streams)
         if any(first <= stamp_s < last for first, last in self.settings.blind_s):
@@ -98,7 +98,7 @@ class TofCamera:
         return image, exposure
 
     def scan(self, k: int, stamp_s: float, trajectory: Trajectory) -> Scan:
-        """Scan k, bit for bit as in `scan_flight`, during a flight. The true ``trajectory`` covers its exposure."""
+        """Scan k during a flight, bit-identical to `scan_flight`. The true ``trajectory`` must cover its exposure."""
         (poses,) = self.exposure_poses(trajectory, np.array([stamp_s]))
         return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.ray)
 
@@ -116,7 +116,7 @@ class View:
 
 
 def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generator) -> View:
-    """One scan from a pose ``(4, 4)`` at rest, without the ground and all points measured below `FLOOR_M`."""
+    """One scan at rest from a pose ``(4, 4)``, without the ground and without points measured below `FLOOR_M`."""
     measured, exposure = camera.measure(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise, noise)
     returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
     member, rotation = exposure.member[returned], T_world_sensor[:3, :3]
@@ -134,9 +134,9 @@ def measured_ranges(
     exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, faults: Faults | None = None,
     equivalent_range_m: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Measured range image ``(H, W)`` float32, metres, NaN for no return, from the exact one, infinite for no hit.
+    """Measured range image ``(H, W)`` float32, metres, NaN for no return. ``exact_m`` is infinite for no hit.
 
-    Returns within the sensor's limits get Gaussian noise, with the standard deviation for the ranges
+    Returns within the sensor's limits get Gaussian noise, with the standard deviation at the ranges
     ``equivalent_range_m`` (default: the exact ones). With faults, pixels whose estimated noise is too high are dropped.
     Limits and noise apply to the range, or to the depth along the optical axis if ``noise_on`` is ``"depth"``.
     """

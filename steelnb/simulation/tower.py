@@ -70,8 +70,8 @@ Bar = tuple[Kind, list[Array], Array, Array]
 
 
 def _tapered_members(settings: TowerSettings) -> tuple[Array, list[Member]]:
-    """Joints ``(J, 3)`` and members: X-bracing up to the waist, K-bracing between the arms, single bracing over their
-    depth; centred on the z axis."""
+    """Joints ``(J, 3)`` and members, centred on the z axis: X-bracing up to the waist, K-bracing above it, and single
+    bracing over the depth of the arms."""
     bars = [*_body(settings), *(bar for z, reach in settings.arms_m for side in (-1, 1)
                                 for bar in _arm(settings, z, reach, side))]  # fmt: skip
     points = np.array([point for _, own, *_ in bars for point in own])

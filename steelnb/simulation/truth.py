@@ -10,16 +10,16 @@ from steelnb.types import Array, IntArray, Trajectory
 
 SLICE_M = 0.05
 RETURNS_MIN, LENGTH_MIN_M = 100, 0.3
-"""A member is observed if it gave at least this many returns, over at least this length."""
+"""A member is observed if it has at least this many returns over at least this length."""
 SCAN_RETURNS_MIN = 30
-"""Minimum number of returns in a single scan. With 100, half of the members that detectors find would be left out in a
-scan of 43,200 pixels, and all but one to five at an eighth of the density."""
+"""Minimum number of returns in a single scan. With 100, half of the members that detectors find in a scan of 43,200
+pixels would not count as observed, and all but one to five at an eighth of that density."""
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """Number of returns from each of the M members of a tower: ``slices`` holds, for each member, the returns ``(S,)``
-    from slices of 5 cm along its axis, from its first joint on."""
+    """Number of returns from each of the M members of a tower: ``slices`` holds, per member, the counts ``(S,)`` in
+    slices of 5 cm along its axis, starting at its first joint."""
 
     slices: tuple[IntArray, ...]
 
@@ -34,7 +34,7 @@ class Visibility:
         return np.array([SLICE_M * np.count_nonzero(part) for part in self.slices])
 
     def observed(self, returns_min: int = RETURNS_MIN) -> NDArray[np.bool_]:
-        """Mask ``(M,)`` of the members with enough returns over enough of their length. Every recall refers to them."""
+        """Mask ``(M,)`` of the members with enough returns over enough length. Every recall refers to these members."""
         return (self.returns >= returns_min) & (self.length_m >= LENGTH_MIN_M - 1e-9)
 
 

@@ -1,4 +1,4 @@
-"""A headless Chromium of the system, with no way out to any network."""
+"""The system's headless Chromium, without access to any network."""
 
 import os
 import shutil
@@ -20,7 +20,7 @@ FLAGS = (
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
-    """The browser that the machine has; tests that want one are skipped where it has none."""
+    """The installed browser. Tests that need one are skipped if there is none."""
     path = next(filter(None, map(shutil.which, NAMES)), None)
     if path is None:
         pytest.skip(f"none of {', '.join(NAMES)} is installed; on Debian: sudo apt-get install chromium")

@@ -1,4 +1,4 @@
-"""JupyterLab as a reader has it: open the notebook to explore, run it, move a slider, see the picture change."""
+"""JupyterLab as a reader uses it: open notebook 00, run it, move a slider, and see the picture change."""
 
 import os
 import shutil
@@ -22,11 +22,11 @@ FOR_PAGE_MS = 60_000
 FOR_FLIGHT_MS = 300_000  # kernels are compiled where the cache is empty
 HEIGHT_PX = 1000
 LONG, SHORT = "duration_s = 40.0", "duration_s = 15.0"
-"""Of the flight: software draws the scene here."""
+"""Duration of the flight, short since the scene is drawn in software here."""
 DRAWN = ".js-plotly-plot canvas"
 STATUS = ".widget-html"
 DONE = f"{STATUS} >> text=computed in"
-# What Plotly keeps of the curves: their values say more than pixels.
+# The curves' values in Plotly, which say more than pixels.
 ERRORS = "() => Array.from(document.querySelector('.js-plotly-plot')?._fullData?.at(-1).y ?? [])"
 CHANGED = f"before => {{ const now = ({ERRORS})(); return now.length && now.join() !== before.join(); }}"
 
@@ -68,7 +68,7 @@ def lab(tmp_path: Path) -> Iterator[str]:
 
 @pytest.fixture
 def page(chromium: Browser, lab: str) -> Iterator[Page]:
-    """A page of that JupyterLab; whatever it asks of another host is refused."""
+    """A page of that JupyterLab. Requests to other hosts are refused."""
     with chromium.new_context(viewport={"width": 1400, "height": HEIGHT_PX}) as context:
         context.route(
             lambda address: not address.startswith((lab, lab.replace("http", "ws"), "data:", "blob:")),

@@ -29,7 +29,7 @@ def structure_of_bars(axes, joint=(), tie=()) -> Structure:
 
 
 def rigid(seed: int, reach_m: float = 10.0) -> np.ndarray:
-    """A random rotation and a shift of up to ``reach_m`` an axis."""
+    """A random rotation and a shift of up to ``reach_m`` per axis."""
     T = np.eye(4)
     T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     T[:3, 3] = np.random.default_rng(seed).uniform(-reach_m, reach_m, 3)
@@ -61,7 +61,7 @@ def small_tower():
 
 
 def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad: float = 0.9) -> Flight:
-    """A flight on an arc before a tower that stands on z = 0, with the true poses; the sensor is the drone's frame."""
+    """A flight on an arc in front of a tower at z = 0, with the true poses. The sensor frame is the drone's frame."""
     angle = np.linspace(-turn_rad, turn_rad, poses)
     T = np.tile(np.eye(4), (poses, 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).as_matrix()
@@ -76,8 +76,8 @@ def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad
 
 @functools.cache
 def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40):
-    """Four posts and two beams of angle sections, some of them ``tubes``, about a sensor that slides past, points on
-    their near faces. Shared by tests: nobody changes it."""
+    """Four posts and two beams of angle sections, some of them ``tubes``, around a sensor that slides past, with points
+    on their near faces. Shared by tests, so it must not be changed."""
     rng = np.random.default_rng(seed)
     foot = np.array([(2, -1.5), (2, -0.5), (2.5, 0.5), (2, 1.5)])
     posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]

@@ -1,4 +1,4 @@
-"""Inertial factors: readings of a known motion, their equations by differences, and what smoothing makes of an IMU."""
+"""Inertial factors: readings of a known motion, their equations against differences, and smoothing with an IMU."""
 
 from dataclasses import replace
 
@@ -85,7 +85,7 @@ def test_the_equations_are_those_of_derivatives_by_differences():
         slope = (cost(1e-6 * states) - cost(-1e-6 * states)) / 2e-6
         expected = -(found.vector * states).sum()
         assert slope == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(found.vector).max())
-    # Curvature by Gauss and Newton: that of the linearised errors.
+    # Gauss–Newton curvature: that of the linearised errors.
     before, after = (factors.errors(moved_poses(T, sign * 1e-6 * states[:, :6])) for sign in (-1, 1))
     slope, flat = (after - before) / 2e-6, np.where(np.arange(15) < 6, states, 0.0)
     curvature = np.einsum("kd,kde,ke", flat, found.matrix, flat)
@@ -94,7 +94,7 @@ def test_the_equations_are_those_of_derivatives_by_differences():
 
 
 def test_noise_spreads_as_its_covariance_says():
-    """In 2000 intervals of a drone that stands still."""
+    """In 2000 intervals of a stationary drone."""
     count = 2000
     n = EVERY * count + 1
     still = Imu(STEP_S * np.arange(n), np.tile([0, 0, GRAVITY], (n, 1)), np.zeros((n, 3)))
@@ -143,7 +143,7 @@ def test_readings_in_other_units_or_axes_are_refused(change, says):
 
 @pytest.fixture(scope="module")
 def flown():
-    """A flight of 16 s about the tower, with a real IMU and roll and pitch of a filter on it."""
+    """A flight of 16 s around the tower, with a realistic IMU, and roll and pitch from a filter on it."""
     settings = ExperimentSettings.preset(
         "loops", "random-walk", seed=12, duration_s=16.0, method="best", overrides={"imu": SHEET.model_dump()}
     )

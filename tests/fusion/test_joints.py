@@ -55,7 +55,7 @@ def test_a_wide_bar_has_wide_copies_and_pieces():
 @settings(max_examples=40, deadline=None)
 @given(SEEDS, st.floats(0.3, 3), st.floats(5, 14))
 def test_a_bar_across_a_stronger_one_stays_if_it_rises_by_more_than_the_bound(seed, length, angle_deg):
-    """In any place and heading: both through one point, the weaker one near the stronger over all its length."""
+    """At any position and heading: both pass through one point, the weaker one near the stronger over its length."""
     up = np.radians(angle_deg)
     rise = length * np.sin(up)
     assume(rise < 0.3 and abs(rise - 0.06) > 1e-6)
@@ -102,7 +102,7 @@ def test_bars_are_extended_to_the_first_that_they_meet(monkeypatch):
 
 
 def test_bars_whose_axes_cross_far_beyond_their_ends_are_not_tied():
-    """Two bars at 11° that end 1.2 m before their crossing, and hardly apart: no joint in mid-air."""
+    """Two bars at 11° that end 1.2 m before their crossing, close together: no joint in mid-air."""
     tip, up = np.zeros(3), np.radians([-5.5, 5.5])
     bars = bars_of(*[[tip + 1.2 * u, tip + 3.2 * u] for u in np.column_stack([np.cos(up), 0 * up, np.sin(up)])])
     assert bars.start[1, 2] - bars.start[0, 2] < 0.3
@@ -141,7 +141,7 @@ def test_joints_lie_on_their_bars_in_any_frame(seed, n):
     along = ((joint[tie[:, 0]] - led.start[tie[:, 1]]) * led.direction[tie[:, 1]]).sum(axis=1)
     assert ((along >= -1e-9) & (along <= led.length[tie[:, 1]] + 1e-9)).all()
     reach = joints.LEAD_MAX_M + 2 * joints.SAME_M
-    # Bars are extended or cut along their axes, and only by so much.
+    # Bars are extended or cut only along their axes, by a limited length.
     np.testing.assert_allclose(np.diag(distance_to_lines(led.start, axes)), 0, atol=1e-9)
     np.testing.assert_allclose(np.diag(distance_to_lines(led.end, axes)), 0, atol=1e-9)
     assert np.abs(led.length - bars.length).max() <= 2 * reach

@@ -55,7 +55,7 @@ def test_bad_input_is_refused():
 
 @pytest.fixture(scope="module")
 def flown():
-    """Scans of 16 s around the tower, their true poses, the structure at these, and the truth."""
+    """Scans of 16 s around the tower, their true poses, the structure reconstructed at them, and the truth."""
     flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=16.0, method="best"))
     poses = truth.trajectory.at(flight.scans.stamp_s).T_world_drone
     return flight, poses, rebuilt(flight, poses), reference(truth.tower, truth.visibility)
@@ -82,7 +82,7 @@ def test_a_flight_gives_right_bars_and_adjusting_undoes_a_drift(flown):
 
 @pytest.mark.slow
 def test_poses_that_move_take_the_structure_along(flown):
-    """Another place and heading, so other voxels and blocks: the same bars to some millimetres, but for weak ones."""
+    """At another position and heading, voxels and blocks differ: same bars to a few millimetres, except weak ones."""
     flight, poses, true, _ = flown
     rng, T = np.random.default_rng(1), np.eye(4)
     T[:3, :3] = Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)]).as_matrix()

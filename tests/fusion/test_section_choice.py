@@ -52,7 +52,7 @@ def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
 
 
 def test_tubes_take_part_in_an_adjustment():
-    """Poses that walk off by centimetres."""
+    """Poses that drift by centimetres."""
     tower, rng = build_tubes(AXES, 0.05), np.random.default_rng(3)
     flight = around(tower, 160, noise_m=0.01, seed=12, turn_rad=math.pi)
     T = flight.prior.T_world_drone.copy()
@@ -64,7 +64,7 @@ def test_tubes_take_part_in_an_adjustment():
 
 @pytest.mark.parametrize("side", SIDES)
 def test_angle_sections_beside_a_tube_are_not_round(side):
-    """A clear tube beside the tower makes the others no tubes; one in its middle would be hidden."""
+    """A clear tube beside the tower does not turn the others into tubes. In the middle it would be hidden."""
     tower, tube = small_tower(), build_tubes(np.array([[[-1.7, -0.4, 0.3], [-1.7, -0.4, 3.4]]]), 0.05)
     n = len(tower.joints)
     members = [*tower.members, replace(tube.members[0], joints=(n, n + 1))]

@@ -1,4 +1,4 @@
-"""Association of segments, and the map that they are merged in."""
+"""Association of segments, and the map into which they are merged."""
 
 import math
 

@@ -91,7 +91,7 @@ def test_a_flight_without_bars_comes_back_as_it_was(flown, height_m, says):
 
 
 def test_a_made_up_flight_comes_back_to_the_truth():
-    """Poses and bars off by millimetres, sections by a degree; the prior's increments are noisy, its start exact."""
+    """Poses and bars are off by millimetres, sections by a degree; the increments of the prior are noisy."""
     T, bars, observed = made_up(1, 0.002)
     rng = np.random.default_rng(2)
     stamp_s = 0.2 * np.arange(len(T))

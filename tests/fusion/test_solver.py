@@ -1,4 +1,4 @@
-"""Normal equations of poses and bars against derivatives by differences."""
+"""Normal equations of poses and bars against numerical derivatives."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tests.fusion.made import made_up
 
 
 def residuals_of(state, observed, p):
-    """Residuals of the points of pair p, and their standard deviations, straight from the definition."""
+    """Residuals of the points of pair p, and their standard deviations, directly from the definition."""
     T, bars, b = state.T_world_sensor[observed.pair_scan[p]], state.bars, observed.pair_bar[p]
     corner, direction = sections.outlines(bars.turn, bars.flange)[b], bars.segments.direction[b]
     found = []

@@ -1,4 +1,4 @@
-"""Covariances of smoothing: against a dense inverse, against many runs, and where nothing holds a direction."""
+"""Covariances of smoothing: against a dense inverse, against many runs, and with an undetermined direction."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tests.fusion.made import bars_of, made_up
 
 STAMP_S = 0.2 * np.arange(40)
 NONE = 1e-9
-"""A displacement that points of one scan do not share, metres."""
+"""Standard deviation of a displacement shared by the points of a scan, metres: practically none."""
 
 
 def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
@@ -63,7 +63,7 @@ def test_they_are_the_blocks_of_the_dense_inverse(tilt_sigma_rad):
 
 
 def test_many_runs_scatter_as_they_say():
-    """30 made-up flights with noise of the stated size in ranges and increments: NEES near its degrees of freedom."""
+    """30 made-up flights with the stated noise in ranges and increments: the NEES is near its degrees of freedom."""
     rng, squared, scaled = np.random.default_rng(5), [], []
     T, bars, exact = made_up(1, 0.0)
     range_m = np.linalg.norm(exact.point, axis=1)[:, None]
@@ -89,7 +89,7 @@ def test_many_runs_scatter_as_they_say():
 
 
 def wall_of_posts():
-    """Four posts alone, all seen at one height: nothing but the prior holds z."""
+    """Only four posts, all seen at one height: the prior alone determines z."""
     T, bars, observed = made_up(1, 0.004)
     posts = np.arange(len(bars.flange)) < 4
     return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), observed

@@ -1,4 +1,4 @@
-"""A walk along a line visits the points near it, and few others."""
+"""A walk along a line visits the points near the line, and few others."""
 
 import numpy as np
 import pytest

@@ -72,7 +72,7 @@ def test_scans_are_mapped_at_the_poses_put_out(world, run):
     odometry, steps, _ = run("icp-3dof")
     again = VoxelMap(odometry.settings.map_voxel_m, odometry.settings.map != "re-voxelised")
     for scan, step, T in zip(flight.scans, steps, flight.prior.T_world_drone, strict=True):
-        # The floor is cut at the pose before the correction: that of the step before, moved on by the prior.
+        # The floor is cut at the predicted pose: that of the previous step, moved by the prior's increment.
         points = preprocess_scan(scan, T, flight.T_drone_sensor, settings.odometry.preprocess.replace(floor_m=0.6))
         again.insert(points @ step.T_world_drone[:3, :3].T + step.T_world_drone[:3, 3])
     high = [points[points[:, 2] > 1.5] for points in (odometry.map_points(), again.means())]
@@ -108,7 +108,7 @@ def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_m
 
 
 def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
-    # Without prediction every frame starts behind by the same and stops behind by a little, which the map adds up.
+    # Without prediction, every frame starts and ends slightly behind, and the map accumulates that.
     _, flight, truth = world
     monkeypatch.setattr(clouds, "ITERATIONS_MEASURED", 3)
     odometry, _, error = run.__wrapped__("best")

@@ -1,4 +1,4 @@
-"""Learned odometry: the network in NumPy, its images, its weights, and what it does on a flight."""
+"""Learned odometry: the network in NumPy, its images, its weights, and its accuracy on a flight."""
 
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ REFIT_S = 4.0
 
 @pytest.fixture(scope="module", autouse=True)
 def often():
-    """Keyframes are adjusted more often, since flights are short."""
+    """Adjust keyframes more often, since flights are short."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(faces, "REFIT_S", REFIT_S)
         yield

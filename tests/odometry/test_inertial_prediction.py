@@ -1,4 +1,4 @@
-"""The filter that predicts poses from an IMU: exact on exact readings, as uncertain as it says, and in odometries."""
+"""The filter that predicts poses from an IMU: exact on exact readings, with correct covariances, and in odometries."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def apart(T_from, T_to):
 
 
 def drifted(T, rng):
-    """Poses whose place and yaw walk as the filter takes a prior's to do; roll and pitch stay."""
+    """Poses whose position and yaw drift as the filter assumes of a prior; roll and pitch stay."""
     walk = np.cumsum(DRIFT_SIGMA * rng.normal(size=(len(T), 4)), axis=0)
     prior = T.copy()
     for k in range(1, len(T)):
@@ -40,7 +40,7 @@ def drifted(T, rng):
 
 
 def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
-    """Predictions, their information and those of the filter's states, where scans are registered with noise."""
+    """Predictions and their information, and those of the filter's states, for scans registered with noise."""
     prediction, found = InertialPrediction(imu, SHEET), []
     for k, T in enumerate(true):
         T_init = prediction.pose(prior[k], stamp_s[k])
@@ -51,7 +51,7 @@ def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
             continue
         noise = np.zeros(6) if rng is None else rng.normal(size=6) * np.sqrt(np.diag(np.linalg.inv(TOLD)))
         measured = exp_about(T[:3, 3], noise) @ T
-        # The most likely pose, as a registration with the filter's term finds it.
+        # The most likely pose, as found by a registration with the filter's term.
         before = np.linalg.inv(ahead.covariance[POSE, POSE])
         step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
         prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, prior[k], NONE, before + TOLD, np.zeros(3))

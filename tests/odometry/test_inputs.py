@@ -1,4 +1,4 @@
-"""What every odometry refuses, in the same words as `register`: both use `steelnb.points.inputs`."""
+"""Inputs that every odometry refuses, with the same messages as `register`: both use `steelnb.points.inputs`."""
 
 import numpy as np
 import pytest

@@ -42,7 +42,7 @@ def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the
 
 
 def test_a_wall_constrains_only_the_direction_of_its_normal():
-    """In the directions within the plane, the pose remains the prior's."""
+    """Within the plane, the pose remains that of the prior."""
     ray = np.ones((40, 60, 3))
     ray[..., 1], ray[..., 2] = np.meshgrid(np.linspace(0.6, -0.6, 60), np.linspace(0.4, -0.4, 40))
     noise, prior = np.random.default_rng(1), np.tile(np.eye(4), (6, 1, 1))

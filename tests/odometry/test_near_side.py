@@ -49,8 +49,8 @@ def test_a_step_in_range_ends_a_run():
 
 
 def test_the_share_is_that_of_an_angle_section_with_thickness():
-    # Random rays on the outline of an equal-leg angle, flange 1, thickness 1/12: how far before the centroid they end,
-    # and how wide the section looks to the pixels that see it.
+    # Random rays on the outline of an equal-leg angle, flange 1, thickness 1/12: how far in front of the centroid they
+    # end, and how wide the section appears to the pixels that see it.
     rng, t = np.random.default_rng(0), 1 / 12
     corners = np.array([(0, 0), (1, 0), (1, t), (t, t), (t, 1), (0, 1)])
     centroid = (np.array([0.5, t / 2]) * t + np.array([t / 2, (1 + t) / 2]) * t * (1 - t)) / (2 * t - t * t)

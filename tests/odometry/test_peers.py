@@ -1,4 +1,4 @@
-"""Odometries of others behind the interface of ours."""
+"""Third-party odometries behind our interface."""
 
 import numpy as np
 import pytest

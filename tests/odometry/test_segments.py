@@ -112,7 +112,7 @@ def test_shared_ends_lie_where_both_are():
 
 
 def test_average_is_the_mean_of_the_offsets_across_times_the_gain(known):
-    # Two upright bars and four others: of a shift along z, the upright ones see nothing, so the mean is too small.
+    # Two upright bars and four others: the upright ones do not observe a shift along z, so the mean is too small.
     state, _ = average(seen([0, 0, 0.06]), known, SCALE_M, DRONE)
     d = (BARS[:, 1] - BARS[:, 0]) / np.linalg.norm(BARS[:, 1] - BARS[:, 0], axis=1)[:, None]
     across = np.array([0, 0, 0.06]) - d * (d[:, 2:] * 0.06)

@@ -1,4 +1,4 @@
-"""Roll and pitch that the prior does not know exactly: corrected by clouds and faces of bars."""
+"""Roll and pitch errors of the prior, corrected by clouds and by faces of bars."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_so_does_one_by_faces_and_the_smoothing(world, monkeypatch):
 
 
 def nees(smooth, truth) -> np.ndarray:
-    """Normalised estimation error squared of each pose after the first, whose mean is 6 where covariances are right."""
+    """Normalised estimation error squared of each pose after the first. Its mean is 6 if the covariances are right."""
     T, true = smooth.corrected.T_world_drone[1:], truth.at(smooth.corrected.stamp_s[1:]).T_world_drone
     turned = Rotation.from_matrix(true[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
     error = np.column_stack([(true - T)[:, :3, 3], turned])

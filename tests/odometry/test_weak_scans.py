@@ -1,4 +1,4 @@
-"""Never worse than the drift: scans that say little of the pose, or of a part of it."""
+"""Never worse than the drift: scans that determine the pose poorly, or only in some directions."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ X_M, SCANS = 2.0, 60
 
 
 def before_a_wall(sensor, seed, corner=False, **changed):
-    """A flight to and fro before a wall at x = 2 m, or in a corner of it with the ground and a second wall, with the
-    random walk of twice the report's as its drift: flight, true positions."""
+    """A flight back and forth in front of a wall at x = 2 m, or in its corner with the ground and a second wall. Its
+    drift is a random walk of twice the report's. Returns the flight and the true positions."""
     g = np.random.default_rng(seed)
     half = {"columns": 90, "rows": 120} if sensor == "starling2" else {}
     tof = TofSettings.preset(sensor).replace(**half | changed)

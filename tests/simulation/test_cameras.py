@@ -23,7 +23,7 @@ def pose(x=-3.2, y=0.2, z=5.0, yaw=0.0, pitch=0.0):
 
 
 def moving(velocity=(0.0, 0.4, 0.0), yaw_rate=0.0):
-    """Two seconds in front of a face of the tower."""
+    """A flight of two seconds in front of a face of the tower."""
     stamp_s = 0.008 * np.arange(251)
     T = np.array([pose(y=-0.4 + velocity[1] * t, z=5.0 + velocity[2] * t, yaw=yaw_rate * t) for t in stamp_s])
     return Trajectory(stamp_s, T)

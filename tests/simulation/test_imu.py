@@ -70,7 +70,7 @@ def lean(truth, filtered):
 
 
 def test_the_filter_converges_to_the_vertical_of_a_biased_accelerometer():
-    """At rest it turns, with its gain, from the true to the apparent vertical, about a horizontal axis."""
+    """At rest, the filter turns with its gain from the true to the apparent vertical, about a horizontal axis."""
     imu = at_rest(40)
     imu = Imu(imu.stamp_s, imu.specific_force + np.array([0.2, 0.0, 0.0]), imu.angular_rate)
     truth = still(imu.stamp_s, Rotation.from_euler("z", 1.0))
@@ -97,7 +97,7 @@ def test_the_filter_follows_a_turn_of_the_drone():
 
 
 def test_roll_and_pitch_drift_as_on_a_drone():
-    """From zero error at the start, by tenths of a degree to a few degrees in flight."""
+    """The error starts at zero and reaches tenths of a degree to a few degrees in flight."""
     trajectory, exact = fly(build_tower(), FlightSettings.preset("loops", 40.0), 2)
     filtered = filtered_attitude(trajectory, measured_imu(exact, STARLING2, 2))
     wrong = lean(trajectory, filtered)

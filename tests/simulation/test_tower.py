@@ -39,7 +39,7 @@ def test_the_tower_is_symmetric_about_both_vertical_planes(tower):
 @pytest.mark.parametrize("section", ["angle", "round"])
 @pytest.mark.parametrize("name", ["tapered", "report"])
 def test_members_are_straight_closed_prisms_with_the_area_of_their_sections(name, section):
-    """For rods, that of the circle; the heel of an angle, or the middle of a rod, lies on the axis."""
+    """A rod has the area of its circle. The heel of an angle, or the middle of a rod, is on the axis."""
     tower = build_tower(TowerSettings.preset(name).replace(section=section))
     corner = tower.vertices[tower.triangles]
     volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
