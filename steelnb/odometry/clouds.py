@@ -124,8 +124,8 @@ class CloudOdometry(BaseOdometry):
         ray = ray / np.maximum(distance, 1e-9)[:, None]
         across = (0.5 * SIGMA_M) ** 2
         extra = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2 - across
-        full = (extra[:, None] * ray)[:, :, None] * ray[:, None] + across * np.eye(3)
-        return full[:, *UPPER]
+        i, j = UPPER
+        return (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
 
     def _register(
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array

@@ -35,7 +35,7 @@ def build_kdtree(points: Array) -> KdTree:
 @njit(cache=True)
 def _build(points):
     n = len(points)
-    index = np.arange(n)
+    point, order = points.copy(), np.arange(n)  # sorted together: through indices it takes 16 % longer
     capacity = max(1, 4 * n // LEAF + 4)
     axis = np.full(capacity, -1, np.int64)
     low, high = np.zeros(capacity), np.zeros(capacity)
@@ -53,37 +53,38 @@ def _build(points):
         for d in range(3):
             lowest, highest = np.inf, -np.inf
             for k in range(first, last):
-                value = points[index[k], d]
-                lowest, highest = min(lowest, value), max(highest, value)
+                lowest, highest = min(lowest, point[k, d]), max(highest, point[k, d])
             if highest - lowest > longest:
                 longest, side = highest - lowest, d
         middle = (first + last) // 2
-        _select(points[:, side], index, first, last - 1, middle)
+        _select(point, order, side, first, last - 1, middle)
         below = -np.inf
         for k in range(first, middle):
-            below = max(below, points[index[k], side])
-        axis[node], low[node], high[node] = side, below, points[index[middle], side]
+            below = max(below, point[k, side])
+        axis[node], low[node], high[node] = side, below, point[middle, side]
         left[node], right[node] = nodes, nodes + 1
         stack[depth] = (nodes + 1, middle, last)
         stack[depth + 1] = (nodes, first, middle)
         depth += 2
         nodes += 2
-    return points[index], index, axis[:nodes], low[:nodes], high[:nodes], left[:nodes], right[:nodes]
+    return point, order, axis[:nodes], low[:nodes], high[:nodes], left[:nodes], right[:nodes]
 
 
 @njit(cache=True)
-def _select(value, index, first, last, k):
+def _select(point, order, side, first, last, k):
     """Quickselect (Hoare 1961): move the k-th smallest to place k, smaller ones before it and larger ones after it."""
     while first < last:
-        pivot = value[index[(first + last) // 2]]
+        pivot = point[(first + last) // 2, side]
         i, j = first, last
         while i <= j:
-            while value[index[i]] < pivot:
+            while point[i, side] < pivot:
                 i += 1
-            while value[index[j]] > pivot:
+            while point[j, side] > pivot:
                 j -= 1
             if i <= j:
-                index[i], index[j] = index[j], index[i]
+                for d in range(3):
+                    point[i, d], point[j, d] = point[j, d], point[i, d]
+                order[i], order[j] = order[j], order[i]
                 i += 1
                 j -= 1
         if k <= j:
