@@ -1,10 +1,8 @@
 """The files that a notebook writes, and the progress that it shows."""
 
-import base64
 import contextlib
 import hashlib
 import importlib.metadata
-import io
 import json
 import math
 import numbers
@@ -70,14 +68,13 @@ def write_results(
 
 def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
     """Show all figures side by side, since JupyterLab scrolls to the last cell after it has run all cells."""
+    from IPython.core.pylabtools import print_figure
     from IPython.display import HTML, display
 
-    look, images = "min-width: 0; max-height: 24em; object-fit: contain", []
-    for figure in figures.values():
-        png = io.BytesIO()
-        figure.savefig(png, format="png", dpi=90)
-        images.append(f'<img style="{look}" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">')
-    display(HTML(f'<div style="display: flex; gap: 1em">{"".join(images)}</div>'))
+    look = "min-width: 0; max-height: 24em; object-fit: contain"
+    images = [print_figure(figure, base64=True) for figure in figures.values()]
+    shown = "".join(f'<img style="{look}" src="data:image/png;base64,{image}">' for image in images)
+    display(HTML(f'<div style="display: flex; gap: 1em">{shown}</div>'))
 
 
 def _finite(name: str, value: Any) -> int | float:
