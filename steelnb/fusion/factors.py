@@ -1,7 +1,7 @@
 """Factors of the points of an adjustment (`fusion.problem`), as normal equations.
 
 The residual of a point is its distance to the front face of its bar (`fusion.sections`). It depends on the pose of its
-scan, and on position, direction, rotation and flange of the bar.
+scan, on position, direction, rotation and flange of the bar, and on the thickness that all bars share.
 """
 
 import math
@@ -13,21 +13,24 @@ from numba import njit
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.poses import pose_size
-from steelnb.fusion.problem import BAR_DOF, Problem
+from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
+from steelnb.fusion.sections import THICKNESS, THICKNESS_MAX, THICKNESS_MIN, THICKNESS_SIGMA, THICKNESS_SPREAD
 from steelnb.types import Array, IntArray
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond their sum is down-weighted (Geman-McClure)."""
 MEDIAN_BINS, MEDIAN_MAX = 512, 8.0
+FACE_DOF = BAR_DOF + 1
+"""Degrees of freedom of a front face: those of its bar, and the thickness."""
 
 
 class PointEquations(NamedTuple):
     """Normal equations of all points, with D = 4 or 6 degrees of freedom per pose.
 
-    ``matrix (K, D, D)`` and ``vector (K, D)`` belong to the poses, ``block (B, 6, 6)`` and ``rhs (B, 6)`` to the bars.
-    For each pair of a scan ``pair_scan (P,)`` and a bar ``pair_bar (P,)``, ``cross (P, D, 6)`` is the block between
-    them, and ``shares (P, 6, 6)`` its contribution to the bar's block. ``residuals``: histogram of the residuals'
-    magnitudes in standard deviations.
+    ``matrix (K, D, D)`` and ``vector (K, D)`` belong to the poses, ``block (B, 7, 7)`` and ``rhs (B, 7)`` to the bars,
+    with the thickness last. For each pair of a scan ``pair_scan (P,)`` and a bar ``pair_bar (P,)``, ``cross (P, D, 7)``
+    is the block between them, and ``shares (P, 7, 7)`` its contribution to the bar's block. ``residuals``: histogram of
+    the residuals' magnitudes in standard deviations.
     """
 
     matrix: Array
@@ -47,7 +50,7 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
     start, direction, length, across, corner = bars.faces()
     shares, rhs, residuals = _gathered(
-        *observations, T, start, direction, length, across, corner, bars.flange, problem.sigma_ratio
+        *observations, T, start, direction, length, across, corner, bars.flange, bars.thickness, problem.sigma_ratio
     )  # fmt: skip
     size, sensor = pose_size(problem.tilt_sigma_rad), T[scan, :3, 3] - start[bar]
     by_pose = _bar_motion(sensor, direction[bar], length[bar], across[bar], size)
@@ -60,11 +63,11 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
 
 
 def _bar_motion(sensor: Array, direction: Array, length: Array, across: Array, size: int) -> Array:
-    """Jacobians ``(P, size, 6)`` of the apparent motion of each pair's bar with respect to the pose that observes it.
+    """Jacobians ``(P, size, 7)`` of the apparent motion of each pair's bar with respect to the pose that observes it.
     ``sensor (P, 3)``: vector from the start of the bar to the sensor, world frame."""
     beside = (across @ sensor[:, :, None])[:, :, 0]
     ahead = 0.5 * length - (direction * sensor).sum(axis=1)
-    result = np.zeros((len(length), size, BAR_DOF))
+    result = np.zeros((len(length), size, FACE_DOF))
     result[:, -3:, :2] = -across.transpose(0, 2, 1)
     for row, axis in enumerate(range(6 - size, 3)):
         up, along = across[:, :, axis], direction[:, axis]
@@ -91,6 +94,28 @@ def noise_ratio(residuals: Array, ratio: float) -> float:
     return float(ratio * median / 0.6745)
 
 
+def common_thickness(problem: Problem, equations: PointEquations) -> tuple[float, Array]:
+    """The thickness of all angle sections, a share of their flanges: the weighted median over bars. Returns also the
+    steps ``(B, 6)`` that bars take with it.
+
+    That of each bar is estimated together with its other unknowns, at the present poses. The bars whose sections are
+    fitted wrongly can have any thickness. A least-squares estimate follows them, up to twice the true value.
+    """
+    own, beside = equations.block[:, :BAR_DOF, :BAR_DOF], equations.block[:, :BAR_DOF, BAR_DOF]
+    rhs = np.stack([beside, equations.rhs[:, :BAR_DOF]], axis=2)
+    steps = np.linalg.solve(own + np.diag(BAR_SIGMA**-2.0), rhs)
+    by_own = np.einsum("bi,bik->kb", beside, steps)
+    information = np.maximum(equations.block[:, BAR_DOF, BAR_DOF] - by_own[0], 1e-9)
+    step = (equations.rhs[:, BAR_DOF] - by_own[1]) / information
+    # The value before any estimate counts as one bar.
+    thickness = np.append(problem.bars.thickness + step, THICKNESS)
+    weight = np.append(1.0 / (1.0 / information + THICKNESS_SPREAD**2), THICKNESS_SIGMA**-2.0)
+    order = np.argsort(thickness, kind="stable")
+    total = np.cumsum(weight[order])
+    median = float(np.clip(thickness[order[np.searchsorted(total, 0.5 * total[-1])]], THICKNESS_MIN, THICKNESS_MAX))
+    return median, np.asarray((problem.bars.thickness - median) * steps[:, :, 0], dtype=np.float64)
+
+
 @njit(cache=True, nogil=True)
 def _add_rows(result, group, values):  # type: ignore[no-untyped-def]
     for p in range(len(group)):
@@ -100,11 +125,11 @@ def _add_rows(result, group, values):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _gathered(  # type: ignore[no-untyped-def]
-    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, ratio
+    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, thickness, ratio
 ):  # fmt: skip
-    """Normal equations of the bar of each pair, ``(P, 6, 6)`` and ``(P, 6)``, and the histogram of residuals."""
-    shares, rhs = np.zeros((len(pair_bar), BAR_DOF, BAR_DOF)), np.zeros((len(pair_bar), BAR_DOF))
-    residuals, total, jacobian = np.zeros(MEDIAN_BINS), np.empty((BAR_DOF, BAR_DOF + 1)), np.empty(BAR_DOF + 1)
+    """Normal equations of the bar of each pair, ``(P, 7, 7)`` and ``(P, 7)``, and the histogram of residuals."""
+    shares, rhs = np.zeros((len(pair_bar), FACE_DOF, FACE_DOF)), np.zeros((len(pair_bar), FACE_DOF))
+    residuals, total, jacobian = np.zeros(MEDIAN_BINS), np.empty((FACE_DOF, FACE_DOF + 1)), np.empty(FACE_DOF + 1)
     for pair in range(len(pair_bar)):
         b, pose = pair_bar[pair], T[pair_scan[pair]]
         if flange[b] != flange[b]:
@@ -119,7 +144,7 @@ def _gathered(  # type: ignore[no-untyped-def]
         for i in range(first[pair], first[pair + 1]):
             sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
             u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
-            residual, sigma, distance, cosine, sine, beside, front, rise = sections.face_distance(
+            residual, sigma, distance, cosine, sine, beside, front, rise, edge = sections.face_distance(
                 ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
             )
             if residual != residual:
@@ -132,14 +157,15 @@ def _gathered(  # type: ignore[no-untyped-def]
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             jacobian[0], jacobian[1], jacobian[2], jacobian[3] = -gu, -gv, -gu * tau, -gv * tau
             jacobian[4], jacobian[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            jacobian[BAR_DOF] = -residual
-            for n in range(BAR_DOF):  # bounds known at compile time: three times as fast
+            growth = sections.face_growth(edge, flange[b], thickness)
+            jacobian[BAR_DOF], jacobian[FACE_DOF] = -growth * math.sqrt(1.0 + rise * rise), -residual
+            for n in range(FACE_DOF):  # bounds known at compile time: three times as fast
                 weighted = weight * jacobian[n]
-                for m in range(n, BAR_DOF):
+                for m in range(n, FACE_DOF):
                     total[n, m] += weighted * jacobian[m]
-                total[n, BAR_DOF] += weighted * jacobian[BAR_DOF]
-        for n in range(BAR_DOF):
-            rhs[pair, n] = total[n, BAR_DOF]
-            for m in range(BAR_DOF):
+                total[n, FACE_DOF] += weighted * jacobian[FACE_DOF]
+        for n in range(FACE_DOF):
+            rhs[pair, n] = total[n, FACE_DOF]
+            for m in range(FACE_DOF):
                 shares[pair, n, m] = total[min(n, m), max(n, m)]
     return shares, rhs, residuals

@@ -10,10 +10,11 @@ import numpy as np
 
 from steelnb.fusion import poses
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, face_residuals, world_points
-from steelnb.fusion.factors import linearised, noise_ratio
+from steelnb.fusion.factors import FACE_DOF, linearised, noise_ratio
 from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
-from steelnb.fusion.problem import BAR_DOF, Bars, Problem
+from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import VOXEL_M
+from steelnb.fusion.sections import THICKNESS_SPREAD
 from steelnb.types import Array, IntArray, Scan
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
@@ -115,11 +116,11 @@ class Locator:
         observations = observations._replace(pair_bar=np.arange(n))
         pose = Problem(T_world_sensor[None], bars, self.ratio, np.zeros((n, 2)), self.tilt_sigma_rad)
         equations, size = linearised(pose, observations), len(self.variance)
-        sigma = np.empty((n, BAR_DOF))
+        sigma = np.empty((n, FACE_DOF))
         sigma[:, :2] = SIGMA_M
         sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * bars.segments.length, 0.1)[:, None]
-        sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M
-        equations.block[:, np.arange(BAR_DOF), np.arange(BAR_DOF)] += sigma**-2.0
+        sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M, THICKNESS_SPREAD
+        equations.block[:, np.arange(FACE_DOF), np.arange(FACE_DOF)] += sigma**-2.0
         beside = np.concatenate([equations.cross.transpose(0, 2, 1), equations.rhs[:, :, None]], axis=2)
         marginal = (equations.cross @ np.linalg.solve(equations.block, beside)).sum(axis=0)
         return (

@@ -11,6 +11,9 @@ The factors (`fusion.factors`, `fusion.poses`, `fusion.inertial`):
 
 The unknowns are position and yaw of each pose, and position, direction, rotation and flange of each bar. Roll and pitch
 are unknowns, too, if those of the prior have a standard deviation; with an IMU, so are velocities and biases.
+
+If the thickness is wrong by 1 mm, a horizontal bar seems to move by as much between a view from below and one from
+above, and an adjustment moves the poses instead. So the thickness is estimated, too (`factors.common_thickness`).
 `fusion.solver` takes the steps.
 """
 
@@ -38,12 +41,13 @@ FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 class Bars:
     """B bars with their sections, angles, tubes or plates (`fusion.sections`): ``segments`` along their centroids, with
     frames ``across (B, 2, 3)``, ``turn (B,)`` in radians and ``flange (B,)`` in metres. A bar whose flange is NaN has
-    no known section, and no factors."""
+    no known section, and no factors. ``thickness`` of all angle sections: share of the flange."""
 
     segments: Segments
     across: Array
     turn: Array
     flange: Array
+    thickness: float = sections.THICKNESS
 
     @property
     def has_section(self) -> NDArray[np.bool_]:
@@ -63,11 +67,11 @@ class Bars:
     def faces(self) -> tuple[Array, Array, Array, Array, Array]:
         """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
         s = self.segments
-        return s.start, s.direction, s.length, self.across, sections.outlines(self.turn, self.flange)
+        return s.start, s.direction, s.length, self.across, sections.outlines(self.turn, self.flange, self.thickness)
 
     def take(self, mask: NDArray[np.bool_] | NDArray[np.int64]) -> "Bars":
         """The bars selected by a mask or an index."""
-        return Bars(self.segments.take(mask), self.across[mask], self.turn[mask], self.flange[mask])
+        return Bars(self.segments.take(mask), self.across[mask], self.turn[mask], self.flange[mask], self.thickness)
 
 
 @dataclass(frozen=True)
@@ -86,11 +90,12 @@ class Problem:
     tilt_sigma_rad: float = 0.0
     inertial: Inertial | None = None
 
-    def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float) -> "Problem":
+    def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float, thickness: float) -> "Problem":
         """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, and ``(B, 6)`` of the bars."""
         pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]
         return replace(
-            self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step), bars=_moved_bars(self.bars, bar_step),
+            self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step),
+            bars=replace(_moved_bars(self.bars, bar_step), thickness=thickness),
             inertial=self.inertial and self.inertial.moved(state_step), sigma_ratio=sigma_ratio,
         )  # fmt: skip
 
@@ -104,7 +109,7 @@ def start(
     yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
     T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
-    moved = Bars(bars.segments.transformed(T_correction), bars.across @ R.T, bars.turn, bars.flange)
+    moved = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
     fitted = np.column_stack([bars.turn, bars.width_m])
     inertial = inertial and inertial.rotated(R)
     return Problem(T_correction @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)

@@ -123,17 +123,22 @@ class FittedBars:
 
 @dataclass(frozen=True)
 class MappedScans:
-    """K scans, the poses ``T_world_sensor (K, 4, 4)`` of the sensor, and the voxels in which they were accumulated."""
+    """K scans, the poses ``T_world_sensor (K, 4, 4)`` of the sensor, and the voxels in which they were accumulated.
+
+    ``thickness``: that of angle sections as a share of their flanges, from an earlier adjustment if there was one.
+    """
 
     scans: Sequence[Scan]
     T_world_sensor: Array
     voxels: VoxelMap
     settings: StructureSettings
+    thickness: float = sections.THICKNESS
 
     @classmethod
     def mapped(
-        cls, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1
-    ) -> "MappedScans":
+        cls, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1,
+        thickness: float = sections.THICKNESS,
+    ) -> "MappedScans":  # fmt: skip
         """Accumulate one in ``every`` scans in voxels (`insert_scan`). Raises `InputError` if there is no return above
         the floor."""
         voxels = VoxelMap(VOXEL_M)
@@ -141,7 +146,7 @@ class MappedScans:
             insert_scan(voxels, scan, T_world_sensor[k], settings)
         if not len(voxels):
             raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
-        return cls(scans, T_world_sensor, voxels, settings)
+        return cls(scans, T_world_sensor, voxels, settings, thickness)
 
     def around(self, bars: Segments) -> BarVoxels:
         """The voxels around bars."""
@@ -201,12 +206,13 @@ class MappedScans:
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length)
+        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, self.thickness)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        return FittedBars(Bars(replace(bars, start=start, end=end), across, turn, flange), sigma, tilt, sightings)
+        fitted = Bars(replace(bars, start=start, end=end), across, turn, flange, self.thickness)
+        return FittedBars(fitted, sigma, tilt, sightings)
 
     def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans. Bars extended to their joints have

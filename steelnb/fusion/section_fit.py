@@ -30,12 +30,12 @@ TELL_APART_M = 0.003
 
 
 @njit(cache=True)
-def profiles():  # type: ignore[no-untyped-def]
+def profiles(thickness):  # type: ignore[no-untyped-def]
     """Table of the near face of a section with flange 1 from each direction: depth and slope of `front_face` across its
-    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. Other flanges follow by scaling, and other
-    rotations by a shift of the direction."""
+    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. ``thickness``: share of the flange. Other flanges
+    follow by scaling, and other rotations by a shift of the direction."""
     corner = np.empty((6, 2))
-    outline(0.0, 1.0, corner)
+    outline(0.0, 1.0, thickness, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
     for view in range(VIEWS):
         cosine, sine = sections.direction_of(view)
@@ -43,7 +43,7 @@ def profiles():  # type: ignore[no-untyped-def]
         side[view, 0], side[view, 1] = beside.min(), beside.max()
         for k in range(PROFILE):
             at = side[view, 0] + (k + 0.5) / PROFILE * (side[view, 1] - side[view, 0])
-            face[view, k, 0], face[view, k, 1] = front_face(corner, cosine, sine, at)
+            face[view, k, 0], face[view, k, 1], _ = front_face(corner, cosine, sine, at)
     return face, side
 
 
@@ -117,7 +117,7 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
         u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, depth = -sine * u + cosine * v, cosine * u + sine * v
-        front, rise = front_face(corner, cosine, sine, beside)
+        front, rise, _ = front_face(corner, cosine, sine, beside)
         weight = cells[k, 2]
         if front > -1e8:
             residual = depth - front
@@ -174,9 +174,9 @@ def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no
 
 
 @njit(cache=True)
-def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore[no-untyped-def]
+def fit_section(cells, merged, rows, thickness, face, side, centre, slope):  # type: ignore[no-untyped-def]
     """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search that uses its `merged_cells` and the
-    tables `profiles`.
+    tables `profiles` for its ``thickness``, a share of the flange.
 
     Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
     ``slope (2,)``.
@@ -203,7 +203,7 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
             for j in range(-1, 2):
                 if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
-                outline(turn0 + j * size, flange0 * (1.0 + i * size), corner)
+                outline(turn0 + j * size, flange0 * (1.0 + i * size), thickness, corner)
                 state[:] = settled
                 cost = settle(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
                 if cost < low:
@@ -217,7 +217,7 @@ def fit_section(cells, merged, rows, face, side, centre, slope):  # type: ignore
     centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
     slope[0], slope[1] = settled[2], settled[3]
     # Standard deviation of the direction, from the actual residuals.
-    outline(turn, flange, corner)
+    outline(turn, flange, thickness, corner)
     cost = section_step(cells, rows, corner, settled, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))

@@ -26,8 +26,10 @@ HISTOGRAM = PARTS, VIEWS, CELLS, 4
 """Shape of the histogram of a bar. For each part, direction and cell: number of points, weight, weighted sums of u and
 v."""
 CELL_M = 0.01
-THICKNESS = 1 / 12
-"""Thickness of an angle section as a share of its flange, about that of rolled angles."""
+THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD = 1 / 12, 0.02, 0.007
+"""Thickness of the angle sections of a structure as a share of their flanges, before it is estimated; its standard
+deviation; and that of single bars about it. Rolled equal angles have 1/15 to 1/7 (EN 10056-1)."""
+THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
 
 
 def frames(direction: Array) -> Array:
@@ -160,8 +162,9 @@ def edges_of(histogram):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
-    """Write the outline of a section about its centroid to ``corner (6, 2)``, metres."""
+def outline(turn, flange, thickness, corner):  # type: ignore[no-untyped-def]
+    """Write the outline of a section about its centroid to ``corner (6, 2)``, metres. ``thickness``: share of the
+    flange."""
     if turn != turn:
         corner[:] = np.nan
         corner[0, 0] = 0.5 * flange
@@ -171,7 +174,7 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
         corner[1, 0], corner[1, 1] = -PLATE_M * math.sin(turn), PLATE_M * math.cos(turn)
         corner[0] = corner[5] = -corner[1]
         return
-    t = THICKNESS * flange
+    t = thickness * flange
     c = (flange * flange + flange * t - t * t) / (2.0 * (2.0 * flange - t))
     xs = (0.0, flange, flange, t, t, 0.0)
     ys = (0.0, 0.0, t, t, flange, flange)
@@ -183,23 +186,36 @@ def outline(turn, flange, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def front_face(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
-    """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it, and its slope.
-    −1e9 outside of the outline. The corners are counterclockwise, so ``beside`` grows along edges facing the viewer."""
+    """Height of the outline towards the viewer, metres from its centroid, at a position ``beside`` it; its slope; and
+    the corner at which its edge ends, −1 for a tube. The height is −1e9 outside of the outline. The corners are
+    counterclockwise, so ``beside`` grows along edges facing the viewer."""
     if corner[5, 0] != corner[5, 0]:
         if abs(beside) >= 0.999 * corner[0, 0]:
-            return -1e9, 0.0
+            return -1e9, 0.0, -1
         front = math.sqrt(corner[0, 0] ** 2 - beside * beside)
-        return front, -beside / front
-    front, rise = -1e9, 0.0
+        return front, -beside / front, -1
+    front, rise, edge = -1e9, 0.0, -1
     b0, d0 = -sine * corner[5, 0] + cosine * corner[5, 1], cosine * corner[5, 0] + sine * corner[5, 1]
     for i in range(6):
         b1, d1 = -sine * corner[i, 0] + cosine * corner[i, 1], cosine * corner[i, 0] + sine * corner[i, 1]
         if b0 <= beside < b1:
             s = (d1 - d0) / (b1 - b0)
             if d0 + s * (beside - b0) > front:
-                front, rise = d0 + s * (beside - b0), s
+                front, rise, edge = d0 + s * (beside - b0), s, i
         b0, d0 = b1, d1
-    return front, rise
+    return front, rise, edge
+
+
+@njit(cache=True)
+def face_growth(edge, flange, thickness):  # type: ignore[no-untyped-def]
+    """How far the face on an ``edge`` (`front_face`) moves outwards, metres per unit of the thickness; 0 for a tube or
+    plate. The centroid moves away from the heel, so the outer faces and the tips move, too."""
+    if edge < 0 or flange == math.inf:
+        return 0.0
+    centroid = (3.0 - 4.0 * thickness + thickness * thickness) / (2.0 * (2.0 - thickness) ** 2)
+    if edge < 2:  # outer faces
+        return centroid * flange
+    return ((1.0 if edge == 3 or edge == 4 else 0.0) - centroid) * flange
 
 
 @njit(cache=True, error_model="numpy")
@@ -209,19 +225,20 @@ def face_distance(u, v, t, p, q, w, corner, length):  # type: ignore[no-untyped-
 
     In the frame of the bar (`in_frame`), ``u, v, t`` is the vector from its start to the point, and ``p, q, w`` from
     the point to the sensor. Returns also the standard deviation due to range noise, the distance to the sensor across
-    the bar, cosine and sine of the direction, the position beside the axis, and height and slope of the face there.
+    the bar, cosine and sine of the direction, the position beside the axis, and height, slope and edge of the face
+    there (`front_face`).
     """
     square, square_3d = p * p + q * q, p * p + q * q + w * w
     if t < 0.0 or t > length or square < 0.1 * square_3d:
-        return np.nan, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return np.nan, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1
     distance, range_ = math.sqrt(square), math.sqrt(square_3d)
     cosine, sine = p / distance, q / distance
     beside = -sine * u + cosine * v
-    front, rise = front_face(corner, cosine, sine, beside)
+    front, rise, edge = front_face(corner, cosine, sine, beside)
     residual = cosine * u + sine * v - front if front > -1e8 and abs(rise) <= 2.0 else np.nan
     # The noise at the range of the face. At the measured range, points that noise moves nearer would weigh more.
     sigma = range_sigma_m(range_ * (1.0 + residual / distance)) * distance / range_
-    return residual, sigma, distance, cosine, sine, beside, front, rise
+    return residual, sigma, distance, cosine, sine, beside, front, rise, edge
 
 
 @njit(cache=True)
@@ -238,9 +255,9 @@ def nearest_edge(corner, cosine, sine, beside):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def outlines(turn, flange):  # type: ignore[no-untyped-def]
-    """The outlines ``(B, 6, 2)`` of B sections about their centroids, metres."""
+def outlines(turn, flange, thickness=THICKNESS):  # type: ignore[no-untyped-def]
+    """The outlines ``(B, 6, 2)`` of B sections about their centroids, metres; ``thickness``: share of the flange."""
     corner = np.empty((len(turn), 6, 2))
     for b in range(len(turn)):
-        outline(turn[b], flange[b], corner[b])
+        outline(turn[b], flange[b], thickness, corner[b])
     return corner

@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from steelnb.fusion.factors import PointEquations, noise_ratio
+from steelnb.fusion.factors import PointEquations, common_thickness, noise_ratio
 from steelnb.fusion.inertial import STATE_DOF
 from steelnb.fusion.poses import ChainEquations, prior_equations
-from steelnb.fusion.problem import BAR_SIGMA, Problem
+from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
 from steelnb.types import Array
 
 TINY = 1e-12
@@ -25,7 +25,7 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     """One Gauss-Newton step of all poses and bars.
 
     ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
-    ``stamp_s (K,)``. The range noise is updated from the median of the residuals before the step.
+    ``stamp_s (K,)``. Range noise and thickness are updated with medians before the step.
     """
     (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
@@ -34,8 +34,9 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     eliminated = flat.T @ flat
     bar_step = cho_solve(cho_factor(bars - eliminated[:-1, :-1]), rhs.ravel() - eliminated[:-1, -1])
     state_step = chain.backward((forward[:, :, -1] - forward[:, :, :-1] @ bar_step)[:, :, None])[:, :, 0]
+    thickness, by_thickness = common_thickness(problem, equations)
     ratio = noise_ratio(equations.residuals, problem.sigma_ratio)
-    return problem.moved(state_step, bar_step.reshape(rhs.shape), ratio)
+    return problem.moved(state_step, bar_step.reshape(rhs.shape) + by_thickness, ratio, thickness)
 
 
 def normal_equations(
@@ -46,14 +47,14 @@ def normal_equations(
 
     A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
     """
-    T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs.copy()
-    bars = block_diag(*(equations.block + np.diag(BAR_SIGMA**-2.0)))
+    T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs[:, :BAR_DOF].copy()
+    bars = block_diag(*(equations.block[:, :BAR_DOF, :BAR_DOF] + np.diag(BAR_SIGMA**-2.0)))
     from_fitted = np.column_stack([problem.bars.turn, problem.bars.width_m]) - problem.fitted
     rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN without a section
     chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
     matrix, beside, vector = chain.matrix + equations.matrix, chain.beside, chain.vector + equations.vector
     between = np.zeros((*vector.shape, *rhs.shape))
-    between[equations.pair_scan, :, equations.pair_bar] = equations.cross
+    between[equations.pair_scan, :, equations.pair_bar] = equations.cross[:, :, :BAR_DOF]
     between = between.reshape(*vector.shape, -1)
     if inertial is not None:
         by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])

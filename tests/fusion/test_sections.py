@@ -11,6 +11,7 @@ from steelnb.fusion import section_fit, sections
 from steelnb.fusion.bar_voxels import BarVoxels, world_points
 from steelnb.fusion.problem import Bars
 from steelnb.fusion.section_choice import fit_sections
+from steelnb.fusion.sections import THICKNESS
 from tests.fusion.made import bars_of, random_bars, rigid
 
 
@@ -25,12 +26,12 @@ def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flan
     cells = np.column_stack([place, weight, np.cos(angle), np.sin(angle), zero, view])
     rows = np.column_stack([-0.5 * flange + zero[:9], 0.6 * flange + zero[:9], cells[:9, 3:5], weight[:9], view[:9]])
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
-    sections.outline(2 * math.pi * turn / section_fit.TURNS, flange, corner)
+    sections.outline(2 * math.pi * turn / section_fit.TURNS, flange, THICKNESS, corner)
     exact = section_fit.section_step(cells, rows, corner, np.zeros(4), normal)
     total = cells[:, 2].sum()
     move = np.linalg.solve(normal[:2, :2] + 1e-3 * total * np.eye(2), normal[:2, 4]).clip(-0.03, 0.03)
     found = np.zeros(2)
-    cost = section_fit._settle_by_table(cells, rows, *section_fit.profiles(), flange, turn, found, 1)
+    cost = section_fit._settle_by_table(cells, rows, *section_fit.profiles(THICKNESS), flange, turn, found, 1)
     assert cost == pytest.approx(exact, rel=0.02)
     assert np.linalg.norm(move) > 0.02 * flange
     assert found == pytest.approx(move, abs=0.005 * flange)
@@ -70,7 +71,7 @@ def near_face(corner, towards, rng, n):
     found = []
     while len(found) < n:
         beside = rng.uniform(-0.3, 0.3)
-        front, _ = sections.front_face(corner, *towards, beside)
+        front, *_ = sections.front_face(corner, *towards, beside)
         if front > -1:
             found.append(front * towards + beside * np.array([-towards[1], towards[0]]))
     return np.array(found)

@@ -10,6 +10,7 @@ from steelnb import experiment
 from steelnb.errors import InputError
 from steelnb.fusion import factors, problem, smooth, solver, uncertainty
 from steelnb.fusion.problem import Bars
+from steelnb.fusion.sections import THICKNESS
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
@@ -107,6 +108,17 @@ def test_a_made_up_flight_comes_back_to_the_truth():
     assert after < 0.15 * before
     assert np.abs(state.bars.flange - bars.flange).max() < 0.004
     np.testing.assert_allclose(state.T_world_sensor[0], T[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("thickness", [0.06, 0.12])
+def test_the_thickness_is_found_though_a_section_is_wrong(thickness):
+    """The inner faces of two posts and a beam are in view. The other beam is fitted the wrong way round."""
+    T, bars, observed = made_up(0, 0.002, scans=80, thickness=thickness)
+    wrong = replace(bars, turn=np.add(bars.turn, [0, 0, 0, 0, np.pi, 0]), thickness=THICKNESS)
+    state = problem.start(T, T, wrong)
+    for _ in range(4):
+        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+    assert state.bars.thickness == pytest.approx(thickness, abs=0.006)
 
 
 @pytest.mark.parametrize("noise_m", [0.005, 0.03])

@@ -6,6 +6,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.fusion import factors, poses, problem, sections
+from steelnb.fusion.factors import FACE_DOF
 from steelnb.fusion.poses import UPRIGHT_DOF
 from steelnb.fusion.problem import BAR_DOF, Bars
 from tests.fusion.made import made_up
@@ -14,7 +15,7 @@ from tests.fusion.made import made_up
 def residuals_of(state, observed, p):
     """Residuals of the points of pair p, and their standard deviations, directly from the definition."""
     T, bars, b = state.T_world_sensor[observed.pair_scan[p]], state.bars, observed.pair_bar[p]
-    corner, direction = sections.outlines(bars.turn, bars.flange)[b], bars.segments.direction[b]
+    corner, direction = bars.faces()[4][b], bars.segments.direction[b]
     found = []
     for s in observed.point[observed.first[p] : observed.first[p + 1]].astype(np.float64):
         point = T[:3, :3] @ s + T[:3, 3]
@@ -34,15 +35,15 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     state = problem.start(T, T, bars, tilt_sigma_rad)
     eq = factors.linearised(state, observed)
     step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
-    matrix, block = np.zeros((len(T), size, size)), np.zeros((6, BAR_DOF, BAR_DOF))
+    matrix, block = np.zeros((len(T), size, size)), np.zeros((6, FACE_DOF, FACE_DOF))
     for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
 
         def changed(steps, p=p, k=k, b=b):
             states, bars = np.zeros((len(T), size)), np.zeros((6, BAR_DOF))
-            states[k], bars[b] = steps[:size], steps[size:]
-            return residuals_of(state.moved(states, bars, 1.0), observed, p)[0]
+            states[k], bars[b], thickness = steps[:size], steps[size:-1], state.bars.thickness + steps[-1]
+            return residuals_of(state.moved(states, bars, 1.0, thickness), observed, p)[0]
 
-        columns = [(changed(e) - changed(-e)) / (2 * step) for e in step * np.eye(size + BAR_DOF)]
+        columns = [(changed(e) - changed(-e)) / (2 * step) for e in step * np.eye(size + FACE_DOF)]
         g = np.column_stack(columns) / residuals_of(state, observed, p)[1][:, None]
         g = g[np.isfinite(g).all(axis=1)]
         matrix[k] += g[:, :size].T @ g[:, :size]

@@ -37,13 +37,14 @@ def dense(state, observed, prior, stamp_s, shared_sigma_m):
     for k in range(K - 1):
         pose, behind = slice(D * k, D * k + D), slice(D * k + D, D * k + 2 * D)
         matrix[pose, behind], matrix[behind, pose] = beside[k], beside[k].T
-    matrix[D * K : size, D * K : size] = block_diag(*(eq.block + np.diag(problem.BAR_SIGMA**-2.0)))
+    eq = eq._replace(**{name: getattr(eq, name)[..., :BAR_DOF] for name in ("cross", "block", "shares")})
+    matrix[D * K : size, D * K : size] = block_diag(*(eq.block[:, :BAR_DOF] + np.diag(problem.BAR_SIGMA**-2.0)))
     for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
         pose, bar = slice(D * k, D * k + D), slice(D * K + BAR_DOF * b, D * K + BAR_DOF * b + BAR_DOF)
         displacement = slice(size + 2 * p, size + 2 * p + 2)
         matrix[pose, bar], matrix[bar, pose] = eq.cross[p], eq.cross[p].T
         matrix[pose, displacement], matrix[displacement, pose] = eq.cross[p][:, :2], eq.cross[p][:, :2].T
-        matrix[bar, displacement], matrix[displacement, bar] = eq.shares[p][:, :2], eq.shares[p][:, :2].T
+        matrix[bar, displacement], matrix[displacement, bar] = eq.shares[p][:BAR_DOF, :2], eq.shares[p][:BAR_DOF, :2].T
         matrix[displacement, displacement] = eq.shares[p][:2, :2] + np.eye(2) / shared_sigma_m**2
     inverse = np.linalg.inv(matrix[D:, D:])  # without the first pose, which is held
     pose = [inverse[at : at + D, at : at + D] for at in range(0, D * (K - 1), D)]
