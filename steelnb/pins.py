@@ -53,7 +53,8 @@ def uses_avx512(numpy: object) -> bool:
     """Whether the imported NumPy uses AVX-512."""
     core = getattr(numpy, "_core", None) or getattr(numpy, "core", None)
     features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
-    return bool(features.get("X86_V4") or features.get("AVX512F"))
+    # NumPy 2.4 and newer: AVX512F says what the processor has, X86_V4 what NumPy may use.
+    return bool(features.get("X86_V4", features.get("AVX512F", False)))
 
 
 def machine() -> str:
