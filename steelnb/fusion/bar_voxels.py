@@ -199,9 +199,7 @@ def face_residuals(points, bar, T, start, direction, length, across, corner):  #
         x, y, z, cx, cy, cz = sections.sighting(T, points[i], start[b])
         u, v, t = sections.in_frame(direction[b], across[b], x, y, z)
         p, q, w = sections.in_frame(direction[b], across[b], cx, cy, cz)
-        residual[i], sigma[i], distance[i], _, _, _, _, _, _ = sections.face_distance(
-            u, v, t, p, q, w, corner[b], length[b]
-        )
+        residual[i], sigma[i], distance[i] = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])[:3]
         place[i, 0], place[i, 1], place[i, 2] = start[b, 0] + x, start[b, 1] + y, start[b, 2] + z
         ray[i, 0], ray[i, 1], ray[i, 2] = cx, cy, cz
     return residual, sigma, distance, place, ray

@@ -95,11 +95,12 @@ def noise_ratio(residuals: Array, ratio: float) -> float:
 
 
 def common_thickness(problem: Problem, equations: PointEquations) -> tuple[float, Array]:
-    """The thickness of all angle sections, a share of their flanges: the weighted median over bars. Returns also the
-    steps ``(B, 6)`` that bars take with it.
+    """The thickness of all angle sections, a share of their flanges: the weighted median over bars. Also returns the
+    steps ``(B, 6)`` by which the bars follow it.
 
-    That of each bar is estimated together with its other unknowns, at the present poses. The bars whose sections are
-    fitted wrongly can have any thickness. A least-squares estimate follows them, up to twice the true value.
+    The thickness of each bar is estimated together with its other unknowns, at the current poses. A bar whose section
+    is fitted wrongly can have any thickness. A least-squares estimate follows such bars: it reached twice the true
+    value.
     """
     own, beside = equations.block[:, :BAR_DOF, :BAR_DOF], equations.block[:, :BAR_DOF, BAR_DOF]
     rhs = np.stack([beside, equations.rhs[:, :BAR_DOF]], axis=2)
@@ -110,9 +111,8 @@ def common_thickness(problem: Problem, equations: PointEquations) -> tuple[float
     # The value before any estimate counts as one bar.
     thickness = np.append(problem.bars.thickness + step, THICKNESS)
     weight = np.append(1.0 / (1.0 / information + THICKNESS_SPREAD**2), THICKNESS_SIGMA**-2.0)
-    order = np.argsort(thickness, kind="stable")
-    total = np.cumsum(weight[order])
-    median = float(np.clip(thickness[order[np.searchsorted(total, 0.5 * total[-1])]], THICKNESS_MIN, THICKNESS_MAX))
+    median = np.quantile(thickness, 0.5, weights=weight, method="inverted_cdf")
+    median = float(np.clip(median, THICKNESS_MIN, THICKNESS_MAX))
     return median, np.asarray((problem.bars.thickness - median) * steps[:, :, 0], dtype=np.float64)
 
 

@@ -7,7 +7,6 @@ from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans, insert_scan
-from steelnb.fusion.sections import THICKNESS
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Array, Imu, Scan, Trajectory
@@ -35,8 +34,7 @@ class Keyframes:
         self.voxels = VoxelMap(VOXEL_M)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
-        self._ratio: float | None = None  # range noise as a multiple of that in `points.ranges`
-        self._thickness = THICKNESS
+        self._before: Problem | None = None
 
     def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
         """Add a scan with its pose ``(4, 4)``. Bars are fitted to its ``points (N, 3)``, sensor frame. ``prior (4, 4)``
@@ -54,7 +52,7 @@ class Keyframes:
         """Find bars, and adjust bars and poses together (`MappedScans.adjusted`); None if there are too few bars."""
         if not len(self.voxels):
             return None
-        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings, self._thickness)
+        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings, self._before)
         stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
         if self.readings:
             imu, noise, mount = self.readings
@@ -64,10 +62,9 @@ class Keyframes:
         try:
             state, _ = mapped.adjusted(
                 self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN, tilt_sigma_rad=self.tilt_sigma_rad,
-                inertial=inertial, sigma_ratio=self._ratio,
+                inertial=inertial,
             )  # fmt: skip
         except InputError:
             return None
-        self.T_world_sensor, self._ratio = state.T_world_sensor, state.sigma_ratio
-        self._thickness = state.bars.thickness
+        self.T_world_sensor, self._before = state.T_world_sensor, state
         return state

@@ -125,19 +125,19 @@ class FittedBars:
 class MappedScans:
     """K scans, the poses ``T_world_sensor (K, 4, 4)`` of the sensor, and the voxels in which they were accumulated.
 
-    ``thickness``: that of angle sections as a share of their flanges, from an earlier adjustment if there was one.
+    ``before``: an earlier adjustment of the same flight, whose range noise and thickness are the first estimates.
     """
 
     scans: Sequence[Scan]
     T_world_sensor: Array
     voxels: VoxelMap
     settings: StructureSettings
-    thickness: float = sections.THICKNESS
+    before: Problem | None = None
 
     @classmethod
     def mapped(
         cls, scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 1,
-        thickness: float = sections.THICKNESS,
+        before: Problem | None = None,
     ) -> "MappedScans":  # fmt: skip
         """Accumulate one in ``every`` scans in voxels (`insert_scan`). Raises `InputError` if there is no return above
         the floor."""
@@ -146,7 +146,7 @@ class MappedScans:
             insert_scan(voxels, scan, T_world_sensor[k], settings)
         if not len(voxels):
             raise InputError(f"{len(scans)} scans without a return above the floor at {settings.floor_m} m")
-        return cls(scans, T_world_sensor, voxels, settings, thickness)
+        return cls(scans, T_world_sensor, voxels, settings, before)
 
     def around(self, bars: Segments) -> BarVoxels:
         """The voxels around bars."""
@@ -171,13 +171,13 @@ class MappedScans:
 
     def adjusted(
         self, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
-        tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, sigma_ratio: float | None = None,
+        tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None,
     ) -> tuple[Problem, PointEquations]:  # fmt: skip
         """Adjust the poses and the bars of `find_and_fit` together; returns also the equations of the last step.
 
         ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad`` and ``inertial`` as for `Problem`. All
-        steps of a stage use the same `bar_points`. Without a ``sigma_ratio``, these include points far from the front
-        faces.
+        steps of a stage use the same `bar_points`. Without an earlier adjustment, these include points far from the
+        front faces.
 
         Raises `InputError` if fewer than ``bars_min`` bars have a known section.
         """
@@ -188,7 +188,7 @@ class MappedScans:
         voxels = self.around(bars.segments)
         for pixels, steps in stages:
             flight = replace(self, T_world_sensor=state.T_world_sensor)
-            chosen = (state.bars, sigma_ratio) if sigma_ratio is not None else ()
+            chosen = (state.bars, self.before.sigma_ratio) if self.before else ()
             observations = Observations.gathered(flight.bar_points(voxels, 1, pixels, *chosen))
             for _ in range(steps):
                 equations = linearised(state, observations)
@@ -206,12 +206,13 @@ class MappedScans:
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, self.thickness)
+        thickness = self.before.bars.thickness if self.before else sections.THICKNESS
+        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, thickness)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        fitted = Bars(replace(bars, start=start, end=end), across, turn, flange, self.thickness)
+        fitted = Bars(replace(bars, start=start, end=end), across, turn, flange, thickness)
         return FittedBars(fitted, sigma, tilt, sightings)
 
     def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:

@@ -70,7 +70,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
     n = len(length)
     none = np.full((3, n), np.nan)
     fitted = Sections(np.zeros((n, 2)), np.zeros((n, 2)), none[0], np.zeros(n), none[1], none[2])
-    face, side = profiles(thickness)
+    profile = profiles(thickness)
     state, normal, cost = np.empty((n, ROUND_DOF)), np.empty((n, ROUND_DOF, ROUND_DOF + 1)), np.empty(n)
     likelihood, is_round = np.full(n, -np.inf), np.zeros(n, np.bool_)
     for b in range(n):
@@ -78,10 +78,10 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
         if len(cells) < 8 or len(rows) < 1:
             continue
         fitted.flange[b], fitted.turn[b], fitted.spread[b], fitted.tilt[b], _ = fit_section(
-            cells, merged, rows, thickness, face, side, fitted.centre[b], fitted.slope[b]
+            cells, merged, rows, profile, fitted.centre[b], fitted.slope[b]
         )
         angle = angle_cost(cells, fitted, b, thickness)
-        if _make_plate(fitted, b, cells, merged, angle, thickness, face, side):
+        if _make_plate(fitted, b, cells, merged, angle, profile):
             continue
         cost[b] = fit_circle(cells, merged, state[b], normal[b])
         if state[b, 4] > TUBE_MAX_M:
@@ -89,7 +89,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
         likelihood[b] = np.nan  # as yet
         bound = min(TUBE_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
         if cost[b] <= bound * angle:  # false for most bars, and saves a fit
-            least = least_angle_cost(cells, merged, thickness, face, side)
+            least = least_angle_cost(cells, merged, profile)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
             is_round[b] = cost[b] <= bound * least
     if not is_round.any():
@@ -98,7 +98,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
     for b in range(n):
         if np.isnan(likelihood[b]):
             cells = cells_of(histogram[b], length[b])
-            least = least_angle_cost(cells, merged_cells(histogram[b]), thickness, face, side)
+            least = least_angle_cost(cells, merged_cells(histogram[b]), profile)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
         if likelihood[b] > -np.inf:
             pooled += likelihood[b]
@@ -118,13 +118,13 @@ def angle_cost(cells, fitted, b, thickness):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def least_angle_cost(cells, merged, thickness, face, side):  # type: ignore[no-untyped-def]
+def least_angle_cost(cells, merged, profile):  # type: ignore[no-untyped-def]
     """Cost of an angle section that is fitted to the depths alone."""
-    return fit_section(cells, merged, np.empty((0, 6)), thickness, face, side, np.empty(2), np.empty(2))[4]
+    return fit_section(cells, merged, np.empty((0, 6)), profile, np.empty(2), np.empty(2))[4]
 
 
 @njit(cache=True)
-def _make_plate(fitted, b, cells, merged, angle, thickness, face, side):  # type: ignore[no-untyped-def]
+def _make_plate(fitted, b, cells, merged, angle, profile):  # type: ignore[no-untyped-def]
     """Replace the section of bar b by a plane if its points are those of a plate; returns whether they are.
 
     ``angle``: its `angle_cost`. The flange of a plate is infinite, and its turn is the direction of its normal.
@@ -133,7 +133,7 @@ def _make_plate(fitted, b, cells, merged, angle, thickness, face, side):  # type
     bound = PLATE_SHARE_MAX if np.unique(cells[:, 6]).size >= VIEWS_MIN else FEW_VIEWS_SHARE_MAX
     if not (width >= PLATE_MIN_M and cost <= bound * angle):  # saves a fit
         return False
-    if not cost <= bound * least_angle_cost(cells, merged, thickness, face, side):
+    if not cost <= bound * least_angle_cost(cells, merged, profile):
         return False
     across = normal[:2] / (normal[0] ** 2 + normal[1] ** 2)
     fitted.slope[b] = -normal[2] * across

@@ -6,12 +6,14 @@ A grid search over flanges and rotations, which looks faces up in a table, is fo
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from steelnb.fusion import sections
 from steelnb.fusion.sections import VIEWS, front_face, outline
+from steelnb.types import Array
 
 TURNS = VIEWS
 """Number of rotations in the search. A section rotated by one step looks the same from the next direction."""
@@ -29,11 +31,19 @@ TELL_APART_M = 0.003
 """Fits whose root mean square residuals differ by much less are about equally likely, and are averaged."""
 
 
+class Profiles(NamedTuple):
+    """Table of the near face of an angle section with flange 1 from each direction: ``face (VIEWS, PROFILE, 2)``, depth
+    and slope of `front_face` across its width, and ``side (VIEWS, 2)``, its two edges. ``thickness``: share of the
+    flange. Other flanges follow by scaling, and other rotations by a shift of the direction."""
+
+    thickness: float
+    face: Array
+    side: Array
+
+
 @njit(cache=True)
 def profiles(thickness):  # type: ignore[no-untyped-def]
-    """Table of the near face of a section with flange 1 from each direction: depth and slope of `front_face` across its
-    width ``(VIEWS, PROFILE, 2)``, and its two edges ``(VIEWS, 2)``. ``thickness``: share of the flange. Other flanges
-    follow by scaling, and other rotations by a shift of the direction."""
+    """The `Profiles` of angle sections of a ``thickness``."""
     corner = np.empty((6, 2))
     outline(0.0, 1.0, thickness, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
@@ -44,7 +54,7 @@ def profiles(thickness):  # type: ignore[no-untyped-def]
         for k in range(PROFILE):
             at = side[view, 0] + (k + 0.5) / PROFILE * (side[view, 1] - side[view, 0])
             face[view, k, 0], face[view, k, 1], _ = front_face(corner, cosine, sine, at)
-    return face, side
+    return Profiles(thickness, face, side)
 
 
 @njit(cache=True)
@@ -55,9 +65,9 @@ def robust(residual, weight):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _settle_by_table(cells, rows, face, side, flange, turn, state, steps):  # type: ignore[no-untyped-def]
+def _settle_by_table(cells, rows, profile, flange, turn, state, steps):  # type: ignore[no-untyped-def]
     """`settle` without slopes, at the rotation number ``turn``, with faces from the table `profiles`; in scalars."""
-    cost = 0.0
+    face, side, cost = profile.face, profile.side, 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
         cost = uu = uv = vv = ru = rv = 0.0
@@ -174,9 +184,9 @@ def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no
 
 
 @njit(cache=True)
-def fit_section(cells, merged, rows, thickness, face, side, centre, slope):  # type: ignore[no-untyped-def]
+def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no-untyped-def]
     """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search that uses its `merged_cells` and the
-    tables `profiles` for its ``thickness``, a share of the flange.
+    `Profiles`, whose thickness it has.
 
     Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
     ``slope (2,)``.
@@ -190,7 +200,7 @@ def fit_section(cells, merged, rows, thickness, face, side, centre, slope):  # t
     for n in range(len(tried)):
         f, k = n // TURNS, n % TURNS
         state[0], state[1] = mean_u, mean_v
-        cost = _settle_by_table(merged, rows, face, side, FLANGES_M[f], k, state, 4)
+        cost = _settle_by_table(merged, rows, profile, FLANGES_M[f], k, state, 4)
         tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
         tried[n, 3:] = state[:2]
     best = np.argmin(tried[:, 0])
@@ -203,7 +213,7 @@ def fit_section(cells, merged, rows, thickness, face, side, centre, slope):  # t
             for j in range(-1, 2):
                 if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
-                outline(turn0 + j * size, flange0 * (1.0 + i * size), thickness, corner)
+                outline(turn0 + j * size, flange0 * (1.0 + i * size), profile.thickness, corner)
                 state[:] = settled
                 cost = settle(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
                 if cost < low:
@@ -217,7 +227,7 @@ def fit_section(cells, merged, rows, thickness, face, side, centre, slope):  # t
     centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
     slope[0], slope[1] = settled[2], settled[3]
     # Standard deviation of the direction, from the actual residuals.
-    outline(turn, flange, thickness, corner)
+    outline(turn, flange, profile.thickness, corner)
     cost = section_step(cells, rows, corner, settled, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))

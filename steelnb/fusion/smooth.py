@@ -12,7 +12,6 @@ from steelnb.fusion import uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
 from steelnb.fusion.reconstruct import MappedScans, Stages
-from steelnb.fusion.sections import THICKNESS
 from steelnb.settings import ImuSettings, StructureSettings
 from steelnb.types import Estimate, Flight, Trajectory
 
@@ -51,21 +50,20 @@ def smooth(
     settings = settings or StructureSettings()
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
-    ratio, inertial, thickness = None, None, THICKNESS
+    before, inertial = None, None
     if imu is not None and flight.imu is not None:
         check_imu(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected)
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     for fits, stages in ROUNDS:
         try:
-            scans = MappedScans.mapped(flight.scans, T, settings, every=3, thickness=thickness)
+            scans = MappedScans.mapped(flight.scans, T, settings, every=3, before=before)
             state, equations = scans.adjusted(
                 prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad, inertial=inertial,
-                sigma_ratio=ratio,
             )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
-        T, ratio, inertial, thickness = state.T_world_sensor, state.sigma_ratio, state.inertial, state.bars.thickness
+        T, before, inertial = state.T_world_sensor, state, state.inertial
     bars = state.bars.take(state.bars.is_bar)
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:

@@ -25,7 +25,7 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     """One Gauss-Newton step of all poses and bars.
 
     ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
-    ``stamp_s (K,)``. Range noise and thickness are updated with medians before the step.
+    ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
     """
     (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
