@@ -92,7 +92,9 @@ def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str
     for each, method in itertools.product(poses, METHODS):
         began = time.perf_counter()
         if method == "final":
-            chosen = StructureSettings(adjust=each != "raw" and not source.result.settings.odometry.smooth)
+            smoothed = source.result.settings.odometry.smooth
+            thickness = source.result.thickness if each == "corrected" else None
+            chosen = StructureSettings(adjust=each != "raw" and not smoothed, thickness=thickness)
             structure = reconstruct(flight.scans, source.poses[each], flight.T_drone_sensor, chosen)
         else:
             structure = _scan_by_scan(source, each)

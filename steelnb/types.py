@@ -242,7 +242,8 @@ class Estimate:
     Covariances of a smoothed flight, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
     corrected poses, metres and radians, in world axes (`fusion.uncertainty.pose_covariances`; zero for the first pose),
     and ``axis_covariance (M, 4, 4)`` of position and direction of each segment (`fusion.uncertainty.axis_covariances`).
-    ``unsure``: why a smoothed flight has no covariances, else empty.
+    ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of the angle sections as smoothing
+    has estimated it, a share of their flanges, else None.
     """
 
     prior: Trajectory
@@ -257,6 +258,7 @@ class Estimate:
     pose_covariance: Array | None = None
     axis_covariance: Array | None = None
     unsure: str = ""
+    thickness: float | None = None
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property

@@ -75,7 +75,8 @@ def reconstruct(
         flight = MappedScans.mapped(scans, T_world_sensor, settings, every=3)
         stamp_s = DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
         with contextlib.suppress(InputError):  # too few bars
-            T_world_sensor = flight.adjusted(T_world_sensor, stamp_s, ((4, 2),), fits=2)[0].T_world_sensor
+            state, _ = flight.adjusted(T_world_sensor, stamp_s, ((4, 2),), fits=2)
+            T_world_sensor, settings = state.T_world_sensor, settings.replace(thickness=state.bars.thickness)
     flight = MappedScans.mapped(scans, T_world_sensor, settings)
     segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(segments):
@@ -206,7 +207,7 @@ class MappedScans:
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        thickness = self.before.bars.thickness if self.before else sections.THICKNESS
+        thickness = self.before.bars.thickness if self.before else self.settings.thickness or sections.THICKNESS
         centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, thickness)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)

@@ -77,5 +77,5 @@ def smooth(
     return replace(
         estimate, corrected=Trajectory(stamp_s, T @ np.linalg.inv(mount)), points=scans.voxels.means(),
         segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
-        unsure=unsure,
+        unsure=unsure, thickness=state.bars.thickness,
     )  # fmt: skip

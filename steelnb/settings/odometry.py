@@ -227,9 +227,11 @@ class StructureSettings(Settings):
     """The final reconstruction (`steelnb.fusion.reconstruct`).
 
     Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: first adjust poses
-    and bars together, if the poses were corrected but not smoothed.
+    and bars together, if the poses were corrected but not smoothed. ``thickness`` of angle sections, a share of their
+    flanges: default that of rolled ones; an adjustment estimates it.
     """
 
     floor_m: Finite = 0.2
     range_max_m: Positive = 6.0
     adjust: bool = False
+    thickness: Annotated[float, Field(ge=0.04, le=0.2)] | None = None

@@ -50,6 +50,7 @@ def test_the_first_pose_is_the_prior_s_and_roll_and_pitch_stay(flown, smoothed):
     assert len(smoothed.segments) > 20
     assert len(smoothed.points) > 1000
     assert smoothed.unsure == ""
+    assert smoothed.thickness == pytest.approx(1 / 12, abs=0.03)
     assert smoothed.pose_covariance.shape == (len(smoothed.corrected), 6, 6)
     assert smoothed.axis_covariance.shape == (len(smoothed.segments), 4, 4)
 
