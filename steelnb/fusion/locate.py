@@ -31,9 +31,10 @@ MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 4, 10, 100
 SHARE_MIN = 0.5
 """Minimum share of the points near bars that lie on front faces, both for each bar and for the scan. Points far from
 all bars do not count: they lie on structure that is not mapped yet."""
-POSITION_SIGMA_MAX_M = 0.01
-"""Largest accepted standard deviation of the position along an axis. Odometry by clouds, which takes over above it, is
-off by 1 to 10 cm. With 4 mm, no scan from a distance of 3.4 m would be accepted (development seeds 11 and 12)."""
+POSITION_SIGMA_MAX_M, FITTING_SIGMA_MAX_M, FITTING_SHARE = 0.004, 0.01, 0.65
+"""Largest accepted standard deviation of the position along an axis: the second if at least ``FITTING_SHARE`` of the
+points near bars lie on front faces. From 3.4 m, all scans are less certain than 4 mm, but fit. Where fewer points fit,
+such a pose may have slid along the arms of a tower by centimetres."""
 RATIO_BOUNDS = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 
@@ -92,7 +93,8 @@ class Locator:
         bars = int(((on >= BAR_POINTS_MIN) & (on >= SHARE_MIN * near)).sum())
         share, variance = float(on.sum() / max(near.sum(), 1)), np.diag(np.linalg.inv(information))
         sigma_m, reason = float(np.sqrt(variance[-3:].max())), ""
-        if not (bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= POSITION_SIGMA_MAX_M):
+        sigma_max_m = FITTING_SIGMA_MAX_M if share >= FITTING_SHARE else POSITION_SIGMA_MAX_M
+        if not (bars >= MATCHED_BARS_MIN and share >= SHARE_MIN and sigma_m <= sigma_max_m):
             reason = (
                 f"pose not determined: {bars} bars in sight, {100 * share:.0f} % of the points near bars on "
                 f"their faces, position known to {1e3 * sigma_m:.1f} mm"
