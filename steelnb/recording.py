@@ -119,7 +119,7 @@ def run_recording(
         on_stage("correcting the poses")
         found = odometry.correct(near, settings.odometry, observe, own)
         on_stage("reconstructing the bars")
-        built = _reconstructed(near, found, structure.replace(thickness=found.thickness))
+        built = _reconstructed(near, found, structure.replace(thickness=found.thickness or structure.thickness))
         bars = found.segments if len(found.segments) else built.segments
         built, segments = built.moved(origin), bars.moved(origin)
         estimate = replace(
