@@ -249,11 +249,14 @@ def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(resu
 
 def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(results):
     table, metrics = results("honest-sensors")
-    assert set(table["case"]) == {"ideal", "honest, ideal's settings", "honest"}
+    assert set(table["case"]) == {"ideal", "honest, ideal's settings", "honest", "honest, calibrated"}
     wide = table.pivot(index=["trajectory", "method"], columns="case", values="ate_mean_m")
     both = wide.dropna(subset=["ideal", "honest"])
     assert len(both) >= 4
     assert (both["honest"] > both["ideal"]).all()
+    calibrated = wide.dropna(subset="honest, calibrated")
+    assert len(calibrated) >= 2
+    assert (calibrated["honest, calibrated"] < calibrated["honest"]).all()
     honest = table[table["case"] == "honest"]
     assert (honest["ate_mean_m"] < honest["drift_mean_m"]).all()
     assert metrics["all together.median_mm"] > metrics["range noise of the data sheet.median_mm"]
