@@ -242,8 +242,8 @@ class Estimate:
     Covariances of a smoothed flight, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
     corrected poses, metres and radians, in world axes (`fusion.uncertainty.pose_covariances`; zero for the first pose),
     and ``axis_covariance (M, 4, 4)`` of position and direction of each segment (`fusion.uncertainty.axis_covariances`).
-    ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of the angle sections as smoothing
-    has estimated it, a share of their flanges, else None.
+    ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of angle sections, a share of
+    their flanges, as estimated by smoothing, else None.
     """
 
     prior: Trajectory

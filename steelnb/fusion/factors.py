@@ -14,7 +14,8 @@ from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.poses import pose_size
 from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
-from steelnb.fusion.sections import THICKNESS, THICKNESS_MAX, THICKNESS_MIN, THICKNESS_SIGMA, THICKNESS_SPREAD
+from steelnb.fusion.sections import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
+from steelnb.settings.odometry import THICKNESS_MAX, THICKNESS_MIN
 from steelnb.types import Array, IntArray
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02

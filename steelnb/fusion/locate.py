@@ -32,9 +32,9 @@ SHARE_MIN = 0.5
 """Minimum share of the points near bars that lie on front faces, both for each bar and for the scan. Points far from
 all bars do not count: they lie on structure that is not mapped yet."""
 POSITION_SIGMA_MAX_M, FITTING_SIGMA_MAX_M, FITTING_SHARE = 0.004, 0.01, 0.65
-"""Largest accepted standard deviation of the position along an axis: the second if at least ``FITTING_SHARE`` of the
-points near bars lie on front faces. From 3.4 m, all scans are less certain than 4 mm, but fit. Where fewer points fit,
-such a pose may have slid along the arms of a tower by centimetres."""
+"""Largest accepted standard deviations of the position along an axis. The second applies if at least `FITTING_SHARE` of
+the points near bars lie on front faces: from a distance of 3.4 m, no scan reaches 4 mm, although most points fit. Where
+fewer points fit, a pose that is claimed to 4 to 10 mm may have slid along a tower's arms by centimetres."""
 RATIO_BOUNDS = (1.0, 6.0)
 """Bounds of the range noise as a multiple of that in `points.ranges`."""
 

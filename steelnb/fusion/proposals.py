@@ -35,10 +35,10 @@ BEND_PLACES = np.arange(1, 12) / 12
 BEND_SHARE_MAX = 2 / 3
 """Maximum sum of the squared distances of a bar's points from two lines that meet, as a share of that from one line. At
 ten braces of the report's tower that bend by 3°, it is 0.1 to 0.63; at other bars with such an angle and rise, above
-0.75 (development seed 11, true poses). On development flights, 258 of 308 splits with a piece shorter than
-1 m are wrong by more than 2°, but 49 of 1,177 others. Most are in struts and arms, of which the sensor sees different
-faces. Not to split these makes structures no better: recall 0.948 instead of 0.953 on `tapered`, precision 0.983 in
-both cases."""
+0.75 (development seed 11, true poses). On development flights, 258 of 308 splits with a piece shorter than 1 m are
+wrong by more than 2°, and 49 of 1,177 others. Most of these bars are struts and arms whose ends and middle the sensor
+sees on different faces. Structures are no better if they are not split: on `tapered`, recall is 0.948 instead of 0.953,
+and precision 0.983 in both cases."""
 
 
 def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:

@@ -71,13 +71,14 @@ def reconstruct(
     if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
         raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
     T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
+    before = None
     if settings.adjust:
         flight = MappedScans.mapped(scans, T_world_sensor, settings, every=3)
         stamp_s = DRIFT_PERIOD_S * np.arange(len(scans), dtype=np.float64)
         with contextlib.suppress(InputError):  # too few bars
-            state, _ = flight.adjusted(T_world_sensor, stamp_s, ((4, 2),), fits=2)
-            T_world_sensor, settings = state.T_world_sensor, settings.replace(thickness=state.bars.thickness)
-    flight = MappedScans.mapped(scans, T_world_sensor, settings)
+            before, _ = flight.adjusted(T_world_sensor, stamp_s, ((4, 2),), fits=2)
+            T_world_sensor = before.T_world_sensor
+    flight = MappedScans.mapped(scans, T_world_sensor, settings, before=before)
     segments, reason = find_bars(flight.voxels, rise_m=TUBE_M)
     if not len(segments):
         return Structure.empty(reason)

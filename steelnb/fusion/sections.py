@@ -29,7 +29,6 @@ CELL_M = 0.01
 THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD = 1 / 12, 0.02, 0.007
 """Thickness of the angle sections of a structure as a share of their flanges, before it is estimated; its standard
 deviation; and that of single bars about it. Rolled equal angles have 1/15 to 1/7 (EN 10056-1)."""
-THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
 
 
 def frames(direction: Array) -> Array:

@@ -223,15 +223,19 @@ FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Fami
 """Family → its settings."""
 
 
+THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
+"""Bounds of the thickness of angle sections, a share of their flanges."""
+
+
 class StructureSettings(Settings):
     """The final reconstruction (`steelnb.fusion.reconstruct`).
 
     Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: first adjust poses
-    and bars together, if the poses were corrected but not smoothed. ``thickness`` of angle sections, a share of their
-    flanges: default that of rolled ones; an adjustment estimates it.
+    and bars together, if the poses were corrected but not smoothed. ``thickness``: that of angle sections, a share of
+    their flanges, by default a usual one; an adjustment estimates it anew.
     """
 
     floor_m: Finite = 0.2
     range_max_m: Positive = 6.0
     adjust: bool = False
-    thickness: Annotated[float, Field(ge=0.04, le=0.2)] | None = None
+    thickness: Annotated[float, Field(ge=THICKNESS_MIN, le=THICKNESS_MAX)] | None = None

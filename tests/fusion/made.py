@@ -54,9 +54,9 @@ def distance_to_lines(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(points[:, None] - axes[:, 0], direction), axis=2)
 
 
-def small_tower():
-    """A tower without arms, 5 m high, whose sections are as thick as `fusion.sections` takes them to be."""
-    sections_m = {"leg": (0.12, 0.01), "ring": (0.072, 0.006), "bracing": (0.072, 0.006)}
+def small_tower(leg_m=0.01, brace_m=0.006):
+    """A tower without arms, 5 m high. By default, its sections are as thick as `fusion.sections` takes them to be."""
+    sections_m = {"leg": (0.12, leg_m), "ring": (0.072, brace_m), "bracing": (0.072, brace_m)}
     return build_tower(TowerSettings(profile_m=((0.0, 2.4), (3.0, 1.8), (5.0, 1.4)), arms_m=(), sections_m=sections_m))
 
 

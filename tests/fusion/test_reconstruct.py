@@ -14,10 +14,9 @@ from steelnb.fusion.proposals import VOXEL_M, find_bars
 from steelnb.metrics.members import match_members
 from steelnb.metrics.reconstruction import reference, score_structure
 from steelnb.points import VoxelMap
-from steelnb.settings import ExperimentSettings, StructureSettings, TowerSettings
-from steelnb.simulation import build_tower
+from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation.truth import SliceCounter
-from tests.fusion.made import around
+from tests.fusion.made import around, small_tower
 
 CORNERS = np.array([(0, 0, 0), (2, 0, 0), (0, 0, 3), (2, 0, 3)], dtype=float)
 FRAME = CORNERS[[(0, 2), (1, 3), (2, 3), (0, 3), (0, 1)]]
@@ -100,9 +99,7 @@ def test_poses_that_move_take_the_structure_along(flown):
 @pytest.mark.slow
 def test_axes_are_more_accurate_with_the_thickness_of_the_sections():
     """Flanges a seventh thick, the thickest that are rolled: known, or estimated by an adjustment."""
-    width_m = {"leg": 0.12, "ring": 0.072, "bracing": 0.072}
-    sections_m = {kind: (flange_m, flange_m / 7) for kind, flange_m in width_m.items()}
-    tower = build_tower(TowerSettings(profile_m=((0.0, 2.4), (3.0, 1.8), (5.0, 1.4)), arms_m=(), sections_m=sections_m))
+    tower = small_tower(0.12 / 7, 0.072 / 7)
     flight, axes = around(tower, 40, 0.01, 1), reference(tower, SliceCounter(tower.axes).visibility()).axes
     given = {"usual": {}, "known": {"thickness": 1 / 7}, "adjusted": {"adjust": True}}
     offset_m = {}
