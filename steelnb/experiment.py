@@ -63,7 +63,7 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
 
 def world(settings: ExperimentSettings) -> tuple[str, str | None]:
     """All that a simulated flight depends on, as JSON, and the list of members. Equal values share one flight."""
-    parts = {"tower", "flight", "tof", "seed"} if settings.flight.trajectory != "planned" else None
+    parts = {"tower", "flight", "tof", "imu", "seed"} if settings.flight.trajectory != "planned" else None
     members = settings.tower.members
     return settings.model_dump_json(include=parts), members and members_file(members).read_text(encoding="utf-8")
 

@@ -201,6 +201,12 @@ def test_a_grid_has_every_combination_and_both_ends_of_a_range(tmp_path):
     assert len(runs.read_grids(study(tmp_path, AXES, {**AXES, "seeds": "2-3"}))) == 6, "duplicates run once"
 
 
+def test_flights_whose_imus_differ_are_not_shared():
+    imus = {"": {}, "biased": {"imu.accelerometer_bias": 0.1}}
+    flown = runs.grid(**{**AXES, "seeds": [1], "sensors": ["starling2-honest"], "methods": ["best"]}, variants=imus)
+    assert len({experiment.world(run.settings) for run in flown}) == 2
+
+
 def test_a_table_may_mix_the_seed_report_and_numbers(tmp_path):
     axes = {**AXES, "methods": ["icp"], "sensors": ["report"], "trajectories": ["vertical"]}
     table = runs.run_all([run.settings for run in runs.grid(**{**axes, "seeds": [7, "report"]})], folder=tmp_path)

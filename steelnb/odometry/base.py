@@ -75,7 +75,7 @@ class BaseOdometry(ABC):
         scan = Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
         prior, watch = checked_pose(T_world_drone_prior, "T_world_drone_prior"), Stopwatch(self.stages)
         T_world_drone, reason, matches, unobserved = self._update(scan, prior, watch)
-        if reason in ("too few points", "no segment seen"):
+        if reason:
             reason = nothing_near(scan, self.settings.preprocess.crop_m) or reason
         return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds, unobserved)
 
