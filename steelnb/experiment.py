@@ -54,7 +54,8 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
         return trajectory, imu, *scan_flight(tower, trajectory, tof, settings.seed)
 
-    trajectory, exact, scans, visibility = cached(flown, "flight", *world(settings))
+    unmeasured = settings if settings.flight.trajectory == "planned" else settings.replace(imu=None)
+    trajectory, exact, scans, visibility = cached(flown, "flight", *world(unmeasured))
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
     truth = Truth(trajectory, tower, visibility)
     unmoved = Flight(scans, trajectory.at(scans.stamp_s), tof.T_drone_sensor, imu)
