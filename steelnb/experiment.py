@@ -48,14 +48,16 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     odometry. Such a simulation takes as long as the odometry, and reports its progress.
     """
     tower, tof = build_tower(settings.tower), settings.tof
+    planned = settings.flight.trajectory == "planned"
 
     def flown() -> tuple[Trajectory, Imu, RangeScans, Visibility]:
-        pilot = OnboardPilot(settings, tower, on_progress) if settings.flight.trajectory == "planned" else None
+        pilot = OnboardPilot(settings, tower, on_progress) if planned else None
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
         return trajectory, imu, *scan_flight(tower, trajectory, tof, settings.seed)
 
-    unmeasured = settings if settings.flight.trajectory == "planned" else settings.replace(imu=None)
-    trajectory, exact, scans, visibility = cached(flown, "flight", *world(unmeasured))
+    # Only a pilot sees the IMU's readings; without one, other errors of the IMU need no other flight.
+    key = world(settings if planned else settings.replace(imu=None))
+    trajectory, exact, scans, visibility = cached(flown, "flight", *key)
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
     truth = Truth(trajectory, tower, visibility)
     unmoved = Flight(scans, trajectory.at(scans.stamp_s), tof.T_drone_sensor, imu)
