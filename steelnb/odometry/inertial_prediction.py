@@ -101,6 +101,13 @@ class InertialPrediction:
             bias=self.state.bias + step[BIAS], covariance=0.5 * (P + P.T),
         )  # fmt: skip
 
+    def loosen(self, variance: Array) -> None:
+        """Add a ``variance (4,)`` of yaw and position to the predicted pose."""
+        assert self.predicted is not None
+        P = self.predicted.covariance.copy()
+        P[range(2, 6), range(2, 6)] += variance
+        self.predicted = self.predicted._replace(covariance=P)
+
     def lose(self) -> None:
         """Update with a scan that was not registered: continue from its prediction."""
         self.state = self.predicted

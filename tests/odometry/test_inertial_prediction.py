@@ -10,6 +10,7 @@ from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import faces, make_odometry, run
 from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
+from steelnb.points import VoxelMap
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
@@ -151,6 +152,30 @@ def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(w
     error_m = score_trajectory(found.corrected, truth.trajectory)["ate_rmse_m"]
     assert error_m < min(0.03, 0.5 * score_trajectory(kept.corrected, truth.trajectory)["ate_rmse_m"])
     assert not any(found.reason[1:])
+
+
+def test_bars_correct_a_pose_that_clouds_have_led_astray_while_the_filter_was_sure_of_it(world, monkeypatch):
+    monkeypatch.setattr(faces, "REFIT_S", 4.0)
+    flight, truth = world
+    flight = replace(flight, imu=measured_imu(flight.imu, SHEET, 3))
+    estimator = make_odometry(
+        OdometrySettings.preset("faces").override({"inertial": SHEET.model_dump()}), flight.T_drone_sensor, flight.imu
+    )
+    true = truth.trajectory.at(flight.prior.stamp_s).position
+    located, begin, end, error_m = estimator._located, 33, 45, []
+    for k in range(end + 3):
+        if k == begin:  # from here on, only clouds are registered, to a map that lies 8 cm higher
+            elsewhere = VoxelMap(estimator.map.voxel_m, estimator.map.accumulate)
+            elsewhere.insert(estimator.map_points() + np.array([0.0, 0.0, 0.08]))
+            estimator.map = elsewhere
+        estimator._located = (lambda *_: None) if begin <= k < end else located
+        estimator.update(flight.scans[k], flight.prior.T_world_drone[k])
+        state = estimator.prediction.state
+        error_m.append(np.linalg.norm(state.T_world_drone[:3, 3] - true[k]))
+        if k == end - 1:
+            assert np.sqrt(np.diag(state.covariance)[POSE][3:]).max() < 0.005
+    assert error_m[begin - 1] < 0.02 < 0.05 < error_m[end - 1]
+    assert error_m[-1] < 0.02
 
 
 def test_the_readings_count_only_if_the_settings_know_their_noise(world):
