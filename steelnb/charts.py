@@ -54,12 +54,12 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
     grid = sns.FacetGrid(
         rows, row="title", hue="verdict", palette=colours, gridspec_kws={"height_ratios": list(heights)}, **shape
     )
+    grid.figure.set_figheight(0.23 * heights.sum() + 1)  # before `map`, whose tight layout needs the room
     grid.map(plt.hlines, "cell", "low", "high", lw=2).map(plt.scatter, "estimate", "cell", s=22)
     for title, panel in grid.axes_dict.items():
         goal = rows.loc[rows["title"] == title, ["threshold", "threshold_to"]].iloc[0].dropna()
         panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
     grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
-    grid.figure.set_figheight(0.23 * heights.sum() + 1)
     grid.figure.set_layout_engine("constrained")
     verdicts = [Line2D([], [], color=colour, marker="o", ls="", label=verdict) for verdict, colour in colours.items()]
     grid.figure.legend(handles=verdicts, loc="outside lower center", ncols=len(verdicts))
