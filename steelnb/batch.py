@@ -24,7 +24,7 @@ from steelnb.settings import (
     RegistrationSettings,
     ReportCloudSettings,
 )
-from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
+from steelnb.settings.report_plots import ReportPlot, read_report_plots
 from steelnb.simulation import Tower, build_tower, fly
 from steelnb.types import Array
 
@@ -44,19 +44,19 @@ def _report_curves() -> pd.DataFrame:
 
 def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
     """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` in one of the report's plots.
-    Samples of an earlier run and those after ``until_s`` are left out."""
+    Samples of another run in the same plot and those after ``until_s`` are left out."""
     named = {"figure": plot.figure, "trajectory": plot.trajectory, "method": plot.method, "curve": curve}
     rows = _report_curves()
-    rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1) & (rows["step"] >= plot.earlier_samples)]
-    time_s, error_m = plot.step_at(rows["step"].to_numpy()) * STEP_S, rows["error_m"].to_numpy()
-    return time_s[time_s <= until_s], error_m[time_s <= until_s]
+    rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1)]
+    time_s, error_m = plot.time_at(rows["step"].to_numpy()), rows["error_m"].to_numpy()
+    return time_s[time_s <= until_s], error_m[time_s <= until_s]  # false for NaN
 
 
 def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
-    """The report's plot with the same flight, noise and sampling rate as an experiment, or None."""
-    wanted = (settings.flight.trajectory, settings.noise_name, settings.tof.rate_hz)
-    plots = {(plot.flight or plot.trajectory, plot.noise, plot.rate_hz): plot for plot in reversed(read_report_plots())}
-    return plots.get(wanted)
+    """The report's plot whose samples an experiment has, if it has its flight and noise as well, or None."""
+    name = settings.tof.samples
+    plot = ReportPlot.named(name) if isinstance(name, str) else None
+    return plot if plot and plot.noise == settings.noise_name else None
 
 
 def at_level(noise: str, level: float) -> str:
@@ -89,11 +89,9 @@ def report_cases(
         if not plots:
             raise InputError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
         plot = next((plot for plot in plots if plot.noise == noise), plots[0])
-        samples = {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s}
         cases += [
-            ExperimentSettings.preset(
-                plot.flight or plot.trajectory, noise, method, sensor, seed, duration_s or plot.duration_s,
-                {**samples, **(overrides or {})},
+            ExperimentSettings.report(
+                plot.figure, flight, shown, method, overrides, "", noise, sensor, seed, duration_s
             )
             for method in methods[shown]
         ]  # fmt: skip
@@ -165,7 +163,7 @@ def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
 
 def _reported(result: experiment.Result) -> dict[str, tuple[Array, Array]]:
     """The curves ``report-drift`` and ``report`` of the report's plot of a run, to two samples after the run's end."""
-    plot, end_s = plot_of(result.settings), float(result.corrected.stamp_s[-1]) + 2 / result.settings.tof.rate_hz
+    plot, end_s = plot_of(result.settings), float(result.corrected.stamp_s[-1]) + 0.5
     if plot is None:
         return {}
     return {"report-drift": report_curve(plot, "drift", end_s), "report": report_curve(plot, until_s=end_s)}

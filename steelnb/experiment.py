@@ -8,7 +8,7 @@ from steelnb.closed_loop import OnboardPilot
 from steelnb.metrics import score_estimate
 from steelnb.noise import drifting
 from steelnb.odometry import correct
-from steelnb.settings import ExperimentSettings, OrbSettings
+from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.presets import members_file
 from steelnb.simulation import (
     FORWARD,
@@ -21,9 +21,12 @@ from steelnb.simulation import (
     photograph,
     scan_flight,
 )
+from steelnb.simulation.tof import add_noise, noise_free
 from steelnb.types import Estimate, Flight, Imu, RangeScans, Trajectory
 
 Progress = Callable[[float], None]
+BROKEN_OFF_DRAW = 1_000_000
+"""Added to the draw of the sensor's noise for a flight that was broken off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +58,15 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
         return trajectory, imu, *scan_flight(tower, trajectory, tof, settings.seed)
 
-    # Only a pilot sees the IMU's readings; without one, other errors of the IMU need no other flight.
-    key = world(settings if planned else settings.replace(imu=None))
+    # Only a pilot sees the IMU's readings and the noise; without one, other draws of them need no other flight. The
+    # noise of a faulty sensor depends on more than its ranges.
+    shares_rays = not planned and not tof.faults
+    if shares_rays:
+        tof = noise_free(tof)
+    key = world(settings if planned else settings.replace(imu=None, tof=tof))
     trajectory, exact, scans, visibility = cached(flown, "flight", *key)
+    if shares_rays:
+        scans = add_noise(scans, settings.tof, settings.seed)
     imu = measured_imu(exact, settings.imu, settings.seed) if settings.imu else exact
     truth = Truth(trajectory, tower, visibility)
     unmoved = Flight(scans, trajectory.at(scans.stamp_s), tof.T_drone_sensor, imu)
@@ -89,10 +98,11 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
 def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
     """Run the odometry on a flight, then score the estimate. The odometry does not see the truth."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
+    before = broken_off(settings)
     if isinstance(flight.scans, RangeScans) and flight.images is None:
-        given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu
+        given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu, before and before.scans
         key = "estimate", settings.odometry.model_dump_json(), *given
-        found = cached(lambda: correct(flight, settings.odometry, on_step), *key)
+        found = cached(lambda: correct(flight, settings.odometry, on_step, before=before), *key)
     else:  # images and recorded scans have no fast cache key
         found = correct(flight, settings.odometry, on_step)
     if on_progress:
@@ -100,3 +110,13 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
     return Result(
         **vars(found), settings=settings, truth=truth, metrics=score_estimate(found, truth, settings.tof.blind_s)
     )
+
+
+def broken_off(settings: ExperimentSettings) -> Flight | None:
+    """The flight that was broken off before that of the settings (`ReportCloudSettings`), with every scan of the sensor
+    and with other noise of the sensor; None if there was none."""
+    odometry = settings.odometry
+    if not isinstance(odometry, ReportCloudSettings) or not odometry.broken_off_s:
+        return None
+    flown = {"flight.duration_s": odometry.broken_off_s, "tof.samples": (), "tof.start_s": 0.0}
+    return simulate(settings.override({**flown, "tof.draw": settings.tof.draw + BROKEN_OFF_DRAW}))[0]

@@ -56,7 +56,7 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
     """
     stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
     error, paired = position_error_m(result.corrected, truth), result.matches > 0
-    lost = ~paired[1:]
+    lost, scans_per_s = ~paired[1:], max(1, round((len(stamp_s) - 1) / max(stamp_s[-1] - stamp_s[0], 1e-9)))
     growth, raw_growth = (np.diff(each) / np.diff(stamp_s) for each in (error, position_error_m(result.prior, truth)))
     true = truth.at(stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, result.corrected.T_world_drone[:, :3, :3]) - 1)
@@ -77,7 +77,7 @@ def numbers(flight: Flight, result: experiment.Result) -> dict[str, float]:
         "raw_growth_lost_m_s": mean(raw_growth, lost),
         "raw_growth_paired_m_s": mean(raw_growth, ~lost),
         "wrong_share": mean(error > WRONG_M, paired, of_none=0.0),
-        "slip_m": largest_slip(error, max(1, round(result.settings.tof.rate_hz)))[1],
+        "slip_m": largest_slip(error, scans_per_s)[1],
         "bend_deg": bend_deg,
         "turned_mean_deg": rotation_error_deg.mean(),
         "turned_final_deg": rotation_error_deg[-1],

@@ -66,11 +66,12 @@ def correct(
     settings: OdometrySettings,
     on_step: OnStep | None = None,
     own: Callable[..., Odometry] | None = None,
+    before: Flight | None = None,
 ) -> Estimate:
     """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
-    evenly over the scans. ``on_step`` as for `run`. ``own`` is a class that replaces the odometry of the settings
+    evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the odometry of the settings
     (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU do not fit
     the prior (`check_imu`).
     """
@@ -79,7 +80,7 @@ def correct(
         check_imu(flight.imu, flight.prior)
     make = own or partial(make_odometry, settings)
     odometry = make(**_wanted(make, {name: getattr(flight, name) for name in GIVEN}))
-    estimate = run(flight, odometry, on_step)
+    estimate = run(flight, odometry, on_step, before)
     if not settings.smooth:
         return estimate
     begin, preprocess = time.perf_counter(), settings.preprocess

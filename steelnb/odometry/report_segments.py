@@ -1,6 +1,7 @@
 """Segment odometry as in the report's program: its section 3.2, including the faults of its source code.
 
-Facts from the published source (`pointcloud_segmentation_node.cpp`): the segments of a scan are placed at the drifting
+Facts from the published source (`pointcloud_segmentation_node.cpp`, `hough_3d_lines.h`): each line of the Hough transform
+is taken as a segment or dropped, and never cut at gaps. The segments of a scan are placed at the drifting
 position minus the error so far. Each is matched to the first bar that is near both its ends and overlaps it. The error
 then grows by a gain times the mean offset, but the logged position and the mapped segments are those before this
 update. The sensor's mount is ignored.
@@ -11,10 +12,10 @@ import math
 import numpy as np
 
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.hough import detect_lines
 from steelnb.odometry.corrections import GAIN, across_of
-from steelnb.odometry.segments import timed_segments
 from steelnb.points import preprocess_scan
-from steelnb.settings import OdometrySettings, ReportSegmentSettings
+from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
 from steelnb.types import Array, Scan, Segments
 
 NO_FLOOR_M = -1e6
@@ -23,8 +24,13 @@ FLOOR_M = 0.3
 """Segments with both ends below this height are dropped."""
 RADIUS_M = 0.05
 """Radius of every bar in the original."""
-DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * RADIUS_M / 1.5
+LEAF_M = RADIUS_M / 1.5
+"""Edge of the voxels of a scan."""
+DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * LEAF_M
 """Maximum distance of a segment's ends from the line of its bar: two radii and four voxel diagonals."""
+POINTS_PER_M = 5.0
+"""Minimum number of points of a segment per metre, rounded down: 0.1 m of width in cells of two voxel diagonals, 1.5
+points in each."""
 WEIGHT = 0.01
 """Weight of a segment when it is fused with its bar."""
 
@@ -47,13 +53,12 @@ class ReportSegmentOdometry(BaseOdometry):
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
         watch.lap("preprocess")
-        found, hough_s = timed_segments(points, self.settings.hough)
+        found = sorted_segments(points, self.settings.hough)
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] -= self.error
         segments = found.transformed(T_world_drone)
         segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
         watch.lap("hough")
-        watch.seconds["hough"] = hough_s
         reason = "no segment of the map seen" if len(self.bars) else "first scan"
         offsets = self.bars.insert(segments)
         watch.lap("match")
@@ -64,6 +69,41 @@ class ReportSegmentOdometry(BaseOdometry):
     def map_segments(self) -> Segments:
         """The bars of the map."""
         return self.bars.segments()
+
+
+def sorted_segments(points: Array, settings: HoughSettings) -> Segments:
+    """Segments of a scan's points ``(N, 3)``, drone frame, by the program's rule: each Hough line whole, or not at all.
+
+    A line is dropped if the distances of neighbouring points from the *drone* differ by more than ``gap_max_m`` (which
+    is less than their gap along the line, near the foot of the perpendicular), if the first or the last of its points,
+    in the order of the cloud, is farther than two `RADIUS_M` from it, if the share of its variance along the line is not
+    above ``pca_ratio_min``, or if it has too few points (`POINTS_PER_M`).
+    """
+    if len(points) < settings.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > settings.dx_m:
+        return Segments.empty()
+    points = points[np.lexsort(np.floor(points / LEAF_M).T)]  # PCL's voxel grid sorts by z, then y, then x
+    lines = detect_lines(points, settings.dx_m, settings.min_votes, settings.max_lines, settings.granularity)
+    starts, ends, counts, radii = [], [], [], []
+    for line, (anchor, direction) in enumerate(zip(lines.anchor, lines.direction, strict=True)):
+        own = points[lines.label == line] - anchor
+        along = own @ direction
+        off_m = np.linalg.norm(own - along[:, None] * direction, axis=1)
+        t = np.sort(along)
+        gap_m = np.abs(np.diff(np.linalg.norm(anchor + t[:, None] * direction, axis=1))).max()
+        variance = np.linalg.eigvalsh(np.cov(own.T))
+        if (
+            gap_m < settings.gap_max_m
+            and max(off_m[0], off_m[-1]) <= 2 * RADIUS_M
+            and variance[-1] > settings.pca_ratio_min * variance.sum()
+            and len(own) > math.floor(POINTS_PER_M * (t[-1] - t[0]))
+        ):
+            starts.append(anchor + t[0] * direction)
+            ends.append(anchor + t[-1] * direction)
+            counts.append(len(own))
+            radii.append(math.sqrt((off_m**2).mean()))
+    if not counts:
+        return Segments.empty()
+    return Segments(np.array(starts), np.array(ends), np.array(counts, dtype=np.int64), np.array(radii))
 
 
 class ReportBars:

@@ -12,7 +12,9 @@ from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajec
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
 
-def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Estimate:
+def run(
+    flight: Flight, odometry: Odometry, on_step: OnStep | None = None, before: Flight | None = None
+) -> Estimate:
     """Correct a flight scan by scan; one scan is in memory at a time.
 
     Parameters
@@ -20,9 +22,12 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None) -> Es
     flight : the scans, the drifting prior at their stamps, and the mount of the sensor.
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
+    before : another flight, which the odometry corrects first; its steps are dropped, and what it has learnt stays.
 
     Raises `InputError` if fewer scans can be read than the flight has poses, or if an update returns no `OdometryStep`.
     """
+    if before is not None:
+        run(before, odometry)
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
     for k, scan in enumerate(flight.scans):

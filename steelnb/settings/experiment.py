@@ -6,8 +6,8 @@ from pydantic import model_validator
 
 from steelnb import rng
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
-from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings
-from steelnb.settings.report_plots import ReportPlot
+from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings
+from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettings, TowerSettings, TrajectoryName
 
 
@@ -35,6 +35,12 @@ class ExperimentSettings(Settings):
         noise = self.noise  # raises for an unknown name
         if self.seed == "report":
             noise.check_report()
+        own = self.tof.samples if isinstance(self.tof.samples, tuple) else ()
+        if own and own[-1] * STEP_S > self.flight.duration_s:
+            raise ValueError(
+                f"tof.samples ends at step {own[-1]}, {own[-1] * STEP_S:g} s: expected it within the flight's"
+                f" {self.flight.duration_s:g} s"
+            )
         if not self.tof.start_s < self.flight.duration_s:
             raise ValueError(
                 f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
@@ -87,20 +93,28 @@ class ExperimentSettings(Settings):
         method: str,
         odometry: str | None = None,
         overrides: dict[str, Any] | None = None,
+        run: str = "",
+        noise: str | None = None,
+        sensor: str = "report",
+        seed: rng.Seed = "report",
+        duration_s: float | None = None,
     ) -> "ExperimentSettings":
         """The experiment behind one of the report's plots, with its flight, tower, sensor, noise draws and scan times.
 
-        ``odometry``: another method on the same scans. Raises `InputError`.
+        ``odometry``: another method on the same scans; ``run``: ``"earlier"`` for that of a plot that shows two. By
+        default, ``noise``, ``sensor``, ``seed`` and ``duration_s`` are the report's. Raises `InputError`.
 
         >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
-        >>> settings.seed, settings.noise_name, round(settings.tof.rate_hz, 2)
-        ('report', 'random-walk', 0.69)
+        >>> settings.seed, settings.noise_name, len(settings.tof.sample_steps())
+        ('report', 'random-walk', 202)
         """
-        plot = ReportPlot.find(figure, trajectory, method)
+        plot = ReportPlot.find(figure, trajectory, method, run)
         settings = cls.preset(
-            plot.flight or plot.trajectory, plot.noise, odometry or method, "report", "report", plot.duration_s,
-            {"tof.rate_hz": plot.rate_hz, "tof.start_s": plot.start_s},
+            plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor, seed,  # type: ignore[arg-type]
+            duration_s or plot.duration_s, {"tof.samples": plot.name},
         )  # fmt: skip
+        if isinstance(settings.odometry, ReportCloudSettings):
+            settings = settings.override({"broken_off_s": plot.broken_off_s})
         return settings.override(overrides or {})
 
     def override(self, overrides: dict[str, Any]) -> Self:

@@ -202,10 +202,14 @@ class ReportCloudSettings(OdometrySettings):
     at the sensor instead of at the drone. ``gates``: steps of any size are accepted. ``order``: a step multiplies the
     correction from the left. ``covariances``: GICP uses the neighbours' covariances instead of planes. ``solver``:
     `steelnb.registration.align` replaces PCL's solver.
+
+    ``broken_off_s``: seconds of an earlier flight that was broken off; the program kept running, and so kept its map and
+    its correction. 0 for none.
     """
 
     family: ClassVar[str] = "report_clouds"
     switched: tuple[CloudTrait, ...] = ()
+    broken_off_s: NotNegative = 0.0
 
 
 class ReportSegmentSettings(OdometrySettings):

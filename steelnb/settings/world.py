@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from steelnb.errors import InputError
 from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, guess, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
-from steelnb.types import Array
+from steelnb.settings.report_plots import ReportPlot, checked_steps
+from steelnb.types import Array, IntArray
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
 BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")
@@ -97,11 +98,13 @@ class FlightSettings(Settings):
     are targets, and its path depends on the odometry. Its ``goal`` is to climb the ``face`` in front of its start,
     level by level, or to fly a helix ``around`` the structure.
 
+    ``still_s``: seconds at rest at the first point, without wind, before the flight; they count towards ``duration_s``.
     ``gust_sigma_m_s``: standard deviation of the gusts along each axis.
     """
 
     trajectory: TrajectoryName = "zigzag"
     duration_s: Duration = 200.0
+    still_s: NotNegative = 0.0
     standoff_m: Annotated[float, Field(ge=-5, le=20)] = 1.1
     height_min_m: Positive = 0.7
     height_max_m: Positive = 15.0
@@ -121,8 +124,13 @@ class FlightSettings(Settings):
         seconds = [seconds for *_, seconds in self.waypoints]
         if self.waypoints and (len(seconds) < 2 or seconds[0] != 0 or min(seconds[1:]) == 0):
             raise ValueError("waypoints: expected at least two, with 0 seconds to the first and more to all others")
-        if self.waypoints and self.duration_s > sum(seconds) + 1e-9:
-            raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {sum(seconds):g} s")
+        if self.still_s and self.trajectory == "planned":
+            raise ValueError(f"still_s = {self.still_s:g}: a pilot steers a planned flight from the start; expected 0")
+        if not self.still_s < self.duration_s:
+            raise ValueError(f"still_s = {self.still_s:g}: expected less than the flight's {self.duration_s:g} s")
+        end_s = self.still_s + sum(seconds)
+        if self.waypoints and self.duration_s > end_s + 1e-9:
+            raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {end_s:g} s")
         return self
 
     @classmethod
@@ -134,7 +142,8 @@ class FlightSettings(Settings):
         if duration_s is not None:
             values["duration_s"] = duration_s
         elif "waypoints" in values:
-            values.setdefault("duration_s", sum(seconds for *_, seconds in values["waypoints"]))
+            end_s = values.get("still_s", 0.0) + sum(seconds for *_, seconds in values["waypoints"])
+            values.setdefault("duration_s", end_s)
         return cls(trajectory=trajectory, **values)
 
 
@@ -170,19 +179,42 @@ class TofSettings(CameraSettings):
 
     The standard deviation of a range is ``max(sigma_floor_m, sigma_relative * range)``. With ``noise_on = "depth"``,
     noise and limit ``range_max_m`` apply to the depth along the optical axis; the output is still the range along the
-    ray. Scans are taken at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step. In the intervals
-    ``blind_s`` (from, to) there are no returns. With ``faults``, the sensor has the errors of a real one
-    (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of its return.
+    ray. Scans are taken at ``start_s + k / rate_hz``, k = 0, 1, …, rounded to the simulator's step; with ``samples``,
+    instead at these steps of 8 ms from ``start_s`` on, or at those of the report's plot that it names, such as ``"3.5
+    orbit gicp"``. In the intervals ``blind_s`` (from, to) there are no returns.
+
+    ``pixel_origin``: where in its pixel the driver places a depth. The report's driver omits the half pixel to the
+    ``centre``, so its points lie half a pixel too far left and up, towards the ``corner``. With ``faults``, the sensor
+    has the errors of a real one (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of
+    its return. ``draw``: number of the draw of the range noise; draws of one seed differ in nothing else.
     """
 
     range_max_m: Positive = 4.0
     sigma_floor_m: NotNegative = 0.04
     sigma_relative: NotNegative = 0.0
     noise_on: Literal["range", "depth"] = "range"
+    pixel_origin: Literal["centre", "corner"] = "centre"
     rate_hz: Annotated[float, Field(gt=0, le=125)] = 5.0
     start_s: NotNegative = 0.0
+    samples: str | tuple[int, ...] = ()
+    draw: Annotated[int, Field(ge=0, lt=2**31)] = 0
     blind_s: tuple[tuple[float, float], ...] = ()
     faults: tuple[TofFault, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_pixels_and_steps(self) -> Self:
+        if self.pixel_origin == "corner" and min(self.columns, self.rows) < 2:
+            raise ValueError(
+                f"pixel_origin = 'corner' with {self.columns} x {self.rows} pixels: expected an image, for half a pixel"
+            )
+        self.sample_steps()  # raises for an unknown plot and for steps that do not increase
+        return self
+
+    def sample_steps(self) -> IntArray:
+        """The steps of ``samples (N,)``; empty if scans are evenly spaced. Raises `InputError`."""
+        if isinstance(self.samples, str):
+            return ReportPlot.named(self.samples).scans
+        return checked_steps(np.array(self.samples, dtype=np.int64))
 
     @classmethod
     def preset(cls, sensor: str) -> "TofSettings":

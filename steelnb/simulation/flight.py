@@ -90,11 +90,12 @@ def gusts(settings: FlightSettings, seed: rng.Seed, steps: int) -> Array:
     """Wind velocity at each step, ``(steps, 3)`` m/s in the world frame, from the stream ``gust`` of the seed.
 
     Each axis is an Ornstein-Uhlenbeck process with standard deviation ``gust_sigma_m_s`` and correlation time
-    `GUST_TIME_S`.
+    `GUST_TIME_S`; it begins after ``still_s``.
     """
     shocks = rng.stream(seed, "gust").standard_normal((steps, 3))
     decay = math.exp(-STEP_S / GUST_TIME_S)
     shocks = shocks * settings.gust_sigma_m_s * math.sqrt(1 - decay**2)
+    shocks[: round(settings.still_s / STEP_S)] = 0.0
     # scipy.signal.lfilter is bit-identical, but its import takes longer than a short flight.
     return np.array(list(itertools.accumulate(shocks, lambda wind, shock: decay * wind + shock)))
 

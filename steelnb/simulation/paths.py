@@ -40,13 +40,13 @@ def heading(flight: FlightSettings, x: float, y: float) -> float:
 
 
 def setpoints(flight: FlightSettings, tower: TowerSettings, steps: int, step_s: float) -> tuple[Array, Array]:
-    """Position and velocity setpoints, each ``(steps, 3)``, on a path without waypoints: along it at ``speed_m_s``,
-    then hovering at its end.
+    """Position and velocity setpoints, each ``(steps, 3)``, on a path without waypoints: after ``still_s`` along it at
+    ``speed_m_s``, then hovering at its end.
 
     Two moving averages over one second round the corners, so the drone need not brake there.
     """
     corner, arc_m = path(flight, tower)
-    travelled = np.arange(steps) * step_s * flight.speed_m_s
+    travelled = np.maximum(np.arange(steps) * step_s - flight.still_s, 0.0) * flight.speed_m_s
     position = np.stack([np.interp(travelled, arc_m, axis) for axis in corner.T], axis=1)
     for _ in range(2):
         position = uniform_filter1d(position, max(1, round(1.0 / step_s)), axis=0, mode="nearest")
@@ -71,14 +71,14 @@ def pose_on_path(tower: Tower, flight: FlightSettings, share: float, lean: Array
 
 def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, Array]:
     """Pose x, y, z, heading (metres, radians) and its first two derivatives, each ``(N, 4)``, at ``time_s (N,)``, of a
-    flight through waypoints.
+    flight that begins through waypoints after ``still_s``.
 
     Between waypoints, the drone moves with minimum jerk from rest to rest: after a share τ of the time, it has done a
     share 10τ³ − 15τ⁴ + 6τ⁵ of the distance (Flash, Hogan, J. Neuroscience 5, 1985). The heading turns the shorter way;
     half turns are anticlockwise.
     """
     point = np.array(flight.waypoints)
-    seconds, end_s = point[1:, 4], np.cumsum(point[:, 4])
+    seconds, end_s = point[1:, 4], flight.still_s + np.cumsum(point[:, 4])
     corner = np.column_stack([point[:, :3], np.radians(point[:, 3])])
     step = np.diff(corner, axis=0)
     step[:, 3] = np.pi - (np.pi - step[:, 3]) % (2 * np.pi)

@@ -24,10 +24,13 @@ RESTART_M = np.float32(4e-6)
 """A ray that has missed a triangle restarts this far behind it: twice the rounding of float32 at 16 m."""
 
 
-def rays(camera: CameraSettings) -> Array:
-    """Unit viewing rays ``(rows, columns, 3)`` in the sensor frame: x along the optical axis, y left, z up."""
-    u = (np.arange(camera.columns) + 0.5) / camera.columns * 2 - 1
-    v = (np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1
+def rays(camera: CameraSettings, origin_px: float = 0.5) -> Array:
+    """Unit viewing rays ``(rows, columns, 3)`` in the sensor frame: x along the optical axis, y left, z up.
+
+    ``origin_px``: the point of each pixel, from its upper left corner (0) to its lower right one (1).
+    """
+    u = (np.arange(camera.columns) + origin_px) / camera.columns * 2 - 1
+    v = (np.arange(camera.rows) + origin_px) / camera.rows * 2 - 1
     ray = np.ones((camera.rows, camera.columns, 3))
     ray[..., 1] = -np.tan(camera.fov_horizontal_rad / 2) * u
     ray[..., 2] = -np.tan(camera.fov_vertical_rad / 2) * v[:, None]

@@ -32,7 +32,8 @@ def scan_flight(
     trajectory: true poses of the drone at equal time steps, the first at t = 0.
     settings: pinhole, mount, rate, noise, limits and faults of the sensor, whose optical axis is its x axis.
     seed: scan k takes its noise from the stream ``("tof", k)``, so a longer flight begins with the scans of a shorter
-        one. The faults of the camera come from ``("tof-camera",)``, its random rays from ``("tof-rays", k)``.
+        one, and ``draw`` k > 0 from ``("tof", k, "draw", draw)``. The faults of the camera come from ``("tof-camera",)``,
+        its random rays from ``("tof-rays", k)``.
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
@@ -47,11 +48,14 @@ def scan_flight(
         steel = np.flatnonzero(np.isfinite(range_m[k]) & (exposure.member >= 0))
         distance, direction = exposure.exact_m.ravel()[steel], camera.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
         counter.add(T[:3, 3] + distance[:, None] * direction, exposure.member.ravel()[steel])
-    return RangeScans(stamp_s, range_m, camera.ray), counter.visibility()
+    return RangeScans(stamp_s, range_m, camera.reported_ray), counter.visibility()
 
 
 def scan_steps(settings: TofSettings, last_s: float, step_s: float) -> IntArray:
     """Indices of the time steps, counted from t = 0, at which scans are taken, up to ``last_s``."""
+    steps = settings.sample_steps()
+    if len(steps):
+        return steps[(steps * step_s >= settings.start_s - 1e-9) & (steps * step_s <= last_s + 1e-9)]
     since_s = np.arange(0, last_s - settings.start_s + 1e-9, 1 / settings.rate_hz)
     return np.round((settings.start_s + since_s) / step_s).astype(int)
 
@@ -64,6 +68,7 @@ class TofCamera:
 
     def __init__(self, tower: Tower, settings: TofSettings, seed: rng.Seed) -> None:
         self.settings, self.ray, self._scene, self._seed = settings, rays(settings), make_scene(tower), seed
+        self.reported_ray = reported_rays(settings)
         self._faults = draw_faults(settings, rng.stream(seed, "tof-camera"))
         self._exposure_s = self._faults.exposure_s if self._faults else 0.0
         self.latency_s = self._exposure_s * float(MOMENTS.max())
@@ -91,7 +96,7 @@ class TofCamera:
 
     def scan_image(self, k: int, stamp_s: float, T_world_sensor: Array) -> tuple[np.ndarray, Exposure]:
         """Scan k by `measure`; all NaN while the sensor is blind."""
-        streams = rng.stream(self._seed, "tof", k), rng.stream(self._seed, "tof-rays", k)
+        streams = _noise_stream(self.settings, self._seed, k), rng.stream(self._seed, "tof-rays", k)
         image, exposure = self.measure(T_world_sensor, *streams)
         if any(first <= stamp_s < last for first, last in self.settings.blind_s):
             image[:] = np.nan
@@ -100,7 +105,7 @@ class TofCamera:
     def scan(self, k: int, stamp_s: float, trajectory: Trajectory) -> Scan:
         """Scan k during a flight, bit-identical to `scan_flight`. The true ``trajectory`` must cover its exposure."""
         (poses,) = self.exposure_poses(trajectory, np.array([stamp_s]))
-        return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.ray)
+        return Scan(stamp_s, self.scan_image(k, stamp_s, poses)[0][..., None] * self.reported_ray)
 
 
 @dataclass(frozen=True)
@@ -120,10 +125,9 @@ def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generat
     measured, exposure = camera.measure(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise, noise)
     returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
     member, rotation = exposure.member[returned], T_world_sensor[:3, :3]
-    direction = camera.ray[returned] @ rotation.T
     points, surface = (
-        ranges[returned][:, None].astype(np.float64) * direction + T_world_sensor[:3, 3]
-        for ranges in (measured, exposure.exact_m)
+        ranges[returned][:, None].astype(np.float64) * (ray[returned] @ rotation.T) + T_world_sensor[:3, 3]
+        for ranges, ray in ((measured, camera.reported_ray), (exposure.exact_m, camera.ray))
     )
     kept = (member != GROUND) & (points[:, 2] >= FLOOR_M)
     level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
@@ -134,15 +138,48 @@ def measured_ranges(
     exact_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, faults: Faults | None = None,
     equivalent_range_m: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Measured range image ``(H, W)`` float32, metres, NaN for no return. ``exact_m`` is infinite for no hit.
+    """Measured range image ``(H, W)`` float32, metres, NaN for no return: `limited_ranges` with noise.
 
-    Returns within the sensor's limits get Gaussian noise, with the standard deviation at the ranges
-    ``equivalent_range_m`` (default: the exact ones). With faults, pixels whose estimated noise is too high are dropped.
-    Limits and noise apply to the range, or to the depth along the optical axis if ``noise_on`` is ``"depth"``.
+    Gaussian noise has the standard deviation at the ranges ``equivalent_range_m`` (default: the exact ones). With
+    faults, pixels whose estimated noise is too high are dropped.
     """
-    cosine = rays(settings)[..., 0].astype(np.float32) if settings.noise_on == "depth" else np.float32(1)
-    result = exact_m.astype(np.float32) * cosine
-    inside = np.flatnonzero((result >= RANGE_MIN_M) & (result <= settings.range_max_m))
+    return _with_noise(limited_ranges(exact_m, settings), settings, noise, faults, equivalent_range_m)
+
+
+def limited_ranges(exact_m: np.ndarray, settings: TofSettings) -> np.ndarray:
+    """Range image ``(H, W)`` float32 without noise, metres along `reported_rays`, NaN beyond the sensor's limits.
+
+    ``exact_m``: ranges along the rays through the centres of the pixels, infinite for no hit. The limits apply to the
+    range, or to the depth along the optical axis if ``noise_on`` is ``"depth"``.
+    """
+    cosine = rays(settings)[..., 0].astype(np.float32)
+    limited = exact_m.astype(np.float32) * (cosine if settings.noise_on == "depth" else np.float32(1))
+    with np.errstate(invalid="ignore"):
+        limited[~((limited >= RANGE_MIN_M) & (limited <= settings.range_max_m))] = np.nan
+    if settings.noise_on == "depth":
+        return np.asarray(limited / _reported_cosine(settings))
+    return limited if settings.pixel_origin == "centre" else np.asarray(limited * (cosine / _reported_cosine(settings)))
+
+
+def reported_rays(settings: TofSettings) -> Array:
+    """Unit rays ``(rows, columns, 3)`` along which the driver places its points, sensor frame (`pixel_origin`)."""
+    return rays(settings, 0.5 if settings.pixel_origin == "centre" else 0.0)
+
+
+def _reported_cosine(settings: TofSettings) -> np.ndarray:
+    return np.asarray(reported_rays(settings)[..., 0].astype(np.float32))
+
+
+def _with_noise(
+    range_m: np.ndarray, settings: TofSettings, noise: np.random.Generator, faults: Faults | None = None,
+    equivalent_range_m: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Add noise to a range image of `limited_ranges`; arguments as for `measured_ranges`."""
+    if not (settings.sigma_floor_m or settings.sigma_relative or faults):
+        return range_m
+    cosine = _reported_cosine(settings) if settings.noise_on == "depth" else np.float32(1)
+    result = range_m * cosine
+    inside = np.flatnonzero(np.isfinite(result))
     value = result.ravel()[inside]
     equivalent = value if equivalent_range_m is None else (equivalent_range_m * cosine).ravel()[inside]
     sigma = np.maximum(np.float32(settings.sigma_floor_m), np.float32(settings.sigma_relative) * equivalent)
@@ -150,6 +187,23 @@ def measured_ranges(
     if faults:
         estimated = sigma * (1 + AMPLITUDE_SCATTER * noise.standard_normal(len(value), dtype=np.float32))
         value[estimated > faults.sigma_max_m] = np.nan
-    result.fill(np.nan)
     result.ravel()[inside] = value
     return result / cosine
+
+
+def add_noise(scans: RangeScans, settings: TofSettings, seed: rng.Seed) -> RangeScans:
+    """The scans of `scan_flight` with noise, from those without (`noise_free`), for a sensor without faults."""
+    images = [
+        _with_noise(image, settings, _noise_stream(settings, seed, k)) for k, image in enumerate(scans.range_m)
+    ]  # fmt: skip
+    return RangeScans(scans.stamp_s, np.array(images, dtype=np.float32).reshape(scans.range_m.shape), scans.ray)
+
+
+def noise_free(settings: TofSettings) -> TofSettings:
+    """The settings of the same sensor without noise. Flights that differ in their noise alone share its scans."""
+    return settings.replace(sigma_floor_m=0.0, sigma_relative=0.0, draw=0)
+
+
+def _noise_stream(settings: TofSettings, seed: rng.Seed, k: int) -> np.random.Generator:
+    """The random stream of the noise of scan k."""
+    return rng.stream(seed, "tof", k, *(("draw", settings.draw) if settings.draw else ()))
