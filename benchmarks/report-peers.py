@@ -3,14 +3,13 @@
     PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--traits 3.5 vertical gicp]
 
 Prints the tables of report-peers.md. Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and
-pkg-config. Both programs get the same scans and the same drifting poses. All repeats but the first add micrometres of
-noise to the points: PCL stops GICP where single precision hides the gradient, so such noise decides what it finds.
+pkg-config. Both programs get the same scans and the same drifting poses, in a few draws of the sensor's noise: PCL stops
+GICP where single precision hides the gradient, so that micrometres decide what it finds.
 """
 
 import argparse
 import subprocess
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,9 @@ from steelnb import experiment
 from steelnb.metrics import position_error_m
 from steelnb.odometry import make_odometry, run
 from steelnb.pins import machine
-from steelnb.rng import stream
 from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, Scan, Trajectory
+from steelnb.types import Array, Flight, Trajectory
 
 ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "as it was": ({}, ()),
@@ -37,39 +35,45 @@ ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "noise of 4 cm": ({"tof.sigma_floor_m": 0.04}, ()),
     "noise along the ray": ({"tof.noise_on": "range"}, ()),
     "noise of 4 cm along the ray, floor removed": ({"tof.sigma_floor_m": 0.04, "tof.noise_on": "range"}, ("floor",)),
-    "every scan of the sensor": ({"tof.rate_hz": 1 / 0.208}, ()),
-    "round members": ({"tower.section": "round"}, ()),
+    "every scan of the sensor": ({"tof.samples": ()}, ()),
+    "half pixel in place": ({"tof.pixel_origin": "centre"}, ()),
 }
 """Rows of the second table: overrides of the simulation, and the traits that are switched."""
 
 
-def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int) -> tuple[list[Flight], Truth]:
-    """The flight of a plot, then repeats of it with a micrometre of noise on the points."""
-    flight, truth = experiment.simulate(ExperimentSettings.report(*given, overrides=changes))
-    flights, noise = [flight], stream(0, "jitter")
-    for _ in range(1, repeats):
-        scans = [Scan(s.stamp_s, s.points + noise.normal(0, 1e-6, s.points.shape)) for s in flight.scans]
-        flights.append(replace(flight, scans=scans))
-    return flights, truth
+Run = tuple[Flight | None, Flight]
+"""The flight that was broken off before, or None, and the flight."""
 
 
-def ours(method: str, flight: Flight, switched: tuple[str, ...] = ()) -> Trajectory:
+def repeated(given: tuple[str, str, str], changes: dict[str, Any], repeats: int) -> tuple[list[Run], Truth]:
+    """Draws of the sensor's noise on the flight of a plot."""
+    settings = ExperimentSettings.report(*given, f"report-{given[2]}", changes)
+    drawn = list(experiment.draws(settings, repeats))
+    return [(experiment.broken_off(each), flight) for each, flight, _ in drawn], drawn[0][2]
+
+
+def ours(method: str, flown: Run, switched: tuple[str, ...] = ()) -> Trajectory:
     """Poses of our program."""
+    before, flight = flown
     settings = OdometrySettings.preset(method, "report", {"switched": switched})
-    return run(flight, make_odometry(settings, flight.T_drone_sensor)).corrected
+    return run(flight, make_odometry(settings, flight.T_drone_sensor), before=before).corrected
 
 
-def peer(program: Path, method: str, flight: Flight) -> Trajectory:
+def peer(program: Path, method: str, flown: Run) -> Trajectory:
     """Poses of PCL's program."""
     scans, poses = program.with_name("scans"), program.with_name("poses")
+    given = [
+        (scan, T) for each in flown if each for scan, T in zip(each.scans, each.prior.T_world_drone, strict=True)
+    ]  # fmt: skip
     with scans.open("wb") as file:
-        file.write(np.uint32(len(flight)).tobytes())
-        for scan, T in zip(flight.scans, flight.prior.T_world_drone, strict=True):
+        file.write(np.uint32(len(given)).tobytes())
+        for scan, T in given:
             points = scan.points[np.isfinite(scan.points).all(axis=-1)]
             file.write(np.uint32(len(points)).tobytes() + T.tobytes() + points.astype(np.float32).tobytes())
     subprocess.run([program, method, scans, poses], check=True, capture_output=True)
-    correction = np.fromfile(poses).reshape(-1, 17)[:, :16].reshape(-1, 4, 4)
-    return Trajectory(flight.prior.stamp_s, correction @ flight.prior.T_world_drone)
+    prior = flown[1].prior
+    correction = np.fromfile(poses).reshape(-1, 17)[-len(prior) :, :16].reshape(-1, 4, 4)
+    return Trajectory(prior.stamp_s, correction @ prior.T_world_drone)
 
 
 def built(folder: str) -> Path:
@@ -119,7 +123,7 @@ def by_trait(asked: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--repeats", type=int, default=3, help="draws of the sensor's noise")
     parser.add_argument("--traits", nargs=3, metavar=("FIGURE", "TRAJECTORY", "METHOD"), help="the second table")
     asked = parser.parse_args()
     print(f"{machine()}; {asked.repeats} repeats\n")

@@ -1,143 +1,100 @@
-"""The report's Figures 3.2b, 3.3b, 3.5 and 3.6: its curves behind ours, on its own tower, flights, noise and sensor.
+"""The report's flights: our methods on the scans of its sensor, and when its flights started.
 
-    PYTHONPATH=. .venv/bin/python benchmarks/report.py [--section round] [--figures 3.2 3.3]
+    PYTHONPATH=. .venv/bin/python benchmarks/report.py [--parts ours start] [--figures 3.2 3.3 3.5 3.6]
 
-Prints the tables of report.md and writes the pictures report-FIGURE-SECTION.png beside it. With STEELNB_CACHE set to a
-folder, flights and estimates are kept between calls. The report's curves are those of notebooks/report-curves.csv.
-"""
+`ours` prints the errors of `best`, `faces` and `smoothed` on the flights of the report's plots, with the driver's half
+pixel in the points and without it. `start` prints how well the time that a slow program took for a sample agrees with
+the number of points in view, by the seconds of rest before the flight. The report's programs are notebooks 02 and 03.
+With STEELNB_CACHE set to a folder, flights and estimates are kept between calls."""
 
 import argparse
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import seaborn as sns
 
 from steelnb import experiment
 from steelnb.metrics import position_error_m
 from steelnb.pins import machine
+from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, read_report_plots
-from steelnb.settings.report_plots import STEP_S, ReportPlot
-from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, Trajectory
+from steelnb.settings.report_plots import STEP_S
+from steelnb.types import Array, Flight
 
-HERE = Path(__file__).parent
-CURVES = HERE.parent / "notebooks" / "report-curves.csv"
-PROGRAMS = {"average": "report-segments", "icp": "report-icp", "icp-3dof": "report-icp-3dof", "gicp": "report-gicp"}
-"""Method of a plot → the report's program. The method of the same name is the corrected form of that program."""
-SHOULD_BE = {"average": "least_squares"}
-"""Methods whose corrected form has another name."""
 OURS = ("best", "faces", "smoothed")
-SENSOR_HZ = 1 / (26 * STEP_S)
-CURVE_COLOURS = {
-    "drift, the report": "#a9d8a9", "corrected, the report": "#f2b8a0", "drift, ours": "#2a7a2a",
-    "its program, ours": "#c03000", "as it should be, ours": "#0072B2",
-}  # fmt: skip
-"""Colours of the curves, in the order of drawing."""
+REST_S = np.arange(0.0, 15.1, 0.5)
+"""Seconds of rest that `start` tries."""
 
 
-def summary(error: Array) -> str:
-    """Mean, largest and last error, as text."""
-    return f"{error.mean():.3f} / {error.max():.3f} / {error[-1]:.3f}"
-
-
-def as_reported(plot: ReportPlot, curve: str) -> tuple[Array, Array]:
-    """Samples and metres of a curve as read off the report."""
-    table = pd.read_csv(CURVES, dtype={"figure": str})
-    of_plot = (table.figure == plot.figure) & (table.trajectory == plot.trajectory) & (table.method == plot.method)
-    own = table[of_plot & (table.curve == curve)]
-    return own.step.to_numpy(), own.error_m.to_numpy()
-
-
-def corrected(method: str, flight: Flight, truth: Truth, plot: ReportPlot) -> Trajectory:
-    """The poses of a method on a plot's flight."""
-    settings = ExperimentSettings.report(plot.figure, plot.trajectory, plot.method, method)
-    return experiment.estimate(settings, flight, truth).corrected
-
-
-def plot_rows(plot: ReportPlot, section: str) -> Iterator[tuple[str, str, Array, Array]]:
-    """For each of our curves of a plot: its kind, its row of the table, the samples and the errors."""
-    settings = ExperimentSettings.report(
-        plot.figure, plot.trajectory, plot.method, overrides={"tower.section": section}
-    )  # fmt: skip
-    flight, truth = experiment.simulate(settings)
-    sample = plot.earlier_samples + np.arange(len(flight), dtype=np.float64)
-    program, method = PROGRAMS[plot.method], SHOULD_BE.get(plot.method, plot.method)
-    names = ("drift", program, *((plot.method,) if method != plot.method else ()), method)
-    for name in names:
-        found = flight.prior if name == "drift" else corrected(name, flight, truth, plot)
-        error = position_error_m(found, truth.trajectory)
-        at, theirs = as_reported(plot, "drift" if name == "drift" else "corrected")
-        at, theirs = at[at >= plot.earlier_samples], theirs[at >= plot.earlier_samples]
-        shared = np.corrcoef(np.interp(at, sample, error), theirs)[0, 1]
-        kind = {"drift": "drift, ours", program: "its program, ours"}.get(name, "as it should be, ours")
-        row = (
-            f"| {plot.figure} {plot.trajectory}, {plot.method} | {name} | {summary(theirs)} | {summary(error)} "
-            f"| {error.mean() / theirs.mean():.2f} | {error[-1] / theirs[-1]:.2f} | {shared:.3f} |"
-        )
-        yield kind if name in ("drift", program, method) else "", row, sample, error
-
-
-def draw(table: pd.DataFrame, plots: list[ReportPlot], path: Path) -> None:
-    """Draw the curves of some plots, the report's behind ours."""
-    grid = sns.relplot(
-        table, x="sample", y="error (m)", hue="curve", size="curve", kind="line", row="method", col="trajectory",
-        hue_order=list(CURVE_COLOURS), palette=CURVE_COLOURS, size_order=list(CURVE_COLOURS), errorbar=None,
-        sizes={name: 3.5 if "the report" in name else 1.0 for name in CURVE_COLOURS}, height=3, aspect=1.9,
-        facet_kws={"sharex": False, "sharey": False},
-    )  # fmt: skip
-    for plot in plots:
-        if plot.earlier_samples:
-            axes = grid.axes_dict[plot.method, plot.trajectory]
-            axes.axvspan(0, plot.earlier_samples, color="0.9", zorder=0)
-            axes.text(5, 0.97, "an earlier run", va="top", fontsize=8, transform=axes.get_xaxis_transform())
-    grid.savefig(path, dpi=90, metadata={"Software": None})
-
-
-def figure(name: str, section: str) -> None:
-    """Print the rows of a figure's plots and draw them."""
-    plots, parts = [plot for plot in read_report_plots() if plot.figure == name], []
-    for plot in plots:
-        place = {"method": plot.method, "trajectory": plot.trajectory}
-        for curve in ("drift", "corrected"):
-            at, metres = as_reported(plot, curve)
-            parts.append(pd.DataFrame({"sample": at, "error (m)": metres, "curve": f"{curve}, the report"} | place))
-        for kind, row, sample, error in plot_rows(plot, section):
-            print(row, flush=True)
-            parts += [pd.DataFrame({"sample": sample, "error (m)": error, "curve": kind} | place)] if kind else []
-    draw(pd.concat(parts, ignore_index=True), plots, HERE / f"report-{name}-{section}.png")
-
-
-def ours(name: str, section: str) -> None:
+def ours(figure: str) -> None:
     """Print the errors of our methods on the flights of a figure, with every scan of the sensor from the start."""
-    for plot in (plot for plot in read_report_plots() if plot.figure == name and plot.method in ("average", "icp")):
-        every = {"tof.rate_hz": SENSOR_HZ, "tof.start_s": 0.0, "tower.section": section}
-        given = (plot.figure, plot.trajectory, plot.method)
-        flight, truth = experiment.simulate(ExperimentSettings.report(*given, overrides=every))
-        found = [corrected(method, flight, truth, plot) for method in OURS]
-        errors = [position_error_m(each, truth.trajectory) for each in (flight.prior, *found)]
-        told = (f"{1e3 * np.sqrt((e**2).mean()):.1f} / {1e3 * e.max():.0f}" for e in errors)
-        flown = f"{plot.figure} {plot.trajectory}, {plot.noise} | {len(flight)}"
-        print(f"| {flown} | {' | '.join(told)} |", flush=True)
+    for plot in (plot for plot in read_report_plots() if plot.figure == figure and plot.method in ("average", "icp")):
+        for origin in ("corner", "centre"):
+            every = {"tof.samples": (), "tof.pixel_origin": origin}
+            given = (plot.figure, plot.trajectory, plot.method)
+            errors = []
+            for method in OURS:
+                settings = ExperimentSettings.report(*given, method, every)
+                flight, truth = experiment.simulate(settings)
+                found = experiment.estimate(settings, flight, truth)
+                errors.append(position_error_m(found.corrected, truth.trajectory))
+            raw = position_error_m(flight.prior, truth.trajectory)
+            told = (f"{1e3 * np.sqrt((e**2).mean()):.1f} / {1e3 * e.max():.0f}" for e in (raw, *errors))
+            half = "with" if origin == "corner" else "without"
+            print(f"| {plot.figure} {plot.trajectory}, {plot.noise} | {half} | {' | '.join(told)} |", flush=True)
+
+
+def points_in_view(flight: Flight, by_segments: bool, settings: ExperimentSettings) -> Array:
+    """Number of points that a program of the report takes from each scan."""
+    if by_segments:
+        crop = settings.odometry.preprocess.replace(floor_m=-1e6)
+        return np.array([
+            len(preprocess_scan(scan, T, np.eye(4), crop))
+            for scan, T in zip(flight.scans, flight.prior.T_world_drone, strict=True)
+        ])  # fmt: skip
+    return np.array([np.isfinite(scan.points[..., 0]).sum() for scan in flight.scans])
+
+
+def detrended(values: Array) -> Array:
+    """Logarithms without their quadratic trend: a program slows down as its map grows."""
+    x = np.arange(len(values))
+    logs = np.log(values)
+    return np.asarray(logs - np.polyval(np.polyfit(x, logs, 2), x))
+
+
+def start() -> None:
+    """Print, for each plot of a slow program, the correlation of its time a sample with the points in view."""
+    for plot in (each for each in read_report_plots() if not each.steps_per_sample):
+        settings = ExperimentSettings.preset(
+            plot.flight or plot.trajectory,  # type: ignore[arg-type]
+            "none", "report-segments", "report", "report", plot.duration_s - 10.0, {"tof.sigma_floor_m": 0.0},
+        ).override({"flight.still_s": 0.0})  # fmt: skip
+        flight, _ = experiment.simulate(settings)
+        count = points_in_view(flight, plot.method == "average", settings)
+        time_s, took_s = STEP_S * plot.steps[:-1], STEP_S * np.diff(plot.steps)
+        shared = []
+        for rest_s in REST_S:
+            seen = np.interp(np.maximum(time_s - rest_s, 0.0), flight.prior.stamp_s, count)
+            shared.append(float(np.corrcoef(detrended(took_s), detrended(seen + 20.0))[0, 1]))
+        best = int(np.argmax(shared))
+        near = REST_S[np.array(shared) > max(shared) - 0.02]
+        print(
+            f"| {plot.name} | {REST_S[best]:g} s | {near.min():g}–{near.max():g} s | {shared[best]:.2f} "
+            f"| {shared[0]:.2f} |", flush=True,
+        )  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--section", choices=["angle", "round"], default="angle")
     parser.add_argument("--figures", nargs="+", default=["3.2", "3.3", "3.5", "3.6"])
-    parser.add_argument("--parts", nargs="+", choices=["plots", "ours"], default=["plots", "ours"])
+    parser.add_argument("--parts", nargs="+", choices=["ours", "start"], default=["ours", "start"])
     asked = parser.parse_args()
-    print(f"{machine()}; section {asked.section}\n")
-    if "plots" in asked.parts:
-        print("| plot | curve | the report | ours | mean, ours / report | end | correlation |")
-        print(f"{'|---' * 7}|")
-        for name in asked.figures:
-            figure(name, asked.section)
+    print(f"{machine()}\n")
     if "ours" in asked.parts:
-        print(f"\n| flight | scans | drift | {' | '.join(OURS)} |\n{'|---' * (3 + len(OURS))}|")
+        print(f"| flight | half pixel | drift | {' | '.join(OURS)} |\n{'|---' * (3 + len(OURS))}|")
         for name in asked.figures:
-            ours(name, asked.section)
+            ours(name)
+    if "start" in asked.parts:
+        print(f"\n| plot | best | within 0.02 | correlation | without rest |\n{'|---' * 5}|")
+        start()
 
 
 if __name__ == "__main__":

@@ -1,15 +1,18 @@
 """The whole method on one page: world → flight → drift → odometry → numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 from steelnb.cache import cached
 from steelnb.closed_loop import OnboardPilot
+from steelnb.errors import InputError
 from steelnb.metrics import score_estimate
 from steelnb.noise import drifting
 from steelnb.odometry import correct
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.presets import members_file
+from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation import (
     FORWARD,
     Truth,
@@ -113,10 +116,26 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
 
 
 def broken_off(settings: ExperimentSettings) -> Flight | None:
-    """The flight that was broken off before that of the settings (`ReportCloudSettings`), with every scan of the sensor
-    and with other noise of the sensor; None if there was none."""
+    """The run that was broken off before that of the settings (`ReportCloudSettings`): the drone at rest, every scan of
+    the
+    sensor, other noise of the sensor; None if there was none."""
     odometry = settings.odometry
     if not isinstance(odometry, ReportCloudSettings) or not odometry.broken_off_s:
         return None
-    flown = {"flight.duration_s": odometry.broken_off_s, "tof.samples": (), "tof.start_s": 0.0}
-    return simulate(settings.override({**flown, "tof.draw": settings.tof.draw + BROKEN_OFF_DRAW}))[0]
+    first_s, last_s = odometry.broken_off_s
+    still = {"tof.samples": (), "tof.start_s": first_s, "flight.duration_s": last_s + STEP_S, "flight.still_s": last_s}
+    return simulate(settings.override({**still, "tof.draw": settings.tof.draw + BROKEN_OFF_DRAW}))[0]
+
+
+def draws(settings: ExperimentSettings, count: int) -> Iterator[tuple[ExperimentSettings, Flight, Truth]]:
+    """``count`` draws of the sensor's noise on one flight, with the same drift: settings, flight and truth of each.
+
+    Draw 0 is that of the settings themselves. Rays are cast once. Raises `InputError` for a sensor with faults and for
+    a planned flight, whose scans depend on the noise in other ways."""
+    if settings.tof.faults or settings.flight.trajectory == "planned":
+        raise InputError("draws of the noise: expected a sensor without faults and a flight that is not planned")
+    exact, truth = simulate(settings.replace(tof=noise_free(settings.tof)))
+    for draw in range(settings.tof.draw, settings.tof.draw + count):
+        drawn = settings.override({"tof.draw": draw})
+        scans = add_noise(cast("RangeScans", exact.scans), drawn.tof, settings.seed)
+        yield drawn, replace(exact, scans=scans), truth

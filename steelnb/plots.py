@@ -67,11 +67,12 @@ PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHODS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
-    "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY, "points": "#c8c8c8",
-    "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
+    "draws": BLUE, "draw": INDIGO, "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY,
+    "points": "#c8c8c8", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in (METHODS | DETECTORS).items()} | {
+    "draws": "draws of the sensor's noise: median, 10 to 90 %", "draw": "one of them",
     "report": "the report's curve", "report-drift": "the report, no correction", "truth": "truth",
 }  # fmt: skip
 DASHES: Any = {name: (3, 1.5) if name == "none" else (1, 1) if name == "report-drift" else "" for name in COLOURS}
@@ -81,6 +82,12 @@ CURVES: dict[str, Any] = {
     "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
 }  # fmt: skip
 """How seaborn draws a table of `batch.curves`."""
+BANDS: dict[str, Any] = {
+    "x": "sample", "y": "error_m", "estimator": "median", "errorbar": ("pi", 80),
+    "hue": "curve", "hue_order": ["draws", "draw", "report"], "palette": COLOURS,
+    "size": "curve", "sizes": {"draws": 1.6, "draw": 0.7, "report": 2.0},
+}  # fmt: skip
+"""How seaborn draws a table of `batch.draw_programs`."""
 LOOK: Any = {
     "font.size": 11,
     "axes.titlesize": 12,

@@ -25,7 +25,8 @@ PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
 PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
-RESULTS = ("metrics.json", "provenance.json", "table.csv", "timing.csv", *PICTURES)
+TABLES = ("table.csv", "bands.csv", "curves.csv", "timing.csv")
+RESULTS = ("metrics.json", "provenance.json", *TABLES, *PICTURES)
 """Patterns of the files that a notebook writes. A new run removes those of an earlier one."""
 Item = TypeVar("Item")
 
@@ -37,17 +38,18 @@ def write_results(
     metrics: Mapping[str, float],
     figures: Mapping[str, "Figure"],
     timing: "DataFrame | None" = None,
+    further: Mapping[str, "DataFrame"] | None = None,
     files: Mapping[str, Callable[[Path], object]] | None = None,
     provenance: Mapping[str, Any],
 ) -> None:
     """Write the results of a notebook into the folder ``results_dir``. If that is empty, only show the figures.
 
     ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
-    fig_<name>.png, ``timing`` timing.csv with a description of the machine, and ``provenance`` (settings, seeds; no
-    times, hosts or paths) provenance.json, with versions and the hash of the lock. ``files`` maps further names, which
-    start with ``structure_``, to functions that write them. Equal values give equal bytes. Files are written to a
-    temporary folder and then renamed. Raises `OutputError`, and ValueError if a metric is not finite.
-    """
+    fig_<name>.png, each table in ``further`` <name>.csv (four digits; ``bands`` or ``curves``), ``timing`` timing.csv
+    with a description of the machine, and ``provenance`` (settings, seeds; no times, hosts or paths) provenance.json,
+    with versions and the hash of the lock. ``files`` maps further names, which start with ``structure_``, to functions
+    that write them. Equal values give equal bytes. Files are written to a temporary folder and then renamed. Raises
+    `OutputError`, and ValueError if a metric is not finite."""
     if not str(results_dir):
         _show_in_a_row(figures)
         return
@@ -56,6 +58,8 @@ def write_results(
         write_json(folder / "metrics.json", flat)
         write_json(folder / "provenance.json", {**provenance, **environment()})
         table.to_csv(folder / "table.csv", index=False, float_format="%.9g", lineterminator="\n")
+        for name, own in (further or {}).items():
+            own.to_csv(folder / f"{name}.csv", index=False, float_format="%.4g", lineterminator="\n")
         if timing is not None:
             described = timing if "machine" in timing else timing.assign(machine=machine())
             described.to_csv(folder / "timing.csv", index=False, float_format="%.9g", lineterminator="\n")

@@ -31,7 +31,7 @@ from steelnb.cache import CACHE_VARIABLE
 from steelnb.errors import InputError, SteelnbError
 from steelnb.files import new_folder
 from steelnb.parameters import FOLDER
-from steelnb.results import PROGRESS_VARIABLE, RESULTS, find_root, pictures, write_json
+from steelnb.results import PROGRESS_VARIABLE, RESULTS, TABLES, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
 
 EXECUTED = "executed.ipynb"
@@ -168,7 +168,7 @@ def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None
             provenance[kept.name] = json.loads((kept / "provenance.json").read_text(encoding="utf-8"))
             for path in pictures(kept):
                 shutil.copyfile(path, folder / (f"{path.stem}_{part}{path.suffix}" if part else path.name))
-        for name in ("table.csv", "timing.csv"):
+        for name in TABLES:
             tables = [kept / name for kept in folders.values() if (kept / name).is_file()]
             if tables:  # the text of the cells is kept
                 joined = pd.concat([pd.read_csv(table, dtype=str, keep_default_na=False) for table in tables])

@@ -71,10 +71,9 @@ def correct(
     """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
-    evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the odometry of the settings
-    (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU do not fit
-    the prior (`check_imu`).
-    """
+    evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the odometry of the
+    settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU
+    do not fit the prior (`check_imu`)."""
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
         check_imu(flight.imu, flight.prior)

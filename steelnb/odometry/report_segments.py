@@ -1,18 +1,17 @@
 """Segment odometry as in the report's program: its section 3.2, including the faults of its source code.
 
-Facts from the published source (`pointcloud_segmentation_node.cpp`, `hough_3d_lines.h`): each line of the Hough transform
-is taken as a segment or dropped, and never cut at gaps. The segments of a scan are placed at the drifting
+Facts from the published source (`pointcloud_segmentation_node.cpp`, `hough_3d_lines.h`): each line of the Hough
+transform is taken as a segment or dropped, and never cut at gaps. The segments of a scan are placed at the drifting
 position minus the error so far. Each is matched to the first bar that is near both its ends and overlaps it. The error
 then grows by a gain times the mean offset, but the logged position and the mapped segments are those before this
-update. The sensor's mount is ignored.
-"""
+update. The sensor's mount is ignored."""
 
 import math
 
 import numpy as np
 
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.hough import detect_lines
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.corrections import GAIN, across_of
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
@@ -24,9 +23,7 @@ FLOOR_M = 0.3
 """Segments with both ends below this height are dropped."""
 RADIUS_M = 0.05
 """Radius of every bar in the original."""
-LEAF_M = RADIUS_M / 1.5
-"""Edge of the voxels of a scan."""
-DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * LEAF_M
+DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * RADIUS_M / 1.5
 """Maximum distance of a segment's ends from the line of its bar: two radii and four voxel diagonals."""
 POINTS_PER_M = 5.0
 """Minimum number of points of a segment per metre, rounded down: 0.1 m of width in cells of two voxel diagonals, 1.5
@@ -74,33 +71,29 @@ class ReportSegmentOdometry(BaseOdometry):
 def sorted_segments(points: Array, settings: HoughSettings) -> Segments:
     """Segments of a scan's points ``(N, 3)``, drone frame, by the program's rule: each Hough line whole, or not at all.
 
-    A line is dropped if the distances of neighbouring points from the *drone* differ by more than ``gap_max_m`` (which
-    is less than their gap along the line, near the foot of the perpendicular), if the first or the last of its points,
-    in the order of the cloud, is farther than two `RADIUS_M` from it, if the share of its variance along the line is not
-    above ``pca_ratio_min``, or if it has too few points (`POINTS_PER_M`).
+    A line is dropped if the distances of neighbouring points from the *drone* differ by ``gap_max_m`` or more (which is
+    less than their gap along the line, near the foot of the perpendicular), if the share of its variance along the line
+    is not above ``pca_ratio_min``, or if it has too few points (`POINTS_PER_M`). The program also drops lines with a
+    radius above 0.1 m, but the transform gives none.
     """
     if len(points) < settings.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > settings.dx_m:
         return Segments.empty()
-    points = points[np.lexsort(np.floor(points / LEAF_M).T)]  # PCL's voxel grid sorts by z, then y, then x
     lines = detect_lines(points, settings.dx_m, settings.min_votes, settings.max_lines, settings.granularity)
     starts, ends, counts, radii = [], [], [], []
     for line, (anchor, direction) in enumerate(zip(lines.anchor, lines.direction, strict=True)):
         own = points[lines.label == line] - anchor
-        along = own @ direction
-        off_m = np.linalg.norm(own - along[:, None] * direction, axis=1)
-        t = np.sort(along)
+        t = np.sort(own @ direction)
         gap_m = np.abs(np.diff(np.linalg.norm(anchor + t[:, None] * direction, axis=1))).max()
         variance = np.linalg.eigvalsh(np.cov(own.T))
         if (
             gap_m < settings.gap_max_m
-            and max(off_m[0], off_m[-1]) <= 2 * RADIUS_M
             and variance[-1] > settings.pca_ratio_min * variance.sum()
             and len(own) > math.floor(POINTS_PER_M * (t[-1] - t[0]))
         ):
             starts.append(anchor + t[0] * direction)
             ends.append(anchor + t[-1] * direction)
             counts.append(len(own))
-            radii.append(math.sqrt((off_m**2).mean()))
+            radii.append(math.sqrt(variance[:-1].sum()))
     if not counts:
         return Segments.empty()
     return Segments(np.array(starts), np.array(ends), np.array(counts, dtype=np.int64), np.array(radii))

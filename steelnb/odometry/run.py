@@ -12,9 +12,7 @@ from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajec
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
 
-def run(
-    flight: Flight, odometry: Odometry, on_step: OnStep | None = None, before: Flight | None = None
-) -> Estimate:
+def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, before: Flight | None = None) -> Estimate:
     """Correct a flight scan by scan; one scan is in memory at a time.
 
     Parameters

@@ -1,9 +1,9 @@
 """Settings of the estimators, one class per family of methods, and of the reconstruction. Lengths in metres, angles in
 radians."""
 
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from steelnb.errors import InputError
 from steelnb.settings.base import (
@@ -203,13 +203,18 @@ class ReportCloudSettings(OdometrySettings):
     correction from the left. ``covariances``: GICP uses the neighbours' covariances instead of planes. ``solver``:
     `steelnb.registration.align` replaces PCL's solver.
 
-    ``broken_off_s``: seconds of an earlier flight that was broken off; the program kept running, and so kept its map and
-    its correction. 0 for none.
-    """
+    ``broken_off_s``: first and last second of the program in an earlier run that was broken off while the drone stood
+    on the ground; the program kept its map and its correction. Empty for none."""
 
     family: ClassVar[str] = "report_clouds"
     switched: tuple[CloudTrait, ...] = ()
-    broken_off_s: NotNegative = 0.0
+    broken_off_s: tuple[NotNegative, Positive] | tuple[()] = ()
+
+    @model_validator(mode="after")
+    def _breaks_off_after_its_start(self) -> Self:
+        if self.broken_off_s and not self.broken_off_s[0] < self.broken_off_s[1]:
+            raise ValueError(f"broken_off_s = {self.broken_off_s}: expected a start before its end")
+        return self
 
 
 class ReportSegmentSettings(OdometrySettings):

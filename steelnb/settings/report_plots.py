@@ -10,6 +10,7 @@ import numpy as np
 
 from steelnb.errors import InputError
 from steelnb.files import reading
+from steelnb.settings.base import as_tuples
 from steelnb.settings.presets import PRESETS, read_toml
 from steelnb.types import Array, IntArray
 
@@ -29,8 +30,8 @@ class ReportPlot:
     Samples ``first_sample``, ``first_sample + 1``, … of the plot's axis, ``samples`` of them, belong to this ``run``;
     one plot begins with an ``earlier`` run. If they are evenly spaced, sample ``first_sample + k`` was taken at the
     simulator's step ``first_step + k * steps_per_sample``, rounded; else `SAMPLES` has the steps. ``flight``: the
-    flight's preset, if its name is not the trajectory's. ``broken_off_s``: duration of an unlogged run before, whose map
-    and correction the program kept; 0 for none.
+    flight's preset, if its name is not the trajectory's. ``broken_off_s``: first and last second of an unlogged
+    run before, whose map and correction the program kept; empty for none.
     """
 
     figure: str
@@ -42,7 +43,7 @@ class ReportPlot:
     first_sample: int = 0
     first_step: int = 0
     steps_per_sample: float = 0.0
-    broken_off_s: float = 0.0
+    broken_off_s: tuple[float, float] | tuple[()] = ()
 
     @property
     def name(self) -> str:
@@ -65,7 +66,7 @@ class ReportPlot:
     def scans(self) -> IntArray:
         """The steps at which the program used a scan. The first scan of a program for clouds becomes its map, and is
         not logged; if the map was kept, there is no such scan."""
-        steps, logs_all = self.steps, self.method == "average" or self.broken_off_s > 0
+        steps, logs_all = self.steps, self.method == "average" or self.broken_off_s
         return steps if logs_all else np.append(steps[0] - SENSOR_STEPS, steps)
 
     @property
@@ -77,6 +78,11 @@ class ReportPlot:
         """Times ``(N,)``, s, at positions ``sample (N,)`` on the plot's axis; NaN outside this run."""
         number = self.first_sample + np.arange(self.samples)
         return np.asarray(STEP_S * np.interp(sample, number, self.steps, left=np.nan, right=np.nan))
+
+    def sample_at(self, time_s: Array) -> Array:
+        """Positions ``(N,)`` on the plot's axis at times ``time_s (N,)``; NaN outside this run."""
+        number = self.first_sample + np.arange(self.samples)
+        return np.asarray(np.interp(time_s, STEP_S * self.steps, number, left=np.nan, right=np.nan))
 
     @classmethod
     def find(cls, figure: str, trajectory: str, method: str, run: str = "") -> "ReportPlot":
@@ -95,7 +101,7 @@ class ReportPlot:
 @cache
 def read_report_plots() -> tuple[ReportPlot, ...]:
     """All plots of ``presets/report-plots.toml``; an earlier run is a plot of its own, before the one that it is in."""
-    return tuple(ReportPlot(**values) for values in read_toml(PRESETS / "report-plots.toml")["plot"])
+    return tuple(ReportPlot(**as_tuples(values)) for values in read_toml(PRESETS / "report-plots.toml")["plot"])
 
 
 @cache

@@ -32,8 +32,8 @@ def scan_flight(
     trajectory: true poses of the drone at equal time steps, the first at t = 0.
     settings: pinhole, mount, rate, noise, limits and faults of the sensor, whose optical axis is its x axis.
     seed: scan k takes its noise from the stream ``("tof", k)``, so a longer flight begins with the scans of a shorter
-        one, and ``draw`` k > 0 from ``("tof", k, "draw", draw)``. The faults of the camera come from ``("tof-camera",)``,
-        its random rays from ``("tof-rays", k)``.
+        one, and ``draw`` k > 0 from ``("tof", k, "draw", draw)``. The faults of the camera come from
+        ``("tof-camera",)``, its random rays from ``("tof-rays", k)``.
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """

@@ -215,12 +215,46 @@ def segments(monkeypatch):
 
         def found(points, hough):
             bars = BARS + odometry.seen_at
-            return Segments(bars[:, 0], bars[:, 1], np.full(len(BARS), 60), np.full(len(BARS), 0.01)), 0.0
+            return Segments(bars[:, 0], bars[:, 1], np.full(len(BARS), 60), np.full(len(BARS), 0.01))
 
-        monkeypatch.setattr(report_segments, "timed_segments", found)
+        monkeypatch.setattr(report_segments, "sorted_segments", found)
         return odometry
 
     return make
+
+
+def rod(start, end, spacing_m=0.02, scatter_m=0.0, seed=0):
+    """Points along a bar, drone frame."""
+    count = int(np.linalg.norm(np.subtract(end, start)) / spacing_m)
+    points = np.linspace(start, end, count)
+    return points + np.random.default_rng(seed).normal(0, scatter_m, points.shape)
+
+
+def sort(points, **changes):
+    settings = OdometrySettings.preset("report-segments", "report").hough.replace(**changes)
+    return report_segments.sorted_segments(points, settings)
+
+
+def test_a_line_is_taken_whole_or_not_at_all():
+    one = rod([1.2, -0.6, 0.5], [1.2, 0.6, 0.5])
+    assert sort(one).length == pytest.approx([1.2], abs=1e-6)
+    # A gap of 0.4 m along the line, beside the drone: its ends are equally far away, so the program does not see it.
+    both = np.concatenate([rod([1.2, -0.8, 0.0], [1.2, -0.2, 0.0]), rod([1.2, 0.2, 0.0], [1.2, 0.8, 0.0])])
+    assert sort(both).length == pytest.approx([1.6], abs=1e-6)
+    # The same gap away from the foot of the perpendicular: nothing is cut, the whole line is dropped.
+    apart = np.concatenate([rod([1.2, 0.1, 0.0], [1.2, 0.5, 0.0]), rod([1.2, 0.9, 0.0], [1.2, 1.4, 0.0])])
+    assert not len(sort(apart))
+    assert len(sort(apart, gap_max_m=0.5)) == 1
+
+
+def test_lines_that_are_short_of_points_or_wide_are_dropped():
+    sparse = rod([1.0, -0.9, 0.5], [1.0, 0.9, 0.5], spacing_m=0.11)
+    assert len(sparse) == 16
+    assert len(sort(sparse)) == 1
+    assert not len(sort(sparse[:-1] * [1, 1.9, 1], gap_max_m=0.4)), "15 points on 3.2 m, fewer than five a metre"
+    wide = rod([1.2, -0.3, 0.5], [1.2, 0.3, 0.5], scatter_m=0.03)
+    assert not len(sort(wide)), "less than 99.5 % of its variance lies along it"
+    assert len(sort(wide, pca_ratio_min=0.9)) == 1
 
 
 def test_a_step_of_segments_is_half_the_mean_offset_across_and_counts_from_the_next_scan(segments):

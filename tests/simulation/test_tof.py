@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from steelnb.errors import InputError
 from steelnb.settings import FlightSettings, TofSettings
+from steelnb.settings.report_plots import ReportPlot
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.paths import pose_on_path
 from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
-from steelnb.simulation.tof import RANGE_MIN_M, measured_ranges
+from steelnb.simulation.tof import RANGE_MIN_M, add_noise, measured_ranges, noise_free, reported_rays
 from steelnb.types import Trajectory
 
 TOWER = build_tower()
@@ -186,12 +188,12 @@ def test_noise_has_the_sigma_of_its_settings(flight):
 def test_noise_on_the_depth_is_the_same_at_the_corner_as_at_the_centre():
     """A wall ahead: each pixel's depth has the noise and the limits, and its range is the depth over the cosine."""
     sensor = TofSettings.preset("report")
-    ahead = rays(sensor)[..., 0]
+    ahead, reported = rays(sensor)[..., 0], reported_rays(sensor)[..., 0]
 
     def measured(depth_m, seed=0):
         return measured_ranges((depth_m / ahead).astype(np.float32), sensor, np.random.default_rng(seed))
 
-    depth = np.array([measured(2.0, seed) for seed in range(400)]) * ahead
+    depth = np.array([measured(2.0, seed) for seed in range(400)]) * reported
     corner, middle = depth[:, :8, :8], depth[:, 28:36, 28:36]
     assert ahead[:8, :8].max() < 0.5
     for part in (corner, middle):
@@ -200,6 +202,72 @@ def test_noise_on_the_depth_is_the_same_at_the_corner_as_at_the_centre():
     assert np.isfinite(measured(3.99)).all()  # though ranges reach 8 m
     assert np.isnan(measured(4.01)).all()
     assert np.isnan(measured(RANGE_MIN_M - 0.01)).all()
+
+
+def test_the_report_s_driver_places_points_half_a_pixel_too_far_left_and_up(flight):
+    report = TofSettings.preset("report").replace(sigma_floor_m=0.0, range_max_m=6.0)
+    assert (report.pixel_origin, TofSettings.preset("starling2").pixel_origin) == ("corner", "centre")
+    at_corner, at_centre = (
+        scan_flight(TOWER, flight, report.replace(pixel_origin=origin), 1)[0][3].points
+        for origin in ("corner", "centre")
+    )
+    off, depth = at_corner - at_centre, at_centre[..., 0]
+    assert np.isfinite(depth).sum() > 300
+    np.testing.assert_array_equal(np.isfinite(at_corner), np.isfinite(at_centre))
+    half_pixel = np.tan(1.02) / 64  # of the depth
+    np.testing.assert_allclose(off[..., 0], np.where(np.isfinite(depth), 0.0, np.nan), atol=1e-5)
+    np.testing.assert_allclose(off[..., 1:], (half_pixel * depth)[..., None].repeat(2, axis=2), atol=1e-5)
+    assert half_pixel == pytest.approx(0.5 / 19.65, rel=2e-3)
+    along_ray = report.replace(noise_on="range")
+    points = scan_flight(TOWER, flight, along_ray, 1)[0][3].points
+    both = np.isfinite(points) & np.isfinite(at_corner)
+    np.testing.assert_allclose(points[both], at_corner[both], atol=1e-5)
+
+
+def test_draws_of_the_noise_share_the_flight_and_differ_in_nothing_else(flight):
+    for sensor in ("report", "starling2"):
+        tof = TofSettings.preset(sensor).replace(columns=30, rows=30, rate_hz=2.0)
+        exact = scan_flight(TOWER, flight, noise_free(tof), 1)[0]
+        scans = [scan_flight(TOWER, flight, tof.replace(draw=draw), 1)[0].range_m for draw in (0, 1, 2)]
+        for draw, range_m in enumerate(scans):
+            np.testing.assert_array_equal(range_m, add_noise(exact, tof.replace(draw=draw), 1).range_m)
+            np.testing.assert_array_equal(np.isnan(range_m), np.isnan(exact.range_m))
+        noise = np.array(scans) - exact.range_m
+        seen = noise[:, np.isfinite(exact.range_m)]
+        assert np.abs(np.corrcoef(seen) - np.eye(3)).max() < 0.1
+        assert 0.005 < seen.std() < 0.05
+
+
+def test_scans_are_taken_at_given_steps_or_at_those_of_a_plot(flight):
+    sensor = TofSettings.preset("report").replace(rows=2, columns=2, samples=(3, 8, 700, 1000))
+    scans = scan_flight(TOWER, flight, sensor, 1)[0]
+    np.testing.assert_allclose(scans.stamp_s, np.array([3, 8, 700, 1000]) * 0.008)
+    later = sensor.replace(start_s=5.0)
+    np.testing.assert_allclose(scan_flight(TOWER, flight, later, 1)[0].stamp_s, np.array([700, 1000]) * 0.008)
+    plot = ReportPlot.named("3.6 vertical gicp")
+    of_plot = scan_flight(TOWER, flight, sensor.replace(samples=plot.name), 1)[0].stamp_s / 0.008
+    assert of_plot[0] == plot.steps[0] - 26, "the unlogged first scan"
+    np.testing.assert_allclose(of_plot[1:], plot.steps[plot.steps < 1250])
+
+
+@pytest.mark.parametrize(
+    ("samples", "says"),
+    [
+        ((5, 5), "scan 1 at step 5, step 5 before it: expected steps that increase"),
+        ((-1, 5), "scan 0 at step -1, no step below 0"),
+        ("3.5 loops gicp", r"plot 3\.5 loops gicp: expected one of 3\.2 vertical average; "),
+        ((1, 2.5), "samples"),
+    ],
+)
+def test_bad_sample_steps_are_refused_in_a_line(samples, says):
+    with pytest.raises(InputError, match=says) as caught:
+        TofSettings.preset("report").replace(samples=samples)
+    assert "\n" not in str(caught.value)
+
+
+def test_half_a_pixel_needs_an_image():
+    with pytest.raises(InputError, match=r"pixel_origin = 'corner' with 1 x 64 pixels: expected an image"):
+        TofSettings.preset("report").replace(columns=1)
 
 
 def test_the_report_s_sensor_scans_every_26_steps_from_its_start(flight):

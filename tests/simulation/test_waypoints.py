@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import CollisionError
+from steelnb.errors import CollisionError, InputError
 from steelnb.settings import FlightSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.paths import minimum_jerk, pose_on_path
@@ -10,14 +10,16 @@ REPORT = ("vertical", "orbit", "orbit-3.3")
 
 
 def at(name, *seconds):
-    return minimum_jerk(FlightSettings.preset(name), np.array(seconds, dtype=float))[0]
+    """Poses at seconds since the start of the path."""
+    flight = FlightSettings.preset(name)
+    return minimum_jerk(flight, flight.still_s + np.array(seconds, dtype=float))[0]
 
 
 @pytest.mark.parametrize("name", REPORT)
 def test_the_path_is_smooth_passes_each_waypoint_in_its_time_and_is_at_rest_there(name):
     flight = FlightSettings.preset(name)
     point = np.array(flight.waypoints)
-    pose, rate, acceleration = minimum_jerk(flight, np.cumsum(point[:, 4]))
+    pose, rate, acceleration = minimum_jerk(flight, flight.still_s + np.cumsum(point[:, 4]))
     np.testing.assert_allclose(pose[:, :3], point[:, :3], atol=1e-12)
     turned = pose[:, 3] - np.radians(point[:, 3])
     np.testing.assert_allclose(np.exp(1j * turned), 1, atol=1e-12)
@@ -39,12 +41,46 @@ def test_the_vertical_flight_has_the_report_s_positions():
     assert 0.5 < end[0] < 1.0
 
 
+@pytest.mark.parametrize("name", [*REPORT, "zigzag"])
+def test_the_drone_stands_still_before_it_flies(name):
+    flight = FlightSettings.preset(name, 14.0).replace(still_s=6.0, gust_sigma_m_s=0.5)
+    flown, imu = fly(build_tower(), flight, 3)
+    still = flown.stamp_s <= (5.0 if name == "zigzag" else 6.0)  # a rounded path begins a second early
+    np.testing.assert_allclose(flown.position[still], flown.position[:1].repeat(still.sum(), axis=0), atol=1e-9)
+    np.testing.assert_allclose(imu.angular_rate[still], 0, atol=1e-9)
+    assert np.linalg.norm(flown.position[-1] - flown.position[0]) > 0.1
+    moved = fly(build_tower(), flight.replace(still_s=0.0, gust_sigma_m_s=0.0, duration_s=8.0), 3)[0]
+    calm = fly(build_tower(), flight.replace(gust_sigma_m_s=0.0), 3)[0]
+    np.testing.assert_allclose(calm.position[-1], moved.position[-1], atol=2e-3)
+
+
+def test_a_flight_that_only_stands_is_refused():
+    with pytest.raises(InputError, match=r"still_s = 8: expected less than the flight's 5 s"):
+        FlightSettings(duration_s=5.0, still_s=8.0)
+    with pytest.raises(InputError, match=r"still_s = 2: a pilot steers a planned flight from the start"):
+        FlightSettings.preset("planned").replace(still_s=2.0)
+
+
+def test_the_orbit_climbs_at_the_corner_behind_the_first_face():
+    """As in the published file: level 1 flies the first face twice, and each climb begins at (2.5, 2.5)."""
+    np.testing.assert_allclose(at("orbit", 20)[0, :3], [2.5, 2.5, 0.6], atol=1e-9)
+    for k, height in enumerate((0.6, 2, 4, 6)):
+        before, after, next_corner = at("orbit", 120 + 100 * k, 125 + 100 * k, 145 + 100 * k)
+        np.testing.assert_allclose(before[:3], [2.5, 2.5, height], atol=1e-9)
+        np.testing.assert_allclose(after[:3], [2.5, 2.5, (2, 4, 6, 8)[k]], atol=1e-9)
+        np.testing.assert_allclose(next_corner[:2], [2.5, -2.5], atol=1e-9)
+    np.testing.assert_allclose(at("orbit", 500, 545)[:, :3], [[-2.5, 2.5, 8], [0.5, 2.5, 0.1]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
-    ("name", "heights", "level_s"), [("orbit", (0.6, 2, 4, 6, 8), 100), ("orbit-3.3", np.linspace(0.6, 7, 6), 34)]
+    ("name", "heights", "first_s", "level_s"),
+    [("orbit", (0.6, 2, 4, 6, 8), 25, 100), ("orbit-3.3", np.linspace(0.6, 7, 6), 8.5, 34)],
 )
-def test_the_orbits_look_at_the_faces_at_their_heights(name, heights, level_s):
+def test_the_orbits_look_at_the_faces_at_their_heights(name, heights, first_s, level_s):
     for level, height in enumerate(heights):
-        sides = (level + np.array([0.26, 0.4, 0.52, 0.68, 0.77, 0.94])) * level_s  # on the last three of four sides
+        sides = (
+            first_s + (level + np.array([0.05, 0.15, 0.26, 0.4, 0.52, 0.68])) * level_s
+        )  # on three of the four sides
         x, y, z, heading = at(name, *sides).T
         np.testing.assert_allclose(z, height, atol=1e-9)
         ahead, across = np.cos(heading) * x + np.sin(heading) * y, np.sin(heading) * x - np.cos(heading) * y
