@@ -3,9 +3,8 @@
     PYTHONPATH=. .venv/bin/python benchmarks/report-peers.py [--repeats 3] [--traits 3.5 vertical gicp]
 
 Prints the tables of report-peers.md. Builds `pcl-peer.cpp` first, which takes a minute and Debian's libpcl-dev, g++ and
-pkg-config. Both programs get the same scans and the same drifting poses, in a few draws of the sensor's noise: PCL stops
-GICP where single precision hides the gradient, so that micrometres decide what it finds.
-"""
+pkg-config. Both programs get the same scans and the same drifting poses, in a few draws of the sensor's noise: PCL
+stops GICP where single precision hides the gradient, so that micrometres decide what it finds."""
 
 import argparse
 import subprocess

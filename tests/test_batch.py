@@ -6,6 +6,7 @@ import pytest
 
 from steelnb import batch, experiment
 from steelnb.errors import InputError
+from steelnb.metrics import position_error_m
 from steelnb.metrics.basin import find_basin
 from steelnb.row import paired_clouds
 from steelnb.settings import ExperimentSettings
@@ -95,3 +96,56 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
         assert plot.samples == count
         assert time_s.min() >= 0.008 * plot.steps[0] - 1e-9, "nothing of the other run"
         assert time_s.max() <= 0.008 * plot.steps[-1] + 1e-9
+
+
+def test_a_band_holds_its_draws_and_says_where_the_report_lies():
+    short = {"duration_s": 27.0, "overrides": {"tof.start_s": 20.0}}
+    cases = batch.report_cases(["vertical"], "random-walk", {"gicp": ["report-gicp"]}, **short)
+    drawn = batch.draw_programs(cases, 3)
+    assert set(drawn["curve"]) == {"draws", "draw", "report"}
+    ours = drawn[drawn["curve"] == "draws"].pivot(index="sample", columns="draw", values="error_m")
+    assert ours.shape[1] == 3
+    assert (ours.std(axis=1) > 0).all(), "draws differ"
+    flight, truth = experiment.simulate(cases[0])
+    alone = position_error_m(experiment.estimate(cases[0], flight, truth).corrected, truth.trajectory)
+    np.testing.assert_array_equal(ours[0], alone)  # draw 0 is the run itself
+    (row,) = batch.band_table(drawn).to_dict("records")
+    shown = drawn[drawn["curve"] == "report"]
+    means = [np.interp(shown["sample"], ours.index, ours[draw]).mean() for draw in ours]
+    assert row["mean_m"] == pytest.approx(np.median(means))
+    assert (row["mean_low_m"], row["mean_high_m"]) == pytest.approx(np.percentile(means, [10, 90]))
+    assert row["report_mean_m"] == pytest.approx(shown["error_m"].mean())
+    assert row["share_below"] == np.mean(np.array(means) < row["report_mean_m"])
+    curves = batch.band_curves(drawn)
+    assert (curves["low_m"] <= curves["median_m"]).all()
+    np.testing.assert_allclose(curves["draw_m"], ours[0])
+    with pytest.raises(InputError, match="draws = 1: expected at least two"):
+        batch.draw_programs(cases, 1)
+    faulty = cases[0].override({"tof.faults": ["footprint"]})
+    with pytest.raises(InputError, match="draws of the noise: expected a sensor without faults"):
+        batch.draw_programs([faulty], 2)
+
+
+def test_the_earlier_run_of_a_plot_is_flown_before_it():
+    cases = batch.report_cases(["vertical"], "random-walk", {"icp-3dof": ["report-icp-3dof"], "gicp": ["report-gicp"]})
+    earlier, main, gicp = batch.with_earlier_runs(cases)
+    assert [batch.plot_of(each).run for each in (earlier, main, gicp)] == ["earlier", "", ""]
+    assert (batch.plot_of(earlier).samples, earlier.flight.duration_s) == (415, pytest.approx(90.6, abs=0.1))
+
+
+def test_a_program_keeps_map_and_correction_of_a_run_that_was_broken_off():
+    plot = ExperimentSettings.report("3.6", "orbit", "icp", "report-icp")
+    settings = plot.override({"flight.duration_s": 9.0})
+    assert settings.odometry.broken_off_s == (13.8, 16.8)
+    before = experiment.broken_off(settings)
+    np.testing.assert_allclose(before.scans.stamp_s[[0, -1]], [13.8, 16.8], atol=0.2)
+    moved = before.prior.position[-1] - before.prior.position[0]
+    np.testing.assert_allclose(moved, [0.0186, -0.0052, 0.0243], atol=2e-3)  # the drift; the drone stood
+    flight, truth = experiment.simulate(settings)
+    error = position_error_m(experiment.estimate(settings, flight, truth).corrected, truth.trajectory)
+    assert error[0] == pytest.approx(0.143, abs=0.02), "the drift at the first scan of the map, as in the report's plot"
+    alone = settings.override({"broken_off_s": ()})
+    assert position_error_m(experiment.estimate(alone, flight, truth).corrected, truth.trajectory)[0] < 0.06
+    assert experiment.broken_off(alone) is None
+    with pytest.raises(InputError, match=r"broken_off_s = \(5.0, 4.0\): expected a start before its end"):
+        settings.override({"broken_off_s": (5.0, 4.0)})

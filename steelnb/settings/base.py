@@ -49,17 +49,20 @@ class Settings(BaseModel):
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
     def override(self, overrides: dict[str, Any]) -> Self:
-        """A copy with single settings changed, each named ``setting`` or ``table.setting``. A whole table, such as
-        ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
-        changed = self
+        """A copy with single settings changed together, each named ``setting`` or ``table.setting``. A whole table,
+        such
+        as ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
+        changes: dict[str, Any] = {}
+        inner: dict[str, dict[str, Any]] = {}
         for path, value in overrides.items():
-            name, _, inner = path.partition(".")
-            table = getattr(changed, name, None)
-            if inner and isinstance(table, Settings):
-                changed = changed.replace(**{name: table.override({inner: value})})
+            name, _, rest = path.partition(".")
+            if rest and isinstance(getattr(self, name, None), Settings):
+                inner.setdefault(name, {})[rest] = value
             else:
-                changed = changed.replace(**{path: as_tuples(value)})
-        return changed
+                changes[path] = as_tuples(value)
+        changed = self.replace(**changes) if changes.keys() & inner.keys() else self
+        tables = {name: getattr(changed, name).override(some) for name, some in inner.items()}
+        return changed.replace(**{**changes, **tables})
 
 
 OrNone = BeforeValidator(lambda value: None if value is False else value)
