@@ -27,6 +27,7 @@ from steelnb.files import new_folder, reading
 from steelnb.row import CASE, CURVES, TIMES, case_of, make_row
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport
+from steelnb.settings.presets import members_file
 
 KEPT = Path(".cache", "runs")
 """Folder of cached rows, below the current one."""
@@ -112,8 +113,8 @@ def read_grids(path: Path) -> list[Run]:
 def run_all(
     runs: Iterable[Run | ExperimentSettings], jobs: int | None = None, folder: Path | str = KEPT
 ) -> pd.DataFrame:
-    """The table of some runs, sorted by `CASE`, with the columns `CASE`, ``key``, ``status``, ``error`` and those of
-    `row.make_row`.
+    """The table of some runs, sorted by `CASE`, with the columns `CASE`, ``tower`` (`tower_name`), ``key``, ``status``,
+    ``error`` and those of `row.make_row`.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ def run_all(
     table = pd.DataFrame([row for some in rows for row in some])
     if table["seed"].dtype == object:  # "report" is among the seeds
         table["seed"] = table["seed"].astype(str)
-    first = [*CASE, "key", "status", "error"]
+    first = [*CASE, "tower", "key", "status", "error"]
     last = [name for name in (*CURVES, *TIMES) if name in table]
     numbers = sorted(set(table) - {*first, *last})
     return table[[*first, *numbers, *last]].sort_values(list(CASE), ignore_index=True)
@@ -154,7 +155,7 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
     flown, rows = cache(partial(experiment.simulate, runs[0].settings)), []
     for run in runs:
         settings, text = run.settings, run.settings.model_dump_json()
-        named = {**run.case, "key": run.key, "status": "ok", "error": ""}
+        named = {**run.case, "tower": tower_name(settings), "key": run.key, "status": "ok", "error": ""}
         try:
             row = cached(partial(make_row, settings, flown), "row", text, experiment.world(settings), folder=folder)
         except Exception:
@@ -163,6 +164,14 @@ def _rows_of_flight(runs: Sequence[Run], folder: str, sources: str) -> list[dict
             row = {"status": "failed", "error": error}
         rows.append({**named, **row})
     return rows
+
+
+def tower_name(settings: ExperimentSettings) -> str:
+    """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an older
+    list
+    are told apart. Empty for a tower that is built from its dimensions."""
+    members = settings.tower.members
+    return f"{members} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}" if members else ""
 
 
 def curves(table: pd.DataFrame) -> pd.DataFrame:
