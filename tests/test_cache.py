@@ -28,7 +28,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     for name in ("fly", "correct"):
         call = getattr(experiment, name)
-        monkeypatch.setattr(experiment, name, lambda *a, name=name, call=call: (found.append(name), call(*a))[1])
+        counted = lambda *a, name=name, call=call, **kw: (found.append(name), call(*a, **kw))[1]  # noqa: E731
+        monkeypatch.setattr(experiment, name, counted)
     return found
 
 
@@ -75,6 +76,8 @@ def test_cached_flights_and_estimates_are_the_same_bits(folder, made, monkeypatc
         ({"noise_name": "random-walk:0.5"}, ["correct"]),
         ({"imu": {"gyro_noise": 1e-3}}, ["correct"]),
         ({"hough.dx_m": 0.05}, ["correct"]),
+        ({"tof.sigma_floor_m": 0.02}, ["correct"]),
+        ({"tof.draw": 3}, ["correct"]),
         ({"tof.blind_s": [[1.0, 2.0]]}, ["fly", "correct"]),
         ({"tof.faults": ["footprint"]}, ["fly", "correct"]),
         ({"flight.gust_sigma_m_s": 0.01}, ["fly", "correct"]),

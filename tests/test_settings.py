@@ -164,6 +164,24 @@ def test_the_experiment_behind_each_plot_of_the_report_has_its_scans():
         ExperimentSettings.report("3.4", "vertical", "icp")
 
 
+def test_samples_lie_within_the_flight():
+    settings = ExperimentSettings.preset("zigzag", duration_s=5.0, overrides={"tof.samples": [0, 100, 625]})
+    assert settings.tof.samples == (0, 100, 625)
+    with pytest.raises(
+        InputError, match=r"tof\.samples ends at step 626, 5\.008 s: expected it within the flight's 5 s"
+    ):
+        settings.override({"tof.samples": [0, 626]})
+
+
+def test_related_settings_are_changed_together_whatever_their_order():
+    plain = ExperimentSettings.preset("zigzag", duration_s=5.0)
+    for changes in ({"tof.start_s": 8.0, "flight.duration_s": 9.0}, {"flight.duration_s": 9.0, "tof.start_s": 8.0}):
+        changed = plain.override(changes)
+        assert (changed.tof.start_s, changed.flight.duration_s) == (8.0, 9.0)
+    with pytest.raises(InputError, match=r"tof\.start_s = 8: expected less than the flight's 5 s"):
+        plain.override({"tof.start_s": 8.0})
+
+
 def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
     own = tmp_path / "mine.toml"
     text = (PRESETS / "sensors" / "starling2.toml").read_text()

@@ -45,6 +45,8 @@ OWN = dict.fromkeys(THREADS, "1") | {
 }  # fmt: skip
 """Environment variables of a kernel: one thread, and nothing from the user's own set-up."""
 BEGIN, END = "<!-- table -->", "<!-- /table -->"
+BANDS = ("segmentation-odometry-draws", "cloud-odometry-draws")
+"""Experiments whose bands docs/report.md shows."""
 
 
 def cache_folder(root: Path, folder: Path) -> Path:
@@ -179,10 +181,9 @@ def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None
 
 
 def write_overview(root: Path, folder: Path) -> None:
-    """Write one row per experiment with results below ``folder`` between the marks in its README.md, if it has one."""
-    readme = folder / "README.md"
-    if not readme.is_file():
-        return
+    """Write one row per experiment with results below ``folder`` into its README.md, and the report's plots beside
+    their
+    bands into docs/report.md, if these pages are there."""
     rows = ["| Experiment | Notebook | Figures | Numbers |", "|---|---|---|---|"]
     for id, each in read_experiments(root).items():
         if (folder / id / "metrics.json").is_file():
@@ -191,9 +192,31 @@ def write_overview(root: Path, folder: Path) -> None:
             title = f"**{each.title}.** {each.about}" + f" The report's figures: {each.figures}." * bool(each.figures)
             notebook = f"[{each.notebook[:2]}](../notebooks/{each.notebook})"
             rows.append(f"| {title} | {notebook} | {shown} | [metrics]({id}/metrics.json), [table]({id}/table.csv) |")
-    before, _, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
-    text = "\n".join([before + BEGIN, "", *rows, "", END + rest.partition(END)[2]])
-    readme.write_text(text, encoding="utf-8")
+    _fill(folder / "README.md", rows)
+    if folder == root / "results":
+        bands = [folder / id / "bands.csv" for id in BANDS]
+        _fill(root / "docs" / "report.md", _report_rows([pd.read_csv(path) for path in bands if path.is_file()]))
+
+
+def _report_rows(bands: Sequence[pd.DataFrame]) -> list[str]:
+    """The rows of docs/report.md, from tables of `batch.band_table`."""
+    head = "| plot | the report: mean / max / end | ours: mean (10 to 90 %) / max / end | below | shape | agrees |"
+    rows = [head, "|---|---|---|---|---|---|"]
+    for row in itertools.chain.from_iterable(table.itertuples() for table in bands):
+        band = f"{row.mean_m:.3f} ({row.mean_low_m:.3f} to {row.mean_high_m:.3f})"
+        rows.append(
+            f"| {row.plot} | {row.report_mean_m:.3f} / {row.report_max_m:.3f} / {row.report_final_m:.3f}"
+            f" | {band} / {row.max_m:.3f} / {row.final_m:.3f} | {row.share_below:.0%} | {row.correlation:.2f}"
+            f" | {'yes' if row.as_in_the_report else 'no'} |"
+        )
+    return rows
+
+
+def _fill(page: Path, rows: Sequence[str]) -> None:
+    """Write rows between the marks of a page, if it is there."""
+    if page.is_file():
+        before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+        page.write_text("\n".join([before + BEGIN, "", *rows, "", END + rest.partition(END)[2]]), encoding="utf-8")
 
 
 @contextlib.contextmanager
