@@ -61,7 +61,10 @@ def detrended(values: Array) -> Array:
 
 
 def start() -> None:
-    """Print, for each plot of a slow program, the correlation of its time a sample with the points in view."""
+    """Print, for each plot of a slow program, the correlation of its time a sample with the points in view, and the
+    rest
+    that is likeliest for all plots of a trajectory."""
+    together: dict[str, Array] = {}
     for plot in (each for each in read_report_plots() if not each.steps_per_sample):
         settings = ExperimentSettings.preset(
             plot.flight or plot.trajectory,  # type: ignore[arg-type]
@@ -74,12 +77,17 @@ def start() -> None:
         for rest_s in REST_S:
             seen = np.interp(np.maximum(time_s - rest_s, 0.0), flight.prior.stamp_s, count)
             shared.append(float(np.corrcoef(detrended(took_s), detrended(seen + 20.0))[0, 1]))
+        trajectory = plot.flight or plot.trajectory
+        likelihood = -0.5 * len(took_s) * np.log(1 - np.square(shared))  # of a Gaussian scatter about the trend
+        together[trajectory] = together.get(trajectory, 0.0) + likelihood
         best = int(np.argmax(shared))
         near = REST_S[np.array(shared) > max(shared) - 0.02]
         print(
             f"| {plot.name} | {REST_S[best]:g} s | {near.min():g}–{near.max():g} s | {shared[best]:.2f} "
             f"| {shared[0]:.2f} |", flush=True,
         )  # fmt: skip
+    for trajectory, likelihood in together.items():
+        print(f"| {trajectory}, all | {REST_S[int(np.argmax(likelihood))]:g} s | | | |")
 
 
 def main() -> None:

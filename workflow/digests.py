@@ -53,7 +53,7 @@ SETTINGS: dict[str, Any] = {
         "starling2": ["zigzag", "loops"],
         "starling2-honest": ["zigzag", "loops"],
     },
-    "start_s": {"vertical": 26.5, "orbit": 11.5},  # of the scans: earlier, the tower is out of sight
+    "start_s": {"vertical": 24.5, "orbit": 9.5},  # of the scans: earlier, the tower is out of sight
     "noise": "random-walk+yaw-random-walk",
     "seed": 7,
     "scans": 12,

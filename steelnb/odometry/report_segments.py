@@ -35,7 +35,8 @@ WEIGHT = 0.01
 class ReportSegmentOdometry(BaseOdometry):
     """Corrects a drifting position by bars, as the report's program does. The attitude is the prior's.
 
-    The default settings are those of the report's sensor. ``error (3,)``: position error so far, metres, world frame.
+    The default settings are those of the report's sensor. ``error (3,)``: position error so far, metres, world frame;
+    ``lines``: number of Hough lines in the last scan.
     """
 
     kind, method = ReportSegmentSettings, "report-segments"
@@ -45,12 +46,12 @@ class ReportSegmentOdometry(BaseOdometry):
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings or OdometrySettings.preset(self.method, "report"), T_drone_sensor)
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
-        self.bars, self.error = ReportBars(), np.zeros(3)
+        self.bars, self.error, self.lines = ReportBars(), np.zeros(3), 0
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
         watch.lap("preprocess")
-        found = sorted_segments(points, self.settings.hough)
+        found, self.lines = sorted_segments(points, self.settings.hough)
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] -= self.error
         segments = found.transformed(T_world_drone)
@@ -68,8 +69,9 @@ class ReportSegmentOdometry(BaseOdometry):
         return self.bars.segments()
 
 
-def sorted_segments(points: Array, settings: HoughSettings) -> Segments:
-    """Segments of a scan's points ``(N, 3)``, drone frame, by the program's rule: each Hough line whole, or not at all.
+def sorted_segments(points: Array, settings: HoughSettings) -> tuple[Segments, int]:
+    """Segments of a scan's points ``(N, 3)``, drone frame, by the program's rule: each Hough line whole, or not at all;
+    and the number of lines.
 
     A line is dropped if the distances of neighbouring points from the *drone* differ by ``gap_max_m`` or more (which is
     less than their gap along the line, near the foot of the perpendicular), if the share of its variance along the line
@@ -77,7 +79,7 @@ def sorted_segments(points: Array, settings: HoughSettings) -> Segments:
     radius above 0.1 m, but the transform gives none.
     """
     if len(points) < settings.min_votes or not np.linalg.norm(np.ptp(points, axis=0)) > settings.dx_m:
-        return Segments.empty()
+        return Segments.empty(), 0
     lines = detect_lines(points, settings.dx_m, settings.min_votes, settings.max_lines, settings.granularity)
     starts, ends, counts, radii = [], [], [], []
     for line, (anchor, direction) in enumerate(zip(lines.anchor, lines.direction, strict=True)):
@@ -95,8 +97,9 @@ def sorted_segments(points: Array, settings: HoughSettings) -> Segments:
             counts.append(len(own))
             radii.append(math.sqrt(variance[:-1].sum()))
     if not counts:
-        return Segments.empty()
-    return Segments(np.array(starts), np.array(ends), np.array(counts, dtype=np.int64), np.array(radii))
+        return Segments.empty(), len(lines)
+    found = Segments(np.array(starts), np.array(ends), np.array(counts, dtype=np.int64), np.array(radii))
+    return found, len(lines)
 
 
 class ReportBars:

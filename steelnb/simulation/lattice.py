@@ -1,8 +1,9 @@
 """A tower from a list of its members and plates, in a CSV file.
 
 Columns ``kind, x0, y0, z0, x1, y1, z1, x2, y2, z2``, metres, world frame, z up; lines that begin with # are comments.
-A member (`KINDS`) has two ends; its last three columns are empty. A ``plate`` is a parallelogram, given by one corner
-and the two adjacent ones. A ``triangle`` is a plate with three corners.
+A member (`KINDS`) has two ends; its third point is empty. A ``plate`` is a parallelogram, given by one corner and the
+two adjacent ones. A ``triangle`` is a plate with three corners. A last column ``width`` may follow: the width of a
+member in metres, or empty for that of its kind.
 """
 
 import csv
@@ -25,6 +26,7 @@ from steelnb.simulation.sections import Member, make_member, unit
 from steelnb.types import Array
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
+WIDTH = "width"
 KINDS = get_args(Kind)
 PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
 """Triangles of a plate by corner; corner 3 lies opposite corner 0."""
@@ -40,18 +42,18 @@ def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]
 
     Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
-    kinds, ends, plates = read_members(settings.members or "")
+    kinds, ends, plates, widths = read_members(settings.members or "")
     joints, joints_of = find_joints(ends)
     middle, members = (ends.min(axis=(0, 1)) + ends.max(axis=(0, 1))) / 2, []
-    for kind, (start, end), own in zip(kinds, ends - middle, joints_of, strict=True):
+    for kind, (start, end), own, width in zip(kinds, ends - middle, joints_of, widths, strict=True):
         axis = unit(end - start)
-        members.append(make_member(settings, kind, own, axis, *_flanges(axis, (start + end) / 2)))
+        members.append(make_member(settings, kind, own, axis, *_flanges(axis, (start + end) / 2), width))
     return joints, members, plates
 
 
 def leg_half_width(members: str, z: float) -> float:
     """Half the distance along x between the outermost legs at height ``z``, metres. Raises `InputError`."""
-    kinds, ends, _ = read_members(members)
+    kinds, ends, *_ = read_members(members)
     legs = ends[np.array(kinds) == "leg"]
     if not len(legs):
         raise InputError(f"tower.members = {members!r}: no leg in the list; expected one, for the width of the body")
@@ -61,27 +63,30 @@ def leg_half_width(members: str, z: float) -> float:
     return float(max(x) - min(x)) / 2
 
 
-def read_members(members: str) -> tuple[list[Kind], Array, Array]:
-    """Kinds and ends ``(M, 2, 3)`` of the members of a list, and the triangles ``(P, 3, 3)`` of its plates. The list is
-    the name of a preset or a file ``FILE.csv``. Raises `InputError`."""
+def read_members(members: str) -> tuple[list[Kind], Array, Array, list[float | None]]:
+    """Kinds and ends ``(M, 2, 3)`` of the members of a list, the triangles ``(P, 3, 3)`` of its plates, and the own
+    widths of the members. The list is the name of a preset or a file ``FILE.csv``. Raises `InputError`."""
     path, ends, plates = members_file(members), [], []
     kinds: list[Any] = []
+    widths: list[float | None] = []
     with reading(path, "a list of members"), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(line if not line.startswith("#") else "\n" for line in file)
         rows = [(k, row) for k, row in enumerate(reader, 1) if row]
-        if not rows or rows[0][1] != COLUMNS:
+        if not rows or rows[0][1] not in (COLUMNS, [*COLUMNS, WIDTH]):
             raise InputError(f"{path}: columns {','.join(rows[0][1]) if rows else ''!r}: expected {','.join(COLUMNS)}")
         for line, row in rows[1:]:
-            points = _points(path, line, row)
+            own = row[len(COLUMNS) :] if WIDTH in rows[0][1] and row[0] in KINDS else []
+            points = _points(path, line, row[: len(row) - len(own)])
             if len(points) == 2:
                 kinds.append(row[0])
+                widths.append(_width(path, line, row, own))
                 ends.append(points)
             else:
                 corners = [*points, points[1] + points[2] - points[0]]
                 plates += [[corners[i] for i in triangle] for triangle in PLATES[row[0]]]
     if not kinds:
         raise InputError(f"{path}: no member; expected one of {quoted(KINDS)}")
-    return kinds, np.array(ends), np.array(plates).reshape(-1, 3, 3)
+    return kinds, np.array(ends), np.array(plates).reshape(-1, 3, 3), widths
 
 
 def _points(path: Path, line: int, row: list[str]) -> Array:
@@ -99,6 +104,19 @@ def _points(path: Path, line: int, row: list[str]) -> Array:
     if np.linalg.norm(points[1:] - points[0], axis=1).min() <= JOINT_M:
         raise InputError(f"{path}: line {line}: {','.join(row)}: expected points more than {JOINT_M} m apart")
     return points
+
+
+def _width(path: Path, line: int, row: list[str], own: list[str]) -> float | None:
+    """A member's own width, or None if its last column is empty. Raises `InputError`."""
+    if not any(own):
+        return None
+    try:
+        (width,) = map(float, own)
+    except ValueError:
+        width = math.nan
+    if not 0 < width < math.inf:
+        raise InputError(f"{path}: line {line}: {','.join(row)}: expected a width above 0 m, or none")
+    return width
 
 
 def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:

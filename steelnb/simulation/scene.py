@@ -92,11 +92,15 @@ def _touching_pairs(corner, plane):
             low[i, k] = min(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) - TOUCH_M
             high[i, k] = max(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) + TOUCH_M
     pair = np.empty((1024, 2), np.int64)
-    for i in range(count):
-        for j in range(i):
+    along_x = np.argsort(low[:, 0])  # a triangle can only touch those that begin before it ends
+    for place in range(count):
+        i = along_x[place]
+        for later in range(place + 1, count):
+            j = along_x[later]
+            if low[j, 0] > high[i, 0]:
+                break
             if (
-                low[i, 0] <= high[j, 0] and low[j, 0] <= high[i, 0]
-                and low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
+                low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
                 and low[i, 2] <= high[j, 2] and low[j, 2] <= high[i, 2]
                 and (_edge_meets(corner, plane, i, j) or _edge_meets(corner, plane, j, i))
             ):  # fmt: skip

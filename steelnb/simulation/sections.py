@@ -12,8 +12,9 @@ from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
 """Used in place of a member's index: the ground, and a steel plate, which is not a bar."""
-SIDES = 16
-"""Sides of a round rod; its surface is within 1.3 % of the circle's radius."""
+SIDES_THIN, SIDES, THIN_M = 8, 16, 0.08
+"""Sides of round rods thinner than `THIN_M`, and of the others; surfaces are within 5.4 and 1.3 % of the circle's
+radius."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +40,17 @@ def unit(vector: Array) -> Array:
 
 
 def make_member(
-    settings: TowerSettings, kind: Kind, joints: tuple[int, ...], axis: Array, first: Array, second: Array
-) -> Member:
-    """A member with the section of its kind. Its flanges are made perpendicular to the unit ``axis`` and to each other,
-    by Gram-Schmidt: ``second`` before ``first``."""
+    settings: TowerSettings, kind: Kind, joints: tuple[int, ...], axis: Array, first: Array, second: Array,
+    own_width: float | None = None,
+) -> Member:  # fmt: skip
+    """A member with the section of its kind, or that section scaled to its ``own_width``. Its flanges are made
+    perpendicular to the unit ``axis`` and to each other, by Gram-Schmidt: ``second`` before ``first``."""
     second = unit(second - (second @ axis) * axis)
     first = first - (first @ axis) * axis
     first = unit(first - (first @ second) * second)
     width, thickness = settings.sections_m[kind]
+    if own_width is not None:
+        width, thickness = own_width, thickness * own_width / width
     size = (width, thickness if settings.section == "angle" else width / 2)
     return Member(kind, size, joints, tuple(first.tolist()), tuple(second.tolist()), settings.section)
 
@@ -59,7 +63,8 @@ def mesh_members(joints: Array, members: Sequence[Member]) -> tuple[Array, IntAr
         outline, prism = _angle(*member.section_m), _ANGLE_PRISM
         start, end = joints[[member.joints[0], member.joints[-1]]]
         if member.section == "round":
-            outline, prism = _circle(member.section_m[0] / 2), _ROUND_PRISM
+            sides = SIDES_THIN if member.section_m[0] < THIN_M else SIDES
+            outline, prism = _circle(member.section_m[0] / 2, sides), _ROUND_PRISMS[sides]
             if np.cross(member.flange_a, member.flange_b) @ (end - start) < 0:
                 prism = prism[:, ::-1]
         offset = outline @ np.array([member.flange_a, member.flange_b])
@@ -74,9 +79,9 @@ def _angle(width: float, thickness: float) -> Array:
     return np.array([(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)])
 
 
-def _circle(radius_m: float) -> Array:
+def _circle(radius_m: float, sides: int) -> Array:
     """A regular polygon with the area of the circle."""
-    angle, reach = 2 * np.pi * np.arange(SIDES) / SIDES, np.sqrt(2 * np.pi / (SIDES * np.sin(2 * np.pi / SIDES)))
+    angle, reach = 2 * np.pi * np.arange(sides) / sides, np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
     return np.asarray(radius_m * reach * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
@@ -84,11 +89,14 @@ _SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i
 _ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
 _ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
 """Triangles of a closed prism with the outline of `_angle`: corners 0–5 at the start, 6–11 at the end."""
-_LOW = np.arange(SIDES)
-_HIGH = np.roll(_LOW, -1)
-_FAN = np.stack([0 * _LOW[2:], _LOW[1:-1], _LOW[2:]], 1)
-_ROUND_PRISM = np.concatenate([
-    np.stack([_LOW, _HIGH, _LOW + SIDES], 1), np.stack([_HIGH, _HIGH + SIDES, _LOW + SIDES], 1),
-    _FAN[:, ::-1], SIDES + _FAN,
-])  # fmt: skip
-"""The same for the outline of `_circle`."""
+
+
+def _round_prism(sides: int) -> IntArray:
+    """The same for the outline of `_circle`."""
+    low = np.arange(sides)
+    high, fan = np.roll(low, -1), np.stack([0 * low[2:], low[1:-1], low[2:]], 1)
+    walls = np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)
+    return np.concatenate([*walls, fan[:, ::-1], sides + fan])
+
+
+_ROUND_PRISMS = {sides: _round_prism(sides) for sides in (SIDES_THIN, SIDES)}

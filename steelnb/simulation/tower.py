@@ -79,9 +79,10 @@ def _tapered_members(settings: TowerSettings) -> tuple[Array, list[Member]]:
     order = np.argsort(first)  # joints are numbered as they appear
     joints, number = points[first[order]], iter(np.argsort(order)[label.ravel()].tolist())
     members = []
-    for kind, own, *flanges in bars:
+    for kind, own, first_flange, second_flange in bars:
         ties = tuple(itertools.islice(number, len(own)))
-        members.append(make_member(settings, kind, ties, unit(joints[ties[-1]] - joints[ties[0]]), *flanges))
+        axis = unit(joints[ties[-1]] - joints[ties[0]])
+        members.append(make_member(settings, kind, ties, axis, first_flange, second_flange))
     return joints, members
 
 

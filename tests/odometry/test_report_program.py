@@ -215,7 +215,7 @@ def segments(monkeypatch):
 
         def found(points, hough):
             bars = BARS + odometry.seen_at
-            return Segments(bars[:, 0], bars[:, 1], np.full(len(BARS), 60), np.full(len(BARS), 0.01))
+            return Segments(bars[:, 0], bars[:, 1], np.full(len(BARS), 60), np.full(len(BARS), 0.01)), 3
 
         monkeypatch.setattr(report_segments, "sorted_segments", found)
         return odometry
@@ -232,7 +232,7 @@ def rod(start, end, spacing_m=0.02, scatter_m=0.0, seed=0):
 
 def sort(points, **changes):
     settings = OdometrySettings.preset("report-segments", "report").hough.replace(**changes)
-    return report_segments.sorted_segments(points, settings)
+    return report_segments.sorted_segments(points, settings)[0]
 
 
 def test_a_line_is_taken_whole_or_not_at_all():

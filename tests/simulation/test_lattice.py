@@ -248,13 +248,23 @@ def test_plates_of_a_list_return_light_and_are_no_members(tmp_path):
     assert min(grey.std(axis=0).min(), grey.std(axis=1).min()) > 1.0  # no stripes
 
 
+def test_a_member_may_have_its_own_width(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text(f"{HEADER},width\nleg,0,0,0,0,0,1,,,,0.08\nring,0,0,1,1,0,1,,,,\nplate,0,0,0,1,0,0,0,1,0,\n")
+    settings = TowerSettings(members=str(path), sections_m={"leg": (0.1, 0.01), "ring": (0.06, 0.005)})
+    assert [member.section_m for member in build_tower(settings).members] == [(0.08, 0.008), (0.06, 0.005)]
+    assert build_tower(settings.replace(section="round")).members[0].section_m == (0.08, 0.04)
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "", "kind,x,y\nleg,0,0\n", HEADER + "\n", f"{HEADER}\nleg,0,0,0,0,0,x,,,\n", f"{HEADER}\nleg,0,0,0,0,0\n",
         f"{HEADER}\nleg,0,0,0,0,0,nan,,,\n", f"{HEADER}\nmast,0,0,0,0,0,1,,,\n", f"{HEADER}\nleg,0,0,0,0,0,0,,,\n",
         f"{HEADER}\nleg,0,0,0,0,0,1,2,,\n", f"{HEADER}\nplate,0,0,0,0,0,1,,,\n",
-        f"{HEADER}\nleg,0,0,0,0,0,1\xff".encode("latin-1"),
+        f"{HEADER}\nleg,0,0,0,0,0,1\xff".encode("latin-1"), f"{HEADER},width\nleg,0,0,0,0,0,1,,,,0\n",
+        f"{HEADER},width\nleg,0,0,0,0,0,1,,,,wide\n", f"{HEADER}\nleg,0,0,0,0,0,1,,,,0.1\n",
+        f"{HEADER},width\nplate,0,0,0,1,0,0,0,1,0,0.1\n",
     ],
 )  # fmt: skip
 def test_a_list_that_cannot_be_read_is_refused_in_one_line(tmp_path, text):
