@@ -19,16 +19,18 @@ from steelnb.simulation.tower import half_width
 from steelnb.types import Trajectory
 from tests.lattice import pieces_of
 
-CENTRE = np.array([0.07, 0.04, 0.0])
-HALF_WIDTH_M = {0.0: 1.76, 2.85: 1.40, 5.92: 0.99, 7.93: 0.71, 8.83: 0.60, 12.0: 0.60, 15.9: 0.60}
-BRACE_ENDS_M = (0.0, 4.95, 7.0, 8.83, 10.25, 11.67, 13.05, 14.45, 15.92)
-CROSSINGS_M = (2.85, 5.92, 7.93, 9.55, 10.95, 12.4, 13.75, 15.17)
-ARMS_M = {9.55: (8.83, 2.55), 11.67: (10.95, 3.05), 13.75: (13.05, 3.7)}  # top chord: lower chord at the body, tip
+# Measured on pictures (scripts/report-tower); relative to the axis.
+CENTRE = np.array([-0.041, -0.073, 0.0])
+HALF_WIDTH_M = {0.0: 1.878, 2.93: 1.452, 5.99: 1.009, 8.04: 0.709, 8.955: 0.577, 12.0: 0.577, 15.9: 0.577}
+BRACE_ENDS_M = (0.0, 5.04, 7.04, 8.955, 10.36, 11.77, 13.18, 14.59, 16.0)
+CROSSINGS_M = (2.93, 5.99, 8.04, 9.67, 11.07, 12.46, 13.88, 15.28)
+ARMS_M = {9.667: (8.955, 2.5, 9.725), 11.765: (11.069, 3.25, 11.805), 13.877: (13.177, 3.82, 13.9)}
+"""Height of the top chord: that of the lower chord at the body, reach of the tip, height of the deck."""
 CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 FACES = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
 HEADER = ",".join(COLUMNS)
 NEAR_M = 0.025
-"""The published numbers are rounded to a centimetre and were read off segments; those of one node differ by 3 cm."""
+"""The measured numbers are good to 2 to 4 cm."""
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +73,24 @@ def hit(scene, position, direction):
     return float(found.range_m[0]), int(found.member[0])
 
 
-def test_the_legs_have_the_published_widths(tower):
+def test_the_legs_have_the_measured_widths(tower):
     legs = tower.axes[[member.kind == "leg" for member in tower.members]] - CENTRE
     legs = np.array([sorted(leg.tolist(), key=lambda end: end[2]) for leg in legs])
-    assert legs[..., 2].max() == pytest.approx(16.0)
+    assert legs[..., 2].max() == pytest.approx(16.0, abs=0.01)
     for z, half in HALF_WIDTH_M.items():
         at = [start + (z - start[2]) / (end[2] - start[2]) * (end - start)
               for start, end in legs if start[2] <= z < end[2]]  # fmt: skip
         assert {tuple(np.sign(place[:2])) for place in at} == {tuple(corner) for corner in CORNERS}
         np.testing.assert_allclose(np.abs(np.array(at)[:, :2]), half, atol=0.0125)
         assert half_width(tower.settings, z) == pytest.approx(half, abs=0.0125)
+
+
+def test_members_are_tubes_of_the_measured_diameters(tower):
+    diameters = {kind: sorted({m.section_m[0] for m in tower.members if m.kind == kind}) for kind in ("leg", "bracing")}
+    assert {member.section for member in tower.members} == {"round"}
+    np.testing.assert_allclose(diameters["leg"], (0.068, 0.070))
+    assert 0.03 <= min(diameters["bracing"]) <= max(diameters["bracing"]) <= 0.036
+    assert min(member.section_m[0] for member in tower.members) == pytest.approx(0.023)  # redundants, some struts
 
 
 def test_braces_end_on_the_legs_and_cross_at_a_strut_on_all_faces(tower):
@@ -90,7 +100,7 @@ def test_braces_end_on_the_legs_and_cross_at_a_strut_on_all_faces(tower):
             assert through(tower, joint, "leg")
             assert len(through(tower, joint, "bracing")) >= 2  # of the faces on both sides
     for z, face in itertools.product(CROSSINGS_M, FACES):
-        joint = joint_at(tower, *face * width_at(z), z, near=0.05 if z == 12.4 else NEAR_M)
+        joint = joint_at(tower, *face * width_at(z), z)
         height = tower.joints[joint, 2]
         ends = [end for axis in through(tower, joint, "bracing") for end in axis if abs(end[2] - height) > 0.05]
         side = np.array(ends) - tower.joints[joint]
@@ -98,75 +108,59 @@ def test_braces_end_on_the_legs_and_cross_at_a_strut_on_all_faces(tower):
         quarters = {(int(np.sign(a)), int(np.sign(b))) for a, b in zip(along, side[:, 2], strict=True) if abs(a) > 0.3}
         assert quarters == {(1, 1), (1, -1), (-1, 1), (-1, -1)}, (z, face)
         struts = [axis for axis in through(tower, joint, "ring") if abs((axis[1] - axis[0])[:2] @ face) < NEAR_M]
-        assert [np.linalg.norm(b - a) for a, b in struts] == [pytest.approx(2 * width_at(z), abs=0.03)]
+        assert sum(np.linalg.norm(b - a) for a, b in struts) == pytest.approx(2 * width_at(z), abs=0.03)
 
 
-def test_rings_diaphragms_and_struts_through_the_axis_lie_at_their_levels(tower):
-    corner = [(*c, 0) for c in CORNERS]
-    for z in (8.83, 15.92):
-        places = np.array(corner) * width_at(z) + [0, 0, z]
-        assert all(is_member(tower, places[k], places[(k + 1) % 4], "ring") for k in range(4))
-    for z in (2.85, 5.92):
-        places = np.array(corner) * width_at(z) + [0, 0, z]
-        assert all(is_member(tower, places[k], places[k + 2], "ring") for k in range(2))
-    for z in (2.87, 5.92, 7.93):
-        for face in FACES[:2]:
+def test_only_some_levels_have_struts_through_the_axis(tower):
+    """All four at 2.93 m; along the arms alone at 5.99, 8.04, 11.07, 12.46 and 15.28 m."""
+    for z in (2.93, 5.986, 8.044, 11.069, 12.464, 15.284):
+        for face in FACES:
             end = np.append(face * width_at(z), z)
-            assert is_member(tower, end, end * [-1, -1, 1], "ring")
+            whole, half = is_member(tower, end, end * [-1, -1, 1], "ring"), is_member(tower, end, (0, 0, z), "ring")
+            assert (whole or half) == (face[0] != 0 or z == 2.93), (z, face)
+    for z in (8.955, 15.996):
+        places = np.array([(*corner * width_at(z), z) for corner in CORNERS])
+        assert all(is_member(tower, places[k], places[(k + 1) % 4], "ring") for k in range(4))
 
 
-def test_hip_diagonals_run_from_the_feet_through_the_axis(tower):
-    for low, middle, high in ((0.0, 2.88, 4.95), (4.95, 5.93, 7.0)):
-        for corner in CORNERS:
-            foot, opposite = np.append(corner * width_at(low), low), np.append(-corner * width_at(high), high)
-            assert is_member(tower, foot, (0, 0, middle), "bracing")
-            assert is_member(tower, (0, 0, middle), opposite, "bracing")
+def test_hip_diagonals_run_from_the_feet_through_the_axis_and_none_higher(tower):
+    for corner in CORNERS:
+        foot, opposite = np.append(corner * 1.878, 0.0), np.append(-corner * width_at(5.037), 5.037)
+        assert is_member(tower, foot, (0, 0, 2.93), "bracing")
+        assert is_member(tower, (0, 0, 2.93), opposite, "bracing")
+        assert not is_member(tower, np.append(corner * width_at(5.037), 5.037), (0, 0, 5.986), "bracing")
 
 
 def test_arms_reach_from_the_corners_to_their_tips(tower):
-    for top, (low, tip) in ARMS_M.items():
-        for side, y in itertools.product((-1, 1), (-1, 1)):
-            for z in (top, low):
-                assert is_member(tower, (side * 0.6, y * 0.6, z), (side * tip, 0, top), "arm")
-    arms = np.abs(tower.axes[[member.kind == "arm" for member in tower.members]][..., 0] - CENTRE[0])
-    assert arms.max() == pytest.approx(3.7)
+    arms = tower.axes[[member.kind == "arm" for member in tower.members]] - CENTRE
+    for top, (low, tip, _) in ARMS_M.items():
+        for side, corner in itertools.product((-1, 1), (-1, 1)):
+            for z, reach in ((top, (side * tip, 0, top)), (low, (side * tip, corner * 0.09, top - 0.05))):
+                assert is_member(tower, (side * 0.577, corner * 0.577, z), reach, "arm", near=0.03), (z, side, corner)
+    assert np.abs(arms[..., 0]).max() == pytest.approx(3.82, abs=0.01)
 
 
-def test_decks_fill_the_top_planes_of_the_arms_and_railings_stand_above_them(tower, scene):
-    secondary = tower.axes[[member.kind == "secondary" for member in tower.members]] - CENTRE
-    for z, (_, tip) in ARMS_M.items():
-        for x, share in itertools.product((-0.8, -0.3, 0.3, 0.8), (-0.45, 0.0, 0.45)):
-            reach = x * tip
-            y = share * (0.6 if abs(reach) < 0.6 else 0.6 * (tip - abs(reach)) / (tip - 0.6))
-            down, member = hit(scene, (reach, y, z + 0.05), (0, 0, -1))
-            assert (down, member) == (pytest.approx(0.05, abs=0.02), PLATE), (reach, y, z)
-        # Outside the triangle there is none.
-        assert hit(scene, (0.8 * tip, 0.5, z + 0.05), (0, 0, -1))[0] > 1.0
-        rails = secondary[np.abs(secondary[..., 2] - z - 0.25).max(axis=1) < 0.02]
-        assert {tuple(np.sign(rail.mean(axis=0)[:2])) for rail in rails} == {tuple(corner) for corner in CORNERS}
-
-
-def test_the_platform_at_the_top_widens_along_the_arms(tower, scene):
-    edge = tower.vertices[tower.vertices[:, 2] > 14.5] - CENTRE
-    assert np.abs(edge[:, 0]).max() == pytest.approx(1.1, abs=0.1)
-    assert np.abs(edge[:, 1]).max() < 0.65
-    struts = tower.axes[[member.kind == "arm" for member in tower.members]] - CENTRE
-    struts = struts[struts[..., 2].min(axis=1) > 14.5]
-    assert struts[..., 2].min() == pytest.approx(15.2, abs=0.03)
-    assert struts[..., 2].max() == pytest.approx(15.95, abs=0.05)
-    assert hit(scene, (0.3, 0.2, 16.5), (0, 0, -1)) == (pytest.approx(0.57, abs=0.03), PLATE)
+def test_walkways_of_half_a_metre_lie_on_the_arms(tower, scene):
+    for z, (_, tip, deck) in ARMS_M.items():
+        for x, y in itertools.product((-0.9, -0.4, 0.4, 0.9), (-0.2, 0.0, 0.2)):
+            down, member = hit(scene, (x * tip, y, deck + 0.3), (0, 0, -1))
+            assert (down, member) == (pytest.approx(0.3, abs=0.04), PLATE), (x, y, z)
+        beside, member = hit(scene, (0.3 * tip, 0.35, deck + 0.1), (0, 0, -1))
+        assert member != PLATE or beside > 1.0, "not the triangle between the chords"
+    assert hit(scene, (2.0, 0.5, 12.2), (0, 0, -1)) == (pytest.approx(0.4, abs=0.06), PLATE)  # a balcony
+    top = hit(scene, (1.1, 0.2, 16.5), (0, 0, -1)), hit(scene, (0.3, 0.4, 16.5), (0, 0, -1))
+    assert top == ((pytest.approx(0.47, abs=0.06), PLATE),) * 2
 
 
 def test_gussets_lie_in_the_faces_at_joints(tower):
     corner = tower.vertices[tower.triangles[tower.triangle_member == PLATE]] - CENTRE
     gussets = corner[np.ptp(corner[..., 2], axis=1) > 0.05]  # decks are level
-    assert len(gussets) == 2 * (8 * 4 + 7 * 8)  # two triangles each: crossings of four faces, nodes of four legs
-    assert np.abs(np.abs(gussets[..., :2]).max(axis=2) - width_at(gussets[..., 2])).max() < 0.025
+    off = np.abs(np.abs(gussets[..., :2]) - width_at(gussets[..., 2])[..., None])
+    assert off.max(axis=1).min(axis=1).max() < 0.03, "in a face normal to x or to y"
     edges = np.sort(np.linalg.norm(gussets - np.roll(gussets, 1, axis=1), axis=2), axis=1)[:, :2]
-    assert edges.min() == pytest.approx(0.2)
-    assert edges.max() == pytest.approx(0.4, abs=0.01)  # along the leaning leg
+    assert 0.09 < edges.min() < edges.max() < 0.32
     gap = np.linalg.norm(tower.joints - CENTRE - gussets.reshape(-1, 1, 3), axis=2).reshape(len(gussets), 3, -1)
-    assert gap.min(axis=(1, 2)).max() < 0.3  # half a diagonal
+    assert gap.min(axis=(1, 2)).max() < 0.25  # half a diagonal
 
 
 def test_the_floor_is_a_plate_of_six_metres_and_nothing_lies_beyond(scene):
@@ -192,7 +186,8 @@ def test_the_tower_is_one_piece(tower):
     pieces, parts = pieces_of(tower)
     assert parts == 1
     loose = [tower.joints[joint] for joint, degree in enumerate(np.bincount(pieces.ravel())) if degree < 2]
-    assert [end[2] for end in loose] == [16.0] * 4  # the legs above the platform
+    assert len(loose) == 4  # the brackets below the corners of the platform
+    assert min(end[2] for end in loose) > 15.9
 
 
 def test_members_in_a_face_have_one_flange_in_it_and_one_inwards(tower):
