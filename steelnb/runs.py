@@ -171,7 +171,9 @@ def tower_name(settings: ExperimentSettings) -> str:
     list
     are told apart. Empty for a tower that is built from its dimensions."""
     members = settings.tower.members
-    return f"{members} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}" if members else ""
+    return (
+        f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}" if members else ""
+    )
 
 
 def curves(table: pd.DataFrame) -> pd.DataFrame:

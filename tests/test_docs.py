@@ -74,7 +74,7 @@ def test_the_start_and_the_report(here):
     names, said = follow("index.md")
     assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
     assert said.endswith("m corrected\n")
-    assert follow("report.md")[1] == "vertical random-walk report 0.69 scans a second\n"
+    assert follow("report.md")[1] == "vertical random-walk report 202 scans\n"
 
 
 def test_a_recording_is_corrected_compared_and_reconstructed(here, capfd):
@@ -140,13 +140,11 @@ def numbers(experiment: str) -> dict[str, float]:
 def test_the_first_page_is_short_and_its_numbers_are_those_of_the_results():
     page = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(page.encode()) <= 4096
-    segments, clouds, faults = numbers("segmentation-odometry"), numbers("cloud-odometry"), numbers("honest-sensors")
+    segments, clouds = numbers("segmentation-odometry-draws"), numbers("cloud-odometry-draws")
+    faults = numbers("honest-sensors")
     for flight, other in (("vertical", "zigzag"), ("orbit", "loops")):
-        bars = segments[f"{flight}-report.constant-drift.report-segments.error_mean_m"]
-        points = [
-            clouds[f"random-walk-report.{flight}.random-walk.report-{name}.re-voxelised.error_mean_m"]
-            for name in ("icp", "icp-3dof", "gicp")
-        ]
+        bars = segments[f"{flight}-report.band.report-segments.mean_m"]
+        points = [clouds[f"random-walk-report.band.3.5 {flight} {name}.mean_m"] for name in ("icp", "icp-3dof", "gicp")]
         assert f"{bars:.3f}; " + " / ".join(f"{each:.3f}" for each in points) in page
         ideal, real = (1e3 * faults[f"{other}.faces.{case}.ate_mean_m"] for case in ("ideal", "honest"))
         assert f"{ideal:.0f}; {real:.0f} mm" in page

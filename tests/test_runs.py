@@ -1,6 +1,7 @@
 """Tables of short runs: their contents, resuming, failures, and a Dask cluster."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from steelnb.errors import InputError, OutputError
 from steelnb.metrics import position_error_m
 from steelnb.row import CASE, CURVES, TIMES
 from steelnb.settings import ExperimentSettings
+from steelnb.settings.presets import members_file
 
 ROOT = Path(__file__).parents[1]
 AXES = {
@@ -250,3 +252,14 @@ def test_a_study_without_runs_or_jobs_is_refused(tmp_path):
     for some, jobs in (([], 1), (runs.grid(**AXES), 0)):
         with pytest.raises(InputError, match="expected at least one of each"):
             runs.run_all(some, jobs, tmp_path)
+
+
+def test_rows_name_the_list_of_members_that_they_were_flown_on(tmp_path):
+    assert runs.tower_name(ExperimentSettings.preset("zigzag")) == ""
+    first = runs.tower_name(ExperimentSettings.preset("vertical"))
+    assert re.fullmatch(r"report-tower [0-9a-f]{8}", first)
+    own = tmp_path / "mine.csv"
+    own.write_bytes(members_file("report-tower").read_bytes() + b"leg,0,0,0,0,0,1,,,,0.1\n")
+    changed = ExperimentSettings.preset("vertical", overrides={"tower.members": str(own)})
+    assert re.fullmatch(r"mine [0-9a-f]{8}", runs.tower_name(changed)), "no path of this machine in a published table"
+    assert runs.tower_name(changed).split()[-1] != first.split()[-1]
