@@ -61,9 +61,8 @@ def detrended(values: Array) -> Array:
 
 
 def start() -> None:
-    """Print, for each plot of a slow program, the correlation of its time a sample with the points in view, and the
-    rest
-    that is likeliest for all plots of a trajectory."""
+    """Print, for each plot of a slow program, the correlation of its time a sample with the points in view. Then print
+    the rest that is likeliest for all plots of a trajectory."""
     together: dict[str, Array] = {}
     for plot in (each for each in read_report_plots() if not each.steps_per_sample):
         settings = ExperimentSettings.preset(

@@ -59,7 +59,9 @@ def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
     """The report's plot whose samples an experiment has, if it has its flight and noise as well, or None."""
     name = settings.tof.samples
     plot = ReportPlot.named(name) if isinstance(name, str) else None
-    return plot if plot and plot.noise == settings.noise_name else None
+    if plot is None or plot.noise != settings.noise_name:
+        return None
+    return plot if (plot.flight or plot.trajectory) == settings.flight.trajectory else None
 
 
 def at_level(noise: str, level: float) -> str:
@@ -225,9 +227,8 @@ def band_table(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def band_curves(drawn: pd.DataFrame) -> pd.DataFrame:
-    """The band of each case of `draw_programs` over time, for others to plot: ``low_m``, ``median_m``, ``high_m``
-    (`BAND`)
-    and ``draw_m``, the first draw."""
+    """The band of each case of `draw_programs` over time, for plots of your own: ``low_m``, ``median_m`` and ``high_m``
+    (`BAND`), and ``draw_m``, the first draw."""
     rows = drawn[drawn["curve"] == "draws"]
     by = [*CASE_COLUMNS, "plot", "sample", "time_s"]
     band = rows.groupby(by, sort=False)["error_m"].quantile([BAND[0] / 100, 0.5, BAND[1] / 100]).unstack()
@@ -271,7 +272,7 @@ def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
 
 
 def _reported(result: experiment.Result) -> dict[str, tuple[Array, Array]]:
-    """The curves ``report-drift`` and ``report`` of the report's plot of a run, to two samples after the run's end."""
+    """The curves ``report-drift`` and ``report`` of the report's plot of a run, to half a second after its end."""
     plot, end_s = plot_of(result.settings), float(result.corrected.stamp_s[-1]) + 0.5
     if plot is None:
         return {}

@@ -107,7 +107,7 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
         key = "estimate", settings.odometry.model_dump_json(), *given
         found = cached(lambda: correct(flight, settings.odometry, on_step, before=before), *key)
     else:  # images and recorded scans have no fast cache key
-        found = correct(flight, settings.odometry, on_step)
+        found = correct(flight, settings.odometry, on_step, before=before)
     if on_progress:
         on_progress(1.0)  # a cached estimate reports no steps
     return Result(

@@ -88,6 +88,8 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     walk = batch.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
     assert batch.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    elsewhere = ExperimentSettings.preset("vertical", "constant-drift", overrides={"tof.samples": "3.6 orbit gicp"})
+    assert batch.plot_of(elsewhere) is None, "the same samples on another flight"
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         batch.report_cases(["orbit"], "random-walk", {"best": ["best"]})
     early, late = (plot for plot in read_report_plots() if plot.name.startswith("3.5 vertical icp-3dof"))
