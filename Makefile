@@ -5,9 +5,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 LIBRARIES := libegl1 libgl1 libx11-6 libusb-1.0-0
 export OPEN3D_DISABLE_WEB_VISUALIZER = true
-# Bit-identical results on every x86-64 processor with AVX2. steelnb/pins.py explains why, and sets the same variables in a user's script.
-include steelnb/pins.env
-export $(shell sed 's/=.*//' steelnb/pins.env)
+# Bit-identical results on every x86-64 processor with AVX2. steelnb/core/determinism.py explains why, and sets the same variables in a user's script.
+include steelnb/core/pins.env
+export $(shell sed 's/=.*//' steelnb/core/pins.env)
 # NumPy refuses to start if both of its variables are set, or if the processor lacks a feature that the first names.
 ifneq ($(NPY_DISABLE_CPU_FEATURES)$(shell grep -q avx2 /proc/cpuinfo || echo old),)
 unexport NPY_ENABLE_CPU_FEATURES

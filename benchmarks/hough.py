@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Lines, Trajectory
 from steelnb.hough import detect_lines
-from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.types import Array, Lines, Trajectory
 
 SIZES, WIDTHS, MIN_VOTES, RUNS, DENSER = (2_000, 5_000, 10_000, 20_000, 50_000), (0.1, 0.05), 20, 3, 4
 AT_S = (20.0, 60.0, 100.0, 140.0, 180.0)

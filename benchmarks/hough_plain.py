@@ -15,12 +15,12 @@ import numpy as np
 from numba import njit
 
 from hough import frames, some
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Lines
 from steelnb.hough import detect_lines, lines
 from steelnb.hough.transform import BLOCK, drop, fit_near_line, iterate
-from steelnb.pins import machine
 from steelnb.points import voxel_grid
-from steelnb.types import Array, Lines
 
 SIZES, WIDTHS, RUNS, MIN_VOTES = (2_500, 5_000, 10_000, 20_000), (0.05, 0.1), 9, 12
 REACH_M, LEAF_M = 3.0, 0.05

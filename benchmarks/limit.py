@@ -14,14 +14,14 @@ from numba import njit
 from scipy.linalg import cholesky, lapack, solve_triangular
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, IntArray
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
-from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, TofSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.simulation.scene import cast_bundle, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, IntArray
 
 POSE = 4
 """x, y, z in the world, and yaw about the vertical through the drone."""

@@ -15,12 +15,12 @@ import time
 import numpy as np
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Flight, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import make_odometry
-from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, OdometrySettings, TrajectoryName
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, Trajectory
 
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
 OURS = ("least_squares", "least_squares_yaw", "icp", "icp-3dof", "gicp", "best", "faces", "loam")

@@ -22,13 +22,14 @@ import open3d as o3d
 import small_gicp
 from scipy.spatial.transform import Rotation
 
-from steelnb import experiment, rng
-from steelnb.pins import machine
+from steelnb import experiment
+from steelnb.core import rng
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
 from steelnb.points.covariances import NEIGHBOURS, neighbour_covariances, regularised
 from steelnb.registration import align, make_target
 from steelnb.settings import ExperimentSettings, PreprocessSettings
-from steelnb.types import Array
 
 ITERATIONS, TURN_RAD, MOVE_M = 50, np.radians(0.1), 1e-3
 DURATION_S, EVERY = 200.0, 40

@@ -24,7 +24,8 @@ from numba import njit
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.report_segments import FLOOR_M, NO_FLOOR_M, sorted_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
@@ -33,7 +34,6 @@ from steelnb.simulation import build_tower
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.tof import measured_ranges, reported_rays
 from steelnb.simulation.tower import Tower, half_width
-from steelnb.types import Array, IntArray, Scan
 
 shared = runpy.run_path(__file__.replace("report-flight", "report-tower"))
 NEAR_M, NEAR_DEG = 0.28, 12.0

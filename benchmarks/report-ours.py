@@ -14,12 +14,12 @@ from dataclasses import replace
 from typing import Any
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.metrics.reconstruction import reference, score_structure
-from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.types import Flight, Trajectory
 
 METHODS = ("best", "faces", "smoothed")
 VALUES: dict[str, dict[str, Any]] = {

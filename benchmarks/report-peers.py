@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Flight, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import make_odometry, run
-from steelnb.pins import machine
 from steelnb.settings import ExperimentSettings, OdometrySettings, read_report_plots
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, Trajectory
 
 ROWS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "as it was": ({}, ()),

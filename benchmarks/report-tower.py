@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, Trajectory
 from steelnb.odometry import ReportSegmentOdometry
 from steelnb.settings import ExperimentSettings, TowerSettings
 from steelnb.simulation import build_tower, scan_flight
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, Trajectory
 
 FOLDER = Path(__file__).parent
 LAST_S = 440.0

@@ -12,12 +12,12 @@ import argparse
 import numpy as np
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Flight
 from steelnb.metrics import position_error_m
-from steelnb.pins import machine
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, read_report_plots
 from steelnb.settings.report_plots import STEP_S
-from steelnb.types import Array, Flight
 
 OURS = ("best", "faces", "smoothed")
 REST_S = np.arange(0.0, 15.1, 0.5)

@@ -1,16 +1,17 @@
 """steelnb: drone mapping of steel structures, from simulated or recorded Time-of-Flight scans.
 
 ``import steelnb`` loads no library: each public name is loaded when it is first used. It sets the environment variables
-of `steelnb.pins`, so that results are bit-identical on every processor. Import it before NumPy.
+of `steelnb.core.determinism`, so that results are bit-identical on every processor. Import it before NumPy.
 """
 
 import os
 
-from steelnb.pins import pin
+from steelnb.core.determinism import pin
 
 TYPE_CHECKING = False  # checkers assume true; importing `typing` takes 10 ms, in which Ctrl-C prints a traceback
 if TYPE_CHECKING:
-    from steelnb.errors import InputError, SteelnbError
+    from steelnb.core.errors import InputError, SteelnbError
+    from steelnb.core.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.reconstruct import reconstruct
@@ -30,12 +31,11 @@ if TYPE_CHECKING:
     )
     from steelnb.registration import RegistrationResult, register
     from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
-    from steelnb.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
 
 __version__ = "1.0.0"
 
 _MODULES = {
-    "errors": ("InputError", "SteelnbError"),
+    "core.errors": ("InputError", "SteelnbError"),
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.reconstruct": ("reconstruct",),
@@ -55,7 +55,7 @@ _MODULES = {
     ),
     "registration": ("RegistrationResult", "register"),
     "settings": ("ExperimentSettings", "OdometrySettings", "StructureSettings"),
-    "types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
+    "core.types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

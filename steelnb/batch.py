@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
-from steelnb import experiment, rng
-from steelnb.errors import InputError
+from steelnb import experiment
+from steelnb.core import rng
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
 from steelnb.metrics import bend, position_error_m
 from steelnb.noise import drifting
 from steelnb.odometry import shared_segments
@@ -27,7 +29,6 @@ from steelnb.settings import (
 )
 from steelnb.settings.report_plots import ReportPlot, read_report_plots
 from steelnb.simulation import Tower, build_tower, fly
-from steelnb.types import Array
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""

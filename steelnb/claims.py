@@ -9,10 +9,10 @@ import pandas as pd
 from pydantic import Field, model_validator
 from scipy import stats
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
 from steelnb.row import CASE
 from steelnb.settings import Settings, read_tables
-from steelnb.types import Array
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
 CONFIDENCE = 0.95

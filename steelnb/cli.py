@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 import steelnb
-from steelnb.errors import InputError, SteelnbError
-from steelnb.files import check_folder
+from steelnb.core.errors import InputError, SteelnbError
+from steelnb.core.files import check_folder
 
 EXIT_CODES = """\b
 Exit codes:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from steelnb.core.types import Imu, OdometryStep, Trajectory
 from steelnb.noise import drift_errors, drifted
 from steelnb.odometry import make_odometry
 from steelnb.planning import Decision, Planner
@@ -17,7 +18,6 @@ from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
 from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
-from steelnb.types import Imu, OdometryStep, Trajectory
 
 
 class OnboardPilot:

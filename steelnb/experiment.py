@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
-from steelnb.cache import cached
 from steelnb.closed_loop import OnboardPilot
-from steelnb.errors import InputError
+from steelnb.core.cache import cached
+from steelnb.core.errors import InputError
+from steelnb.core.types import Estimate, Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.noise import drifting
 from steelnb.odometry import correct
@@ -25,7 +26,6 @@ from steelnb.simulation import (
     scan_flight,
 )
 from steelnb.simulation.tof import add_noise, noise_free
-from steelnb.types import Estimate, Flight, Imu, RangeScans, Trajectory
 
 Progress = Callable[[float], None]
 BROKEN_OFF_DRAW = 1_000_000

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb import rng
-from steelnb.files import reading
+from steelnb.core import rng
+from steelnb.core.files import reading
+from steelnb.core.types import Array, Segments
 from steelnb.hough.peers import find_bars
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.paths import pose_on_path
 from steelnb.simulation.tof import TofCamera, take_view
-from steelnb.types import Array, Segments
 
 NOISE_M, CLUTTER = 0.02, 0.1
 USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import Array, Trajectory
 from steelnb.settings import Noise
-from steelnb.types import Array, Trajectory
 
 TILT_S = 30.0
 """Correlation time of the error of roll and pitch."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import create_model
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.settings import ExperimentSettings, Settings
 from steelnb.settings.base import Finite, SeedOrReport, guess, quoted
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.plots import (
     COLOURS,
@@ -17,7 +18,6 @@ from steelnb.plots import (
     style,
     thinned,
 )
-from steelnb.types import Array, Segments, Trajectory
 
 POINTS_MAX = 60_000
 

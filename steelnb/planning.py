@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Segments
 from steelnb.fusion.poses import yaw_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.settings import FlightSettings
-from steelnb.types import Array, Segments
 
 VOXEL_M = 0.1
 CLEARANCE_M = 0.45

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import NDArray
 
-from steelnb.types import Array, Segments
+from steelnb.core.types import Array, Segments
 
 if TYPE_CHECKING:
     from steelnb.simulation import Tower

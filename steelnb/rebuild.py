@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.core.types import Array, Flight, IntArray, Segments
 from steelnb.fusion.proposals import find_bars
 from steelnb.fusion.reconstruct import MappedScans, reconstruct
 from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
@@ -19,7 +20,6 @@ from steelnb.metrics.reconstruction import Reference, StructureScore, reference,
 from steelnb.odometry import SegmentOdometry
 from steelnb.row import case_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
-from steelnb.types import Array, Flight, IntArray, Segments
 
 POSES = ("raw", "corrected", "true")
 METHODS = ("final", "incremental")

@@ -12,8 +12,9 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from steelnb import odometry
-from steelnb.errors import InputError
-from steelnb.files import new_folder
+from steelnb.core.errors import InputError
+from steelnb.core.files import new_folder
+from steelnb.core.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.fusion.uncertainty import axis_sigma_m
@@ -24,7 +25,6 @@ from steelnb.metrics import score_trajectory
 from steelnb.pictures import figure_bars, figure_flight
 from steelnb.plots import COLOURS, LABELS
 from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
-from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 WARM_UP_SCANS = 3
 """The second scan is the first to be registered. By the third, everything is loaded."""

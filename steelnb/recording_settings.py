@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Flight
 from steelnb.points import voxel_grid
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.settings.base import setting_names
-from steelnb.types import Array, Flight
 
 FIRST_SCANS = 10
 SCALE_MIN = 1.25

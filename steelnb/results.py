@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from steelnb.files import new_folder
-from steelnb.pins import machine
+from steelnb.core.determinism import machine
+from steelnb.core.files import new_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

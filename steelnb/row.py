@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
+from steelnb.core.types import Array, Flight
 from steelnb.metrics import bend, largest_slip, position_error_m
-from steelnb.pins import machine
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight
 
 CASE = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
 """Columns that identify a run; tables are sorted by them."""

@@ -21,9 +21,9 @@ from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from steelnb import experiment
-from steelnb.cache import PACKAGE, SOURCES, cached
-from steelnb.errors import InputError, SteelnbError
-from steelnb.files import new_folder, reading
+from steelnb.core.cache import PACKAGE, SOURCES, cached
+from steelnb.core.errors import InputError, SteelnbError
+from steelnb.core.files import new_folder, reading
 from steelnb.row import CASE, CURVES, TIMES, case_of, make_row
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport

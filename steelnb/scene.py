@@ -11,7 +11,8 @@ import numpy as np
 
 from steelnb import experiment, pictures, plots
 from steelnb.batch import at_level
-from steelnb.errors import SteelnbError
+from steelnb.core.errors import SteelnbError
+from steelnb.core.types import Array, Flight, Segments, Trajectory
 from steelnb.hough.blocks import MIN_VOTES, segment_structure
 from steelnb.hough.lines import default_dx
 from steelnb.metrics import position_error_m
@@ -19,7 +20,6 @@ from steelnb.plots import COLOURS, LABELS
 from steelnb.row import case_of, paired_clouds
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight, Segments, Trajectory
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.files import new_folder
+from steelnb.core.errors import InputError
+from steelnb.core.files import new_folder
+from steelnb.core.types import Segments
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.hough.lines import default_dx, spacing
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.pictures import figure_bars
 from steelnb.points import voxel_grid
-from steelnb.types import Segments
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from steelnb import batch, experiment
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.metrics import position_error_m
 from steelnb.metrics.basin import find_basin
 from steelnb.row import paired_clouds

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from steelnb.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, cells_of, judge, read_claims, verdict_table
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.frames import frame_runs
 from steelnb.runs import read_runs
 

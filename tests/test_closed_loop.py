@@ -5,7 +5,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.closed_loop import OnboardPilot
-from steelnb.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError, InputError
 from steelnb.odometry import make_odometry, run
 from steelnb.planning import Planner
 from steelnb.settings import ExperimentSettings, FlightSettings

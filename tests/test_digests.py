@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.results import find_root
 from workflow import digests
 from workflow.digests import SETTINGS, changed, digest, read

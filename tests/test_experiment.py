@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from steelnb import batch, experiment, plots
+from steelnb.core.types import Flight
 from steelnb.metrics import score_segments
 from steelnb.runs import grid
 from steelnb.settings import ExperimentSettings
-from steelnb.types import Flight
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Trajectory
 from steelnb.noise import drift_size, drift_size_rms, drifting
 from steelnb.settings import Noise
-from steelnb.types import Trajectory
 
 
 def still(seconds):

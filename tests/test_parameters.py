@@ -10,7 +10,7 @@ import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import parameters
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.parameters import check_names, check_parameters
 from steelnb.settings import parse_parameter
 from workflow.experiments import parse_parameters, read_parameters

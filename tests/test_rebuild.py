@@ -3,10 +3,10 @@ import pandas as pd
 import pytest
 
 from steelnb.batch import flat
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Segments
 from steelnb.rebuild import CASE, METHODS, NUMBERS, POSES, fly_tower, near_side, rebuild, structure_row
 from steelnb.settings import TowerSettings
-from steelnb.types import Segments
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings
 from steelnb.settings import METHODS, ExperimentSettings
-from steelnb.types import Flight, Scan, Trajectory
 
 
 def made(points, height_m: float = 2.0, scans: int = 3) -> Flight:

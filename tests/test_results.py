@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from steelnb.errors import OutputError
+from steelnb.core.errors import OutputError
 from steelnb.results import Progress, find_root, write_results
 
 

@@ -14,8 +14,8 @@ import psutil
 import pytest
 
 from steelnb import experiment, row, runs
-from steelnb.cache import PACKAGE
-from steelnb.errors import InputError, OutputError
+from steelnb.core.cache import PACKAGE
+from steelnb.core.errors import InputError, OutputError
 from steelnb.metrics import position_error_m
 from steelnb.row import CASE, CURVES, TIMES
 from steelnb.settings import ExperimentSettings

@@ -6,7 +6,7 @@ import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import batch, experiment, scene
-from steelnb.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError, InputError
 from steelnb.scene import PLOTLY_TYPE, Panel
 from steelnb.settings import Noise
 

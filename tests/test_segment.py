@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Segments
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.lines import default_dx
 from steelnb.points import voxel_grid
 from steelnb.segment import SegmentReport, segment_file
-from steelnb.types import Segments
 from tests.lattice import lattice, scanned, thinned
 
 FILES = {"segments.csv", "segments.png"}

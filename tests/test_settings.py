@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.noise import drift_errors
 from steelnb.settings import (
     METHODS,

@@ -49,7 +49,7 @@ results_dir = ""  # empty: show only
 # The gate may contain a sleep that holds the interpreter's lock, as a long call of compiled code does.
 GATE = """
 import ctypes, os, pathlib, sys, time
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"

@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from steelnb.cli import call
-from steelnb.errors import InputError
-from steelnb.files import new_folder
+from steelnb.core.errors import InputError
+from steelnb.core.files import new_folder
 from steelnb.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
 

@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from steelnb import experiment
-from steelnb.errors import InputError, OutputError, SteelnbError
-from steelnb.files import reading
+from steelnb.core.errors import InputError, OutputError, SteelnbError
+from steelnb.core.files import reading
+from steelnb.core.types import Array, Flight
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
@@ -33,7 +34,6 @@ from steelnb.odometry import correct, faces
 from steelnb.odometry.segments import shared_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, SegmentSettings, StructureSettings
-from steelnb.types import Array, Flight
 
 PATH = Path("tests", "digests.json")
 WRITE = "python -m workflow digests --write"

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import nbformat
 from pydantic import Field
 
-from steelnb.cache import digest_sources
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.cache import digest_sources
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
 from steelnb.parameters import FOLDER, check_names, check_parameters, literals
 from steelnb.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, parse_parameter, read_tables

@@ -26,10 +26,10 @@ import psutil
 import pytask
 from nbclient import NotebookClient
 
-import steelnb.errors
-from steelnb.cache import CACHE_VARIABLE
-from steelnb.errors import InputError, SteelnbError
-from steelnb.files import new_folder
+import steelnb.core.errors
+from steelnb.core.cache import CACHE_VARIABLE
+from steelnb.core.errors import InputError, SteelnbError
+from steelnb.core.files import new_folder
 from steelnb.parameters import FOLDER
 from steelnb.results import PROGRESS_VARIABLE, RESULTS, TABLES, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
@@ -144,7 +144,7 @@ def execute(part: Part, scratch: Path, arrays: Path, target: Path) -> None:
         name, message = getattr(fault, "ename", type(fault).__name__), getattr(fault, "evalue", str(fault))
         text = " ".join(f"{part.label}: {part.notebook.name}, cell {begun[-1]}: {name}: {message}".split())
         _tell(f"{part.label}: failed")
-        raised = InputError if hasattr(steelnb.errors, name) else SteelnbError
+        raised = InputError if hasattr(steelnb.core.errors, name) else SteelnbError
         raise raised(f"{text[:400]} (see {failed})") from None
     finally:
         progress.unlink()

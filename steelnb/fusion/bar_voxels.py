@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion import sections
 from steelnb.fusion.problem import Bars
 from steelnb.points.voxel_kernels import EMPTY, find, pack, put
-from steelnb.types import Array, IntArray, Segments
 
 
 class BarVoxels(NamedTuple):

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array, IntArray
 from steelnb.fusion import sections
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.poses import pose_size
 from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
 from steelnb.fusion.sections import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
 from steelnb.settings.odometry import THICKNESS_MAX, THICKNESS_MIN
-from steelnb.types import Array, IntArray
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond their sum is down-weighted (Geman-McClure)."""

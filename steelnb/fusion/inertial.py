@@ -15,10 +15,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.fusion.poses import POSE_DOF, ChainEquations, chain_equations, moved_poses
 from steelnb.settings import ImuSettings
-from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STATE_DOF = 15
 """Degrees of freedom of a state: pose (6), velocity (3), biases of gyroscope (3) and accelerometer (3)."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.structure import Structure
-from steelnb.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
 """Cosines of the angles between bars that meet at a bend. Below 1.5° its position is undetermined."""

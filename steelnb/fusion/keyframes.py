@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Imu, Scan, Trajectory
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.problem import Problem
 from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans, insert_scan
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
-from steelnb.types import Array, Imu, Scan, Trajectory
 
 FITS, STAGES = 2, ((1, 2),)
 """Number of times that bars are fitted before an adjustment, and its stages (`reconstruct.Stages`)."""

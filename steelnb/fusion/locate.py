@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.types import Array, IntArray, Scan
 from steelnb.fusion import poses
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, face_residuals, world_points
 from steelnb.fusion.factors import FACE_DOF, linearised, noise_ratio
@@ -15,7 +16,6 @@ from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
 from steelnb.fusion.problem import Bars, Problem
 from steelnb.fusion.proposals import VOXEL_M
 from steelnb.fusion.sections import THICKNESS_SPREAD
-from steelnb.types import Array, IntArray, Scan
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""

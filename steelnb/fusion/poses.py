@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.types import Array
+from steelnb.core.types import Array
 
 UPRIGHT_DOF, POSE_DOF = 4, 6
 """Degrees of freedom of a pose with the prior's roll and pitch (yaw, x, y, z), and of a free pose."""

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, Segments
 from steelnb.fusion import sections
 from steelnb.fusion.inertial import Inertial
 from steelnb.fusion.poses import moved_poses, pose_size, yaw_of
-from steelnb.types import Array, Segments
 
 BAR_DOF = 6
 """Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""

@@ -5,12 +5,12 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.bars import nearest_bar
 from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.types import Array, IntArray, Segments
 
 TUBE_M, VOXEL_M = 0.06, 0.04
 """Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, IntArray, Scan, Segments
 from steelnb.fusion import problem, sections
 from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
 from steelnb.fusion.factors import PointEquations, linearised
@@ -22,7 +23,6 @@ from steelnb.fusion.solver import improve
 from steelnb.fusion.structure import Structure
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
-from steelnb.types import Array, IntArray, Scan, Segments
 
 END_TUBES = 1.2
 """Points within this many tube radii of the ends of a bar take no part in the fit of its section."""

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray
 from steelnb.points import VoxelMap
 from steelnb.points.voxel_kernels import find, hash_table, pack
-from steelnb.types import Array, IntArray
 
 
 def ridge_points(

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array
 from steelnb.fusion import sections
 from steelnb.fusion.sections import VIEWS, front_face, outline
-from steelnb.types import Array
 
 TURNS = VIEWS
 """Number of rotations in the search. A section rotated by one step looks the same from the next direction."""

@@ -15,8 +15,8 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array
 from steelnb.points.ranges import range_sigma_m
-from steelnb.types import Array
 
 PLATE_M = 0.5
 """Half of the edge length of a plate's outline, longer than the reach of a bar's voxels."""

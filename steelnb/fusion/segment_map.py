@@ -7,10 +7,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import find_joints
 from steelnb.fusion.structure import Structure
 from steelnb.settings import FusionSettings
-from steelnb.types import Array, IntArray, Segments
 
 SIGHTINGS_MIN, FORGET_FRAMES = 5, 50
 """A bar counts from its fifth sighting on, after a second of flight. One with fewer is dropped after ten seconds out of

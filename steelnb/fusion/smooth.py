@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Estimate, Flight, Trajectory
 from steelnb.fusion import uncertainty
 from steelnb.fusion.inertial import Inertial, check_imu
 from steelnb.fusion.poses import TILT_SIGMA_RAD
 from steelnb.fusion.reconstruct import MappedScans, Stages
 from steelnb.settings import ImuSettings, StructureSettings
-from steelnb.types import Estimate, Flight, Trajectory
 
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
 """Number of times that sections are fitted, and stages, for each round. With half of the pixels in the last stage,

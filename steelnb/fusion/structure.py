@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.types import Array, IntArray, Segments
+from steelnb.core.types import Array, IntArray, Segments
 
 
 @dataclass(frozen=True)

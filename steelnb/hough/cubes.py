@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array, IntArray
 from steelnb.points.voxel_kernels import REACH, find, hash_table, pack
-from steelnb.types import Array, IntArray
 
 EDGE = 1.25
 """Edge of a cube in search distances. A point within the search distance of a line is at most √(¼ + 1/EDGE²) < 1 edge

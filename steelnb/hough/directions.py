@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from steelnb.types import Array
+from steelnb.core.types import Array
 
 # In single precision, as in the published program: ties between directions depend on their order and last bits.
 _TAU = np.float32(1.61803399)

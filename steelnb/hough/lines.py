@@ -5,11 +5,11 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from steelnb.errors import InputError
+from steelnb.core.checks import checked_cloud
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Lines
 from steelnb.hough.directions import directions
 from steelnb.hough.transform import iterate
-from steelnb.points.inputs import checked_cloud
-from steelnb.types import Array, Lines
 
 DX_MIN_M, DX_PER_SPACING, SAMPLE = 0.07, 1.2, 5000
 """Minimum of the default dx, its ratio to the point spacing, and number of points that are sampled for the spacing."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.rng import stream
+from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, refine
 from steelnb.hough.lines import default_dx, detect_lines, distinct_points
 from steelnb.hough.transform import drop, fit_near_line
-from steelnb.libraries import import_open3d
-from steelnb.rng import stream
-from steelnb.types import Array, Lines, Segments
 
 PLANES_MAX, NEIGHBOURS_MIN, VARIANCE_FLOOR_M2 = 30, 10, 1e-5
 """Maximum number of RANSAC planes; minimum number of points within dx of a DBSCAN core point, itself included; minimum

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
+from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.lines import default_dx, detect_lines
 from steelnb.hough.pieces import cut, filter_pieces, merge
 from steelnb.settings import HoughSettings
-from steelnb.types import Array, Lines, Segments
 
 GAP = 4.0
 """Maximum gap of a segment in dx: default of ``gap_max``."""

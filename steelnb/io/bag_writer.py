@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError, OutputError
-from steelnb.files import new_folder
+from steelnb.core.errors import InputError, OutputError
+from steelnb.core.files import new_folder
+from steelnb.core.types import Array, Flight, Trajectory
 from steelnb.io.bags import CLOUD, IMU, ODOMETRY, TF, typestore
 from steelnb.io.recordings import truth_path
 from steelnb.io.trajectories import write_tum
-from steelnb.types import Array, Flight, Trajectory
 
 WORLD, BODY, SENSOR = "odom", "base_link", "tof"
 """Frame names. The world frame is odom of REP 105, since the poses drift."""

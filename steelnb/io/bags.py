@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.files import damaged, reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import damaged, reading
+from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io.trajectories import pose_matrices, trajectory_of
-from steelnb.types import Array, Imu, IntArray, Trajectory
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"

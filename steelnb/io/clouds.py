@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
+from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.types import Array
 from steelnb.hough.lines import spacing
-from steelnb.libraries import import_open3d
-from steelnb.types import Array
 
 SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
 """A cloud whose mean is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM

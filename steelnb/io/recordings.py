@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 from steelnb.io.bags import CAMERA, CLOUD, IMU, ODOMETRY, POSE, TF, Bag, is_bag
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.trajectories import interpolate, read_trajectory
-from steelnb.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 
 TRUE = ("groundtruth.tum", "groundtruth.txt")
 Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]

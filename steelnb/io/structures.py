@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from steelnb.core.types import Array, Segments
 from steelnb.fusion.structure import Structure
-from steelnb.types import Array, Segments
 
 COLUMNS = (
     "start_x_m", "start_y_m", "start_z_m", "end_x_m", "end_y_m", "end_z_m", "length_m", "count", "radius_m",

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
-from steelnb.files import reading
-from steelnb.types import Array, Trajectory
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
+from steelnb.core.types import Array, Trajectory
 
 GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
+from steelnb.core.types import Array, Flight
 from steelnb.odometry import CloudOdometry
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
-from steelnb.types import Array, Flight
 
 RIGHT_M = 0.1
 """Maximum error of a right result: the edge of the report's voxel."""

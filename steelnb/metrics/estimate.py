@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from steelnb.core.types import Array, Estimate
 from steelnb.metrics.members import score_segments
 from steelnb.metrics.trajectory import score_gaps, score_trajectory
 from steelnb.simulation import Truth
-from steelnb.types import Array, Estimate
 
 
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
-from steelnb.types import Array, IntArray, Segments
 
 ANGLE_MAX_RAD, DISTANCE_MAX_M, SHARE_MIN = math.radians(5), 0.10, 0.5
 """Maximum angle and distance of a segment from its member, and minimum share of its samples on it."""

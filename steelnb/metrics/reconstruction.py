@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import nearest_point
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.members import DISTANCE_MAX_M, SHARE_MIN, match_members, share
 from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility
-from steelnb.types import Array, IntArray, Segments
 
 
 @dataclass(frozen=True)

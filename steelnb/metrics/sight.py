@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from steelnb.core.types import Array, Flight
 from steelnb.simulation.truth import SLICE_M, Truth
-from steelnb.types import Array, Flight
 
 STEEL_M = 0.15
 """Maximum distance of a return from the middle of the slice that it counts for."""

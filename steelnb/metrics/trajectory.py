@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.types import Array, Trajectory
+from steelnb.core.types import Array, Trajectory
 
 GRACE_S = 2.0
 """Time to recover after a gap in the scans."""

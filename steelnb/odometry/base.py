@@ -6,10 +6,10 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.points.inputs import checked_cloud, checked_pose
+from steelnb.core.checks import checked_cloud, checked_pose
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, OdometryStep, Scan, Segments
 from steelnb.settings import OdometrySettings
-from steelnb.types import Array, OdometryStep, Scan, Segments
 
 SPACING_M = 0.05
 Outcome = tuple[Array, str, int, int]

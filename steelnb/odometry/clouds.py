@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import make_prediction
@@ -13,7 +14,6 @@ from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
-from steelnb.types import Array, Imu, IntArray, Scan
 
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from steelnb.core.types import Array, Segments
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry.prediction import PRIOR_SIGMA
-from steelnb.types import Array, Segments
 
 GAIN = 0.5
 """Share of the mean offset by which `average` corrects, as in the report."""

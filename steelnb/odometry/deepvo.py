@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from steelnb.core.types import Array, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.network import Network, read_network
 from steelnb.settings import DeepVoSettings, OdometrySettings
 from steelnb.settings.presets import PRESETS
-from steelnb.types import Array, Scan
 
 COLUMNS, ROWS = 48, 64
 TAN_HALF_WIDTH, TAN_HALF_HEIGHT = 0.9325, 1.327

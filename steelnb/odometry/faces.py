@@ -14,6 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from steelnb.core.types import Array, Imu, Scan, Segments
 from steelnb.fusion.keyframes import Keyframes
 from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.fusion.poses import (
@@ -31,7 +32,6 @@ from steelnb.odometry.base import Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
-from steelnb.types import Array, Imu, Scan, Segments
 
 KEYFRAME_S = 1.0
 REFIT_S = 10.0

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.images import GreyImage, project
+from steelnb.core.images import GreyImage, project
+from steelnb.core.types import Array, IntArray
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.types import Array, IntArray
 
 SCALE, LEVELS = 1.2, 3
 """Scale factor and number of levels of the image pyramid."""

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.images import project
+from steelnb.core.images import project
+from steelnb.core.types import Array, IntArray
 from steelnb.odometry.features import Features
-from steelnb.types import Array, IntArray
 
 SIGHTINGS_MAX = 50
 """The weight of a new observation stops decreasing after this number, so that positions can still change."""

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.features import Features, loam_features, scan_lines
 from steelnb.registration import AnyTarget, FeatureTarget, RegistrationResult, align
 from steelnb.settings import LoamSettings, OdometrySettings
-from steelnb.types import Array, IntArray, Scan
 
 SHARPEST = {0: 2, 1: 4}
 """Edge (0) or plane (1) → number of features per part of a scan line in scan-to-scan registration, as published."""

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.images import CameraImages
+from steelnb.core.types import Array, Estimate, Flight, Imu
 from steelnb.fusion.inertial import check_imu
 from steelnb.fusion.smooth import smooth
-from steelnb.images import CameraImages
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
@@ -29,7 +30,6 @@ from steelnb.odometry.run import OnStep, run
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.settings.base import guess
-from steelnb.types import Array, Estimate, Flight, Imu
 
 ODOMETRIES: dict[str, type[BaseOdometry]] = {
     "segments": SegmentOdometry,

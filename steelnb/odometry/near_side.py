@@ -14,9 +14,9 @@ and thickness b/12, as rolled ones have, that is 0.1145 b, and the mean width of
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array
 from steelnb.points.features import STEP_M
 from steelnb.points.ranges import ranges_ahead
-from steelnb.types import Array
 
 SHARE_OF_WIDTH = 0.10
 WIDTH_MAX_M = 0.4

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
 from steelnb.settings.presets import PRESETS
 
 VERSION = "steelnb-deepvo-1"

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.images import CameraImages, GreyImage, unproject
+from steelnb.core.images import CameraImages, GreyImage, unproject
+from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.features import Features, features_with_depth, match
 from steelnb.odometry.inertial_prediction import NONE
@@ -19,7 +20,6 @@ from steelnb.odometry.prediction import PRIOR_SIGMA, make_prediction
 from steelnb.odometry.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
-from steelnb.types import Array, Imu, IntArray, Scan
 
 SPACING_PX = 4.0
 """Minimum distance of new landmarks, along u or v, from those already expected in the image."""

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from steelnb.core.types import Array, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.settings import LibrarySettings
-from steelnb.types import Array, Scan
 
 POINTS_MIN = 10
 """Scans with fewer returns are not registered."""

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, Imu
 from steelnb.fusion.poses import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
-from steelnb.types import Array, Imu
 
 DRIFT_GAIN = 0.05
 """Gain of the filter of the drift rate. Chosen on the development seeds 11 and 12."""

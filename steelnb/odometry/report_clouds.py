@@ -12,13 +12,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import FREE, Aligned, Target, align, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
-from steelnb.types import Array, Scan
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
 """Corners of the crop box; sensor frame, metres."""

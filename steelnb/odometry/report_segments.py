@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
+from steelnb.core.types import Array, Scan, Segments
 from steelnb.hough import detect_lines
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.corrections import GAIN, across_of
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
-from steelnb.types import Array, Scan, Segments
 
 NO_FLOOR_M = -1e6
 """No floor filter: the Hough transform includes the points of the floor."""

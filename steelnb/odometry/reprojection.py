@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.types import Array
 from steelnb.odometry.features import SCALE, Features
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
 from steelnb.registration.solve import exp_about
-from steelnb.types import Array
 
 ITERATIONS_MAX = 15
 ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 from steelnb.odometry.base import Odometry
-from steelnb.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
 

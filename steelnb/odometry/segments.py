@@ -9,6 +9,7 @@ from contextvars import ContextVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
@@ -17,7 +18,6 @@ from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PRIOR_SIGMA, Prediction
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
-from steelnb.types import Array, Scan, Segments
 
 Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
 _shared: ContextVar[Found | None] = ContextVar("shared", default=None)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array, IntArray
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
-from steelnb.types import Array, IntArray
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 """Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.types import Array, IntArray
+from steelnb.core.types import Array, IntArray
 
 SIDE = 5
 """Neighbours on either side of a point, in its scan line, that enter its smoothness. As many neighbours of a chosen

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.types import Array, IntArray
+from steelnb.core.types import Array, IntArray
 
 LEAF = 10
 """Largest number of points in a leaf."""

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from steelnb.points.inputs import checked_cloud
-from steelnb.types import Array
+from steelnb.core.checks import checked_cloud
+from steelnb.core.types import Array
 
 SIGMA_M, SIGMA_SHARE = 0.01, 0.01
 """Standard deviation of a range that every estimator assumes: 1 cm up to 1 m, 1 % beyond, as in data sheets of

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, IntArray
 from steelnb.points import voxel_kernels as kernels
-from steelnb.types import Array, IntArray
 
 
 class VoxelMap:

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from steelnb.errors import InputError
+from steelnb.core.checks import checked_pose
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.points.inputs import checked_pose
 from steelnb.registration.solve import FREE, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import finite, make_target
-from steelnb.types import Array
 
 METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 """Method → error."""

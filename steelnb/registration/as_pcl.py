@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.types import Array
 from steelnb.registration.bfgs import euler_pose, metrics, minimise
 from steelnb.registration.target import Target
-from steelnb.types import Array
 
 PAIRS_MIN = {"point": 3, "gicp": 4}
 """With fewer pairs a registration fails."""

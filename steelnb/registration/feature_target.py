@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import Array, IntArray
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 from steelnb.registration.target import Search
-from steelnb.types import Array, IntArray
 
 NEIGHBOURS = 5
 """Number of features to which a line or plane is fitted."""

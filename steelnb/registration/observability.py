@@ -10,8 +10,8 @@ the sampling.
 
 import numpy as np
 
+from steelnb.core.types import Array, IntArray
 from steelnb.points.covariances import normals
-from steelnb.types import Array, IntArray
 
 PAIRS_MAX = 500
 """Maximum number of pairs, evenly picked, from which the directions of the surfaces are estimated."""

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array, IntArray
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.feature_target import FeatureTarget
 from steelnb.registration.observability import unobserved_shifts, without_shifts
 from steelnb.registration.target import Target
-from steelnb.types import Array, IntArray
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.eye(6)}

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from steelnb.errors import InputError
+from steelnb.core.checks import checked_cloud
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, IntArray
 from steelnb.points import VoxelShapes
 from steelnb.points.covariances import NEIGHBOURS, PlaneCovariances, neighbour_covariances, normals
-from steelnb.points.inputs import checked_cloud
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
-from steelnb.types import Array, IntArray
 
 CACHED = 3
 """Number of neighbours of each source point that are cached between iterations."""

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from steelnb import rng
-from steelnb.errors import InputError
+from steelnb.core import rng
+from steelnb.core.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 DURATION_MAX_S = 14_400.0

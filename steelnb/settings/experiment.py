@@ -4,7 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import model_validator
 
-from steelnb import rng
+from steelnb.core import rng
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.report_plots import STEP_S, ReportPlot

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.settings.base import (
     Finite,
     NotNegative,

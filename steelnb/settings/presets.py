@@ -6,8 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
 from steelnb.settings.base import Settings, as_tuples, guess, quoted
 
 PRESETS = Path(__file__).parent.parent / "presets"

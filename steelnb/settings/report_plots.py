@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
+from steelnb.core.types import Array, IntArray
 from steelnb.settings.base import as_tuples
 from steelnb.settings.presets import PRESETS, read_toml
-from steelnb.types import Array, IntArray
 
 STEP_S = 0.008
 """The original's simulator step."""

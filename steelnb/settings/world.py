@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, IntArray
 from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, guess, quoted
 from steelnb.settings.presets import preset_table, sensor_preset
 from steelnb.settings.report_plots import ReportPlot, checked_steps
-from steelnb.types import Array, IntArray
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
 BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")

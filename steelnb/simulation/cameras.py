@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb import rng
-from steelnb.images import CameraImages, GreyImage
+from steelnb.core import rng
+from steelnb.core.images import CameraImages, GreyImage
+from steelnb.core.types import Array, IntArray, Trajectory
 from steelnb.settings import CameraSettings
 from steelnb.simulation.scene import Hits, cast_bundle, make_scene, rays, world_rays
 from steelnb.simulation.sections import GROUND
 from steelnb.simulation.texture import Floats, make_texture, shade
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, IntArray, Trajectory
 
 RATE_HZ = 10.0
 """Images per second."""
@@ -40,7 +40,7 @@ def focal_px(camera: CameraSettings) -> float:
 
 
 def intrinsics(camera: CameraSettings) -> Array:
-    """Intrinsics ``K (3, 3)`` of a camera with square pixels, in pixels, as in `steelnb.images.CameraImages`."""
+    """Intrinsics ``K (3, 3)`` of a camera with square pixels, in pixels, as in `steelnb.core.images.CameraImages`."""
     f = focal_px(camera)
     return np.array([[f, 0, (camera.columns - 1) / 2], [0, f, (camera.rows - 1) / 2], [0, 0, 1]])
 

@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray
 from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.scene import Scene, cast_bundle, rays
 from steelnb.simulation.sections import GROUND
-from steelnb.types import Array, IntArray
 
 Floats = NDArray[np.float32]
 

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
-from steelnb.errors import CollisionError
+from steelnb.core import rng
+from steelnb.core.errors import CollisionError
+from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import FlightSettings
 from steelnb.simulation.paths import heading, minimum_jerk, setpoints
 from steelnb.simulation.tower import Tower
-from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 STEP_S = 0.008
 COMMAND_S = 0.1

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import ImuSettings
-from steelnb.types import GRAVITY, Array, Imu, Trajectory
 
 FILTER_GAIN = 0.5
 """Gain of the filter towards the accelerometer's vertical, 1/s: the library's default."""

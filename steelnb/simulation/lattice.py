@@ -16,14 +16,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from steelnb.errors import InputError
-from steelnb.files import reading
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
+from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
 from steelnb.settings.world import Kind
 from steelnb.simulation.sections import Member, make_member, unit
-from steelnb.types import Array
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
 WIDTH = "width"

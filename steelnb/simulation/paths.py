@@ -4,9 +4,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Array
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation.tower import Tower, half_width
-from steelnb.types import Array
 
 
 def path(flight: FlightSettings, tower: TowerSettings) -> tuple[Array, Array]:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.libraries import import_open3d
+from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.types import Array, IntArray
 from steelnb.settings import CameraSettings
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, IntArray
 
 STEPS_PER_M = 65536.0
 """Ranges are rounded to this resolution."""

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
+from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
-from steelnb.types import Array, IntArray
 
 GROUND, PLATE = -1, -2
 """Used in place of a member's index: the ground, and a steel plate, which is not a bar."""

@@ -13,11 +13,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import Array
 from steelnb.simulation.scene import Hits
 from steelnb.simulation.sections import PLATE
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array
 
 Floats = NDArray[np.float32]
 

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import Array, IntArray, RangeScans, Scan, Trajectory
 from steelnb.settings import TofSettings
 from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, Faults, draw_faults, expose
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.sections import GROUND
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
-from steelnb.types import Array, IntArray, RangeScans, Scan, Trajectory
 
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""

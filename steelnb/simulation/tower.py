@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
 from steelnb.simulation.lattice import leg_half_width, listed_members
 from steelnb.simulation.sections import PLATE, Member, make_member, mesh_members, unit
-from steelnb.types import Array, IntArray
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray, Trajectory
 from steelnb.simulation.tower import Tower
-from steelnb.types import Array, IntArray, Trajectory
 
 SLICE_M = 0.05
 RETURNS_MIN, LENGTH_MIN_M = 100, 0.3

@@ -5,12 +5,12 @@ import functools
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Flight, Segments, Trajectory
 from steelnb.fusion import Structure, sections
 from steelnb.fusion.bar_voxels import Observations
 from steelnb.fusion.problem import Bars
 from steelnb.settings import TofSettings, TowerSettings
 from steelnb.simulation import build_tower, scan_flight
-from steelnb.types import Flight, Segments, Trajectory
 
 
 def bars_of(*axes, count=100, radius=0.01) -> Segments:

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import GRAVITY, Imu, Trajectory
 from steelnb.fusion import inertial, poses, smooth
 from steelnb.fusion.poses import moved_poses
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, ImuSettings
 from steelnb.simulation import measured_imu
-from steelnb.types import GRAVITY, Imu, Trajectory
 
 SHEET = ImuSettings.preset("starling2-honest")
 STEP_S, EVERY = 0.008, 25

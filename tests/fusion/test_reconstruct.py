@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
 from steelnb.fusion.joints import find_joints

@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Flight, Segments, Trajectory
 from steelnb.fusion import factors, problem, smooth, solver, uncertainty
 from steelnb.fusion.problem import Bars
 from steelnb.fusion.sections import THICKNESS
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
-from steelnb.types import Flight, Segments, Trajectory
 from tests.fusion.made import made_up
 
 NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
 from steelnb.fusion.problem import BAR_DOF, Bars
 from tests.fusion.made import bars_of, made_up

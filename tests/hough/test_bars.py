@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steelnb.core.types import Segments
 from steelnb.hough import bars as module
 from steelnb.hough.bars import bars_of_groups, in_passes, nearest_bar, refine
-from steelnb.types import Segments
 
 
 def bars(*ends):

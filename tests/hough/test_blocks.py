@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steelnb.core.types import Segments
 from steelnb.hough.blocks import segment_structure, within
 from steelnb.points import voxel_grid
-from steelnb.types import Segments
 
 
 def frame(seed, noise_m=0.01):

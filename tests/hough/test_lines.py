@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.hough import detect_lines, detect_segments, directions
 from steelnb.hough.lines import MAX_CELLS, default_dx
 from tests import naive

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.hough import bars
 from steelnb.hough.peers import METHODS, find_bars
 

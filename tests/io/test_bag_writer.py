@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError, OutputError
+from steelnb.core.errors import InputError, OutputError
 from steelnb.io import read_flight, read_truth, write_flight
 from tests.io.samples import made_up, poses
 

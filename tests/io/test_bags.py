@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.io import read_flight, write_tum
 from steelnb.io.bags import ODOMETRY, POSE, T_OPTICAL_SENSOR
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses

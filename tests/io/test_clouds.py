@@ -8,7 +8,7 @@ import open3d
 import pytest
 import trimesh
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.io import read_cloud, read_flight, read_trajectory, read_truth, write_tum
 from steelnb.io.clouds import read_points
 from tests.io.samples import poses

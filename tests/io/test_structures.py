@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from steelnb.core.types import Segments
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure
-from steelnb.types import Segments
 
 START, END = np.array([[0.0, 0, 0], [0, 0, 4]]), np.array([[0.0, 0, 4], [3, 0, 4]])
 SEGMENTS = Segments(START, END, np.array([900, 400]), np.array([0.02, 0.0123456]))

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from steelnb.core.types import Segments, Trajectory
 from steelnb.metrics import position_error_m, score_segments, score_trajectory, seen_members
 from steelnb.simulation import build_tower
 from steelnb.simulation.truth import SLICE_M, SliceCounter, Visibility
-from steelnb.types import Segments, Trajectory
 from tests.fusion.made import bars_of, random_bars, rigid, turned
 
 

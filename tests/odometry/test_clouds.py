@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from steelnb import experiment
+from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m, score_gaps
 from steelnb.odometry import CloudOdometry, LoamOdometry, clouds, prediction
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
-from steelnb.types import Trajectory
 
 NOISE = "constant-drift:0.0004+random-walk"
 

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import DeepVoOdometry, make_odometry, run
 from steelnb.odometry.deepvo import (
@@ -20,7 +21,6 @@ from steelnb.odometry.deepvo import (
 )
 from steelnb.odometry.network import VERSION, WEIGHTS, convolved, read_network, write_network
 from steelnb.settings import ExperimentSettings, OdometrySettings
-from steelnb.types import Trajectory
 from tests import naive
 
 

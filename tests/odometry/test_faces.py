@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, odometry
+from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.fusion import keyframes
 from steelnb.fusion.locate import Locator, points_in_range
 from steelnb.metrics import position_error_m
 from steelnb.odometry import CloudOdometry, FaceOdometry, faces, make_odometry
 from steelnb.odometry.faces import ADOPT_S
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
-from steelnb.types import Flight, Scan, Trajectory
 from tests.fusion.made import around, small_tower
 
 REFIT_S = 4.0

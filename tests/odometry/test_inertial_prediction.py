@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Imu
 from steelnb.fusion.poses import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import faces, make_odometry, run
@@ -14,7 +15,6 @@ from steelnb.points import VoxelMap
 from steelnb.registration.solve import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
-from steelnb.types import Imu
 from tests.fusion.test_inertial import EVERY, SHEET, swaying
 from tests.odometry.test_tilt import tilt_rms_deg, world
 

@@ -1,9 +1,9 @@
-"""Inputs that every odometry refuses, with the same messages as `register`: both use `steelnb.points.inputs`."""
+"""Inputs that every odometry refuses, with the same messages as `register`: both use `steelnb.core.checks`."""
 
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.odometry import make_odometry
 from steelnb.settings import METHODS, OdometrySettings
 

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
+from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import LoamOdometry, make_odometry
 from steelnb.registration import FREE
 from steelnb.settings import ExperimentSettings, OdometrySettings
-from steelnb.types import Trajectory
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.images import project
+from steelnb.core.images import project
 from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match
 from steelnb.odometry.landmarks import LandmarkMap

@@ -8,12 +8,12 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Segments
 from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Aligned, Target, bfgs, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings
-from steelnb.types import Segments
 from tests import naive
 
 CLOUDS = ("report-icp", "report-icp-3dof", "report-gicp")

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
+from steelnb.core.types import Scan, Segments
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
 from steelnb.odometry.base import SPACING_M
 from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, shared_ends, shifted
 from steelnb.settings import OdometrySettings
-from steelnb.types import Scan, Segments
 from tests import naive
 
 BARS = np.array(

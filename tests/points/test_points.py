@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.types import Scan
 from steelnb.points import preprocess_scan, voxel_grid
 from steelnb.points.preprocess import crop
 from steelnb.settings import PreprocessSettings
-from steelnb.types import Scan
 from tests import naive
 
 BOX = np.zeros(3), np.ones(3), np.array([0.0, 0.0, 1.0])

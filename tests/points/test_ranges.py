@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.points import smooth_ranges
 from steelnb.points.ranges import GATE_SIGMAS, SIGMA_M, SIGMA_SHARE
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.points import VoxelMap, VoxelShapes, voxel_grid
 from steelnb.points import voxel_kernels as kernels
 from tests import naive

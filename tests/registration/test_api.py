@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
 from steelnb.points import VoxelMap
 from steelnb.registration import register
 from tests.registration.scenes import corner, motion, pose_error, transformed

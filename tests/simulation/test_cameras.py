@@ -3,13 +3,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.images import project
+from steelnb.core.images import project
+from steelnb.core.types import Trajectory
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, Camera, build_tower, cameras, photograph
 from steelnb.simulation.cameras import SAMPLES, intrinsics
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.texture import SIZE, _sample_tile, make_texture
-from steelnb.types import Trajectory
 
 TOWER = build_tower()
 SMALL = FORWARD.replace(columns=211, rows=160)

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from steelnb import rng
+from steelnb.core import rng
+from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, scan_flight
 from steelnb.simulation.exposure import (
@@ -21,7 +22,6 @@ from steelnb.simulation.exposure import (
 from steelnb.simulation.paths import pose_on_path
 from steelnb.simulation.scene import cast_rays, make_scene, rays
 from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
-from steelnb.types import Trajectory
 from tests import naive
 
 SMALL = TofSettings(

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb import rng
-from steelnb.errors import CollisionError
+from steelnb.core import rng
+from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.flight import gusts

@@ -3,9 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
+from steelnb.core.types import Imu, Trajectory
 from steelnb.settings import ExperimentSettings, FlightSettings, ImuSettings
 from steelnb.simulation import build_tower, filtered_attitude, fly, measured_imu
-from steelnb.types import Imu, Trajectory
 
 STEP_S = 0.008
 STARLING2 = ImuSettings.preset("starling2-honest")

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Trajectory
 from steelnb.metrics.members import seen_members
 from steelnb.settings import CameraSettings, TofSettings, TowerSettings
 from steelnb.simulation import Camera, build_tower, scan_flight
@@ -16,7 +17,6 @@ from steelnb.simulation.lattice import COLUMNS, find_joints
 from steelnb.simulation.scene import cast_bundle, make_scene
 from steelnb.simulation.sections import GROUND, PLATE
 from steelnb.simulation.tower import half_width
-from steelnb.types import Trajectory
 from tests.lattice import pieces_of
 
 # Measured on pictures (scripts/report-tower); relative to the axis.

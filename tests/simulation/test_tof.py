@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from steelnb.errors import InputError
+from steelnb.core.errors import InputError
+from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.paths import pose_on_path
 from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, add_noise, measured_ranges, noise_free, reported_rays
-from steelnb.types import Trajectory
 
 TOWER = build_tower()
 SCENE = make_scene(TOWER)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError, InputError
 from steelnb.settings import FlightSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.paths import minimum_jerk, pose_on_path

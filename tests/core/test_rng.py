@@ -1,6 +1,6 @@
 import numpy as np
 
-from steelnb import rng
+from steelnb.core import rng
 
 
 def test_a_stream_depends_only_on_seed_and_names():

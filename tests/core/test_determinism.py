@@ -1,4 +1,4 @@
-"""`steelnb.pins`: libraries make the same choices on every processor."""
+"""`steelnb.core.determinism`: libraries make the same choices on every processor."""
 
 import subprocess
 import sys
@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from steelnb import pins
+from steelnb.core import determinism
 
-PINS = dict(line.split("=", 1) for line in Path(pins.FILE).read_text(encoding="utf-8").split())
+PINS = dict(line.split("=", 1) for line in Path(determinism.FILE).read_text(encoding="utf-8").split())
 
 
 def features(**found: bool) -> SimpleNamespace:
@@ -19,20 +19,20 @@ def features(**found: bool) -> SimpleNamespace:
 @pytest.fixture
 def modern(monkeypatch):
     """A processor with AVX2, before anything is imported."""
-    monkeypatch.setattr(pins, "missing_features", lambda: "")
+    monkeypatch.setattr(determinism, "missing_features", lambda: "")
     monkeypatch.delitem(sys.modules, "numpy", raising=False)
 
 
 def test_variables_are_set_unless_the_user_has_set_them(modern):
     environment = {"OMP_NUM_THREADS": "4"}
-    pins.pin(environment)
+    determinism.pin(environment)
     assert environment == {**PINS, "OMP_NUM_THREADS": "4"}
 
 
 def test_numpy_gets_only_one_variable(modern):
-    environment = {pins.NUMPY_DISABLES: "X86_V4"}
-    pins.pin(environment)
-    assert pins.NUMPY_ENABLES not in environment
+    environment = {determinism.NUMPY_DISABLES: "X86_V4"}
+    determinism.pin(environment)
+    assert determinism.NUMPY_ENABLES not in environment
 
 
 def test_numpy_starts_with_the_variables():
@@ -47,17 +47,21 @@ def test_numpy_starts_with_the_variables():
 )
 def test_numpy_imported_before_matters_only_if_it_uses_avx512(modern, monkeypatch, recwarn, avx512, warned):
     monkeypatch.setitem(sys.modules, "numpy", features(**avx512))
-    pins.pin({})
+    determinism.pin({})
     assert len(recwarn) == warned
 
 
 def test_a_processor_without_avx2_is_named_and_numpy_still_starts(monkeypatch, tmp_path, recwarn):
     (tmp_path / "old").write_text("model name : Xeon\nflags : sse4_2 avx fma\n")
     (tmp_path / "new").write_text("model name : Xeon\nflags : sse4_2 avx avx2 fma\n")
-    assert pins.missing_features(str(tmp_path / "old")) == "AVX2"
-    assert pins.missing_features(str(tmp_path / "new")) == pins.missing_features(str(tmp_path / "none")) == ""
-    monkeypatch.setattr(pins, "missing_features", lambda: "AVX2")
+    assert determinism.missing_features(str(tmp_path / "old")) == "AVX2"
+    assert (
+        determinism.missing_features(str(tmp_path / "new"))
+        == determinism.missing_features(str(tmp_path / "none"))
+        == ""
+    )
+    monkeypatch.setattr(determinism, "missing_features", lambda: "AVX2")
     environment: dict[str, str] = {}
-    pins.pin(environment)
-    assert pins.NUMPY_ENABLES not in environment
+    determinism.pin(environment)
+    assert determinism.NUMPY_ENABLES not in environment
     assert len(recwarn) == 1

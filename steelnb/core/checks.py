@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from steelnb.errors import InputError
-from steelnb.types import Array
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
 
 RIGID_TOLERANCE = 1e-3
 """Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from steelnb.errors import InputError, OutputError
-from steelnb.files import new_folder, reading
+from steelnb.core.errors import InputError, OutputError
+from steelnb.core.files import new_folder, reading
 
 
 def files_below(folder: Path) -> dict[str, str]:
@@ -67,7 +67,7 @@ def test_an_unwritable_folder_is_one_line(tmp_path: Path) -> None:
 
 def test_a_killed_process_leaves_nothing_half_written(tmp_path: Path) -> None:
     code = (
-        "import sys, time\nfrom steelnb.files import new_folder\n"
+        "import sys, time\nfrom steelnb.core.files import new_folder\n"
         "with new_folder(sys.argv[1]) as folder:\n (folder / 'a').write_text('half')\n print(flush=True)\n"
         " time.sleep(60)\n"
     )

@@ -26,7 +26,7 @@ def pin(environment: MutableMapping[str, str]) -> None:
         _warn(f"this processor has no {missing}: results will differ in the last digits from those of newer ones.")
     elif numpy is not None and uses_avx512(numpy):
         _warn("NumPy was imported before steelnb and uses AVX-512: results will differ in the last digits from those of"
-              " other processors. Import steelnb first, or set the variables of steelnb/pins.env.")  # fmt: skip
+              " other processors. Import steelnb first, or set the variables of steelnb/core/pins.env.")  # fmt: skip
     if missing or NUMPY_DISABLES in environment:
         del pins[NUMPY_ENABLES]
     for name, value in pins.items():

@@ -21,7 +21,7 @@ CACHE_VARIABLE = "STEELNB_CACHE"
 nothing is cached."""
 BYTES_MAX = 2_000_000_000
 """Above this size, the least recently used entries are deleted when a process first uses the folder."""
-PACKAGE = Path(__file__).resolve().parent
+PACKAGE = Path(__file__).resolve().parents[1]
 EXCLUDED = ("batch.py", "charts.py", "claims.py", "cli.py", "plots.py", "scene.py", "__main__.py")
 """Parts of the package that do not affect results."""
 LIBRARIES = (

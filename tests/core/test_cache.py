@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steelnb import cache, experiment
+from steelnb import experiment
+from steelnb.core import cache
+from steelnb.core.types import RangeScans
 from steelnb.settings import ExperimentSettings
-from steelnb.types import RangeScans
 
 GIVEN = {"trajectory": "loops", "noise": "random-walk", "sensor": "report-4cm", "duration_s": 4.0}
 SETTINGS = ExperimentSettings.preset(**GIVEN)

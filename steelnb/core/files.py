@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from steelnb.errors import InputError, OutputError, SteelnbError
+from steelnb.core.errors import InputError, OutputError, SteelnbError
 
 
 @contextmanager

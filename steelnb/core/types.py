@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.images import CameraImages
+from steelnb.core.images import CameraImages
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

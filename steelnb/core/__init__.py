@@ -1,0 +1,1 @@
+"""What all rooms share: types, errors, random streams, files, the cache, checks of arrays, determinism."""
