@@ -20,7 +20,7 @@ Exit codes:
   2    bad input, reported in one line; nothing was written
   130  interrupted (Ctrl-C)
 """
-PRESETS = Path(__file__).parent / "presets"
+PRESETS = Path(__file__).parent / "settings" / "presets"
 METHODS, TRAJECTORIES = (
     tuple(tomllib.loads((PRESETS / f"{name}.toml").read_text(encoding="utf-8"))) for name in ("methods", "flights")
 )

@@ -1,4 +1,4 @@
-"""Presets: TOML files in ``steelnb/presets``. A user can copy one, change it and pass its path."""
+"""Presets: TOML files in ``steelnb/settings/presets``. A user can copy one, change it and pass its path."""
 
 import tomllib
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.settings.base import Settings, as_tuples, guess, quoted
 
-PRESETS = Path(__file__).parent.parent / "presets"
+PRESETS = Path(__file__).parent / "presets"
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
 S = TypeVar("S", bound=Settings)
 

@@ -41,7 +41,7 @@ def _with_usual(given: Any) -> Any:
 class TowerSettings(Settings):
     """A steel lattice tower: built from a list of ``members``, or without a list a tapered one of the given dimensions.
 
-    ``members``: name of a CSV file of ``steelnb/presets``, such as ``report-tower``, or ``FILE.csv``
+    ``members``: name of a CSV file of ``steelnb/settings/presets``, such as ``report-tower``, or ``FILE.csv``
     (`steelnb.simulation.lattice`). ``section``: angles, or round rods with the flange's width as diameter.
     ``profile_m``: height and width of the body on the ground, at its waist and at its top; ``arms_m``: height and reach
     of each arm; ``sections_m``: width and thickness of the flanges for each kind of member; those that are not given

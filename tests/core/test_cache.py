@@ -94,7 +94,7 @@ def test_a_change_recomputes_only_what_depends_on_it(folder, made, changed, made
 
 
 def test_a_list_of_members_is_hashed_by_its_content(folder, made, tmp_path):
-    text = (cache.PACKAGE / "presets" / "report-tower.csv").read_text()
+    text = (cache.PACKAGE / "settings" / "presets" / "report-tower.csv").read_text()
     (tmp_path / "mine.csv").write_text(text)
     mine = ExperimentSettings.report("3.5", "vertical", "icp").override(
         {"tower.members": str(tmp_path / "mine.csv"), "flight.duration_s": 60.0}
@@ -121,7 +121,7 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
 
 
 def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch):
-    for name in ("hough/votes.py", "presets/methods.toml", "plots.py"):
+    for name in ("hough/votes.py", "settings/presets/methods.toml", "plots.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
