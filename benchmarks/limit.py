@@ -19,7 +19,7 @@ from steelnb.core.types import Array, IntArray
 from steelnb.fusion.poses import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.settings import ExperimentSettings, TofSettings, TrajectoryName
 from steelnb.simulation import Truth
-from steelnb.simulation.scene import cast_bundle, make_scene, rays
+from steelnb.simulation.raycasting import cast_bundle, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M
 from steelnb.simulation.tower import Tower
 

@@ -31,7 +31,7 @@ from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
 from steelnb.settings.presets import sensor_preset
 from steelnb.simulation import build_tower
-from steelnb.simulation.scene import cast_rays, make_scene, rays
+from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import measured_ranges, reported_rays
 from steelnb.simulation.tower import Tower, half_width
 

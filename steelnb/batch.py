@@ -15,7 +15,6 @@ from steelnb.core import rng
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import bend, position_error_m
-from steelnb.noise import drifting
 from steelnb.odometry import shared_segments
 from steelnb.results import find_root
 from steelnb.row import case_of, paired_clouds, stage_times
@@ -29,6 +28,7 @@ from steelnb.settings import (
 )
 from steelnb.settings.report_plots import ReportPlot, read_report_plots
 from steelnb.simulation import Tower, build_tower, fly
+from steelnb.simulation.noise import drifting
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""

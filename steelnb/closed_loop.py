@@ -9,13 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from steelnb.core.types import Imu, OdometryStep, Trajectory
-from steelnb.noise import drift_errors, drifted
 from steelnb.odometry import make_odometry
 from steelnb.planning import Decision, Planner
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.flight import STEP_S, Command
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
+from steelnb.simulation.noise import drift_errors, drifted
 from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
 

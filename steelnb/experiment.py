@@ -9,7 +9,6 @@ from steelnb.core.cache import cached
 from steelnb.core.errors import InputError
 from steelnb.core.types import Estimate, Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
-from steelnb.noise import drifting
 from steelnb.odometry import correct
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.presets import members_file
@@ -25,6 +24,7 @@ from steelnb.simulation import (
     photograph,
     scan_flight,
 )
+from steelnb.simulation.noise import drifting
 from steelnb.simulation.tof import add_noise, noise_free
 
 Progress = Callable[[float], None]

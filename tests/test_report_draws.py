@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from steelnb.batch import report_curve
-from steelnb.noise import drift_errors
 from steelnb.settings import Noise, read_report_plots
+from steelnb.simulation.noise import drift_errors
 
 UNEVEN = [plot for plot in read_report_plots() if not plot.steps_per_sample]
 EVEN = [plot for plot in read_report_plots() if plot.steps_per_sample]

@@ -7,7 +7,7 @@ import numpy as np
 
 Seed = int | Literal["report"]
 """A non-negative integer, or ``report``: the drift then uses the random draws of the report's program
-(`steelnb.noise`)."""
+(`steelnb.simulation.noise`)."""
 REPORT_SEED = 42
 """The seed of the report's program."""
 

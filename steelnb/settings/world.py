@@ -42,7 +42,7 @@ class TowerSettings(Settings):
     """A steel lattice tower: built from a list of ``members``, or without a list a tapered one of the given dimensions.
 
     ``members``: name of a CSV file of ``steelnb/settings/presets``, such as ``report-tower``, or ``FILE.csv``
-    (`steelnb.simulation.lattice`). ``section``: angles, or round rods with the flange's width as diameter.
+    (`steelnb.simulation.member_list`). ``section``: angles, or round rods with the flange's width as diameter.
     ``profile_m``: height and width of the body on the ground, at its waist and at its top; ``arms_m``: height and reach
     of each arm; ``sections_m``: width and thickness of the flanges for each kind of member; those that are not given
     are `USUAL_SECTIONS`. The ground is a square plate at z = 0.
@@ -182,7 +182,7 @@ class TofSettings(CameraSettings):
 
     ``pixel_origin``: where in its pixel the driver places a depth. The report's driver omits the half pixel to the
     ``centre``, so its points lie half a pixel too far left and up, towards the ``corner``. With ``faults``, the sensor
-    has the errors of a real one (`steelnb.simulation.exposure`); the noise of a range then depends on the amplitude of
+    has the errors of a real one (`steelnb.simulation.tof_faults`); the noise of a range then depends on the amplitude of
     its return. ``draw``: number of the draw of the range noise; draws of one seed differ in nothing else.
     """
 

@@ -1,9 +1,9 @@
 """Simulation of a tower, a flight and its sensors; it replaces the report's Webots simulation."""
 
-from steelnb.simulation.cameras import FORWARD, Camera, photograph
+from steelnb.simulation.camera import FORWARD, Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
-from steelnb.simulation.sections import Member
+from steelnb.simulation.members import Member
 from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Tower, build_tower
 from steelnb.simulation.truth import Truth, Visibility

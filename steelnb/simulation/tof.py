@@ -7,9 +7,9 @@ import numpy as np
 from steelnb.core import rng
 from steelnb.core.types import Array, IntArray, RangeScans, Scan, Trajectory
 from steelnb.settings import TofSettings
-from steelnb.simulation.exposure import MIDDLE, MOMENTS, Exposure, Faults, draw_faults, expose
-from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.sections import GROUND
+from steelnb.simulation.members import GROUND
+from steelnb.simulation.raycasting import cast_rays, make_scene, rays
+from steelnb.simulation.tof_faults import MIDDLE, MOMENTS, Exposure, Faults, draw_faults, expose
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
 

@@ -9,8 +9,8 @@ import numpy as np
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
-from steelnb.simulation.lattice import leg_half_width, listed_members
-from steelnb.simulation.sections import PLATE, Member, make_member, mesh_members, unit
+from steelnb.simulation.member_list import leg_half_width, listed_members
+from steelnb.simulation.members import PLATE, Member, make_member, mesh_members, unit
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from steelnb.fusion.reconstruct import MappedScans
 from steelnb.metrics.members import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
-from steelnb.simulation.sections import PLATE, mesh_members
+from steelnb.simulation.members import PLATE, mesh_members
 from tests import naive
 from tests.fusion.made import around, small_tower
 from tests.lattice import build_tubes

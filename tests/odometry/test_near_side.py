@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.odometry.near_side import SHARE_OF_WIDTH, NearSide, apparent_width
 from steelnb.settings import TofSettings
-from steelnb.simulation.scene import rays
+from steelnb.simulation.raycasting import rays
 
 
 def strip(width_m, angle_deg, distance_m=3.0, columns=240, rows=240):

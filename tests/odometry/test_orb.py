@@ -15,9 +15,9 @@ from steelnb.odometry.landmarks import LandmarkMap
 from steelnb.odometry.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import CameraSettings, ExperimentSettings, TofSettings
-from steelnb.simulation import FORWARD, cameras
-from steelnb.simulation.cameras import intrinsics
-from steelnb.simulation.scene import rays
+from steelnb.simulation import FORWARD, camera
+from steelnb.simulation.camera import intrinsics
+from steelnb.simulation.raycasting import rays
 from tests import naive
 
 K = intrinsics(FORWARD)
@@ -45,7 +45,7 @@ def loops_with_images():
     """Six seconds of loops whose camera sees nothing for half of one; rendered images are kept."""
     settings = ExperimentSettings.preset("loops", "random-walk:0.004", "orb", seed=12, duration_s=6.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cameras, "SAMPLES", 2)
+        patch.setattr(camera, "SAMPLES", 2)
         flight, truth = experiment.simulate(settings)
         number = [flight.images.at(stamp_s) for stamp_s in flight.prior.stamp_s]
         dark = np.zeros((FORWARD.rows, FORWARD.columns), np.uint8)

@@ -6,7 +6,7 @@ import pytest
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.settings import OdometrySettings, TofSettings
-from steelnb.simulation.scene import rays
+from steelnb.simulation.raycasting import rays
 from steelnb.simulation.tof import measured_ranges
 
 X_M, SCANS = 2.0, 60

@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.points.features import SMOOTH, loam_features, scan_lines
 from steelnb.settings import TofSettings
-from steelnb.simulation.scene import rays
+from steelnb.simulation.raycasting import rays
 from tests import naive
 
 pytestmark = pytest.mark.kernels

@@ -5,7 +5,6 @@ import pytest
 from pydantic import ValidationError
 
 from steelnb.core.errors import InputError
-from steelnb.noise import drift_errors
 from steelnb.settings import (
     METHODS,
     TRAJECTORIES,
@@ -20,6 +19,7 @@ from steelnb.settings import (
 )
 from steelnb.settings.odometry import FAMILIES
 from steelnb.settings.presets import PRESETS
+from steelnb.simulation.noise import drift_errors
 from steelnb.simulation.tof import scan_steps
 
 

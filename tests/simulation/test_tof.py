@@ -14,7 +14,7 @@ from steelnb.settings import FlightSettings, TofSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.paths import pose_on_path
-from steelnb.simulation.scene import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
+from steelnb.simulation.raycasting import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
 from steelnb.simulation.tof import RANGE_MIN_M, add_noise, measured_ranges, noise_free, reported_rays
 
 TOWER = build_tower()

@@ -6,10 +6,10 @@ from steelnb import experiment
 from steelnb.core.images import project
 from steelnb.core.types import Trajectory
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation import FORWARD, Camera, build_tower, cameras, photograph
-from steelnb.simulation.cameras import SAMPLES, intrinsics
-from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.texture import SIZE, _sample_tile, make_texture
+from steelnb.simulation import FORWARD, Camera, build_tower, camera, photograph
+from steelnb.simulation.camera import SAMPLES, intrinsics
+from steelnb.simulation.camera_texture import SIZE, _sample_tile, make_texture
+from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 
 TOWER = build_tower()
 SMALL = FORWARD.replace(columns=211, rows=160)
@@ -84,12 +84,12 @@ def test_a_texture_moves_with_its_member():
 
 
 def test_motion_blurs_only_along_its_direction(monkeypatch):
-    monkeypatch.setattr(cameras, "READ_NOISE", 0.0)
-    monkeypatch.setattr(cameras, "GAIN", 0.0)
-    monkeypatch.setattr(cameras, "SAMPLES", 9)
+    monkeypatch.setattr(camera, "READ_NOISE", 0.0)
+    monkeypatch.setattr(camera, "GAIN", 0.0)
+    monkeypatch.setattr(camera, "SAMPLES", 9)
     still, moved, found = moving((0.0, 0.0, 0.0)), moving((0.0, 0.4, 0.0)), []
     for path, exposure_s in ((moved, 0.0), (still, 0.6), (moved, 0.6)):
-        monkeypatch.setattr(cameras, "EXPOSURE_S", exposure_s)
+        monkeypatch.setattr(camera, "EXPOSURE_S", exposure_s)
         found.append(photograph(TOWER, path, SMALL, 1).images[10].astype(float))
     crisp, unmoved, blurred = found
     across = [np.abs(np.diff(image[:90], axis=1)).mean() for image in (crisp, unmoved, blurred)]

@@ -9,7 +9,10 @@ from steelnb.core import rng
 from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, scan_flight
-from steelnb.simulation.exposure import (
+from steelnb.simulation.paths import pose_on_path
+from steelnb.simulation.raycasting import cast_rays, make_scene, rays
+from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
+from steelnb.simulation.tof_faults import (
     MIDDLE,
     MOMENTS,
     STARLING2_FAULTS,
@@ -19,9 +22,6 @@ from steelnb.simulation.exposure import (
     draw_faults,
     expose,
 )
-from steelnb.simulation.paths import pose_on_path
-from steelnb.simulation.scene import cast_rays, make_scene, rays
-from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
 from tests import naive
 
 SMALL = TofSettings(

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TofFault, TofSettings
-from steelnb.simulation.scene import Scene, cast_bundle, rays
-from steelnb.simulation.sections import GROUND
+from steelnb.simulation.members import GROUND
+from steelnb.simulation.raycasting import Scene, cast_bundle, rays
 
 Floats = NDArray[np.float32]
 

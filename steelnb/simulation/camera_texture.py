@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from steelnb.core import rng
 from steelnb.core.types import Array
-from steelnb.simulation.scene import Hits
-from steelnb.simulation.sections import PLATE
+from steelnb.simulation.members import PLATE
+from steelnb.simulation.raycasting import Hits
 from steelnb.simulation.tower import Tower
 
 Floats = NDArray[np.float32]

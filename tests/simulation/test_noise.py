@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Trajectory
-from steelnb.noise import drift_size, drift_size_rms, drifting
 from steelnb.settings import Noise
+from steelnb.simulation.noise import drift_size, drift_size_rms, drifting
 
 
 def still(seconds):

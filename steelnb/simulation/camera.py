@@ -12,9 +12,9 @@ from steelnb.core import rng
 from steelnb.core.images import CameraImages, GreyImage
 from steelnb.core.types import Array, IntArray, Trajectory
 from steelnb.settings import CameraSettings
-from steelnb.simulation.scene import Hits, cast_bundle, make_scene, rays, world_rays
-from steelnb.simulation.sections import GROUND
-from steelnb.simulation.texture import Floats, make_texture, shade
+from steelnb.simulation.camera_texture import Floats, make_texture, shade
+from steelnb.simulation.members import GROUND
+from steelnb.simulation.raycasting import Hits, cast_bundle, make_scene, rays, world_rays
 from steelnb.simulation.tower import Tower
 
 RATE_HZ = 10.0

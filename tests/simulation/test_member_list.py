@@ -11,11 +11,11 @@ from steelnb.core.types import Trajectory
 from steelnb.metrics.members import seen_members
 from steelnb.settings import CameraSettings, TofSettings, TowerSettings
 from steelnb.simulation import Camera, build_tower, scan_flight
-from steelnb.simulation.cameras import SAMPLES
+from steelnb.simulation.camera import SAMPLES
 from steelnb.simulation.flight import HALF_BOX_M
-from steelnb.simulation.lattice import COLUMNS, find_joints
-from steelnb.simulation.scene import cast_bundle, make_scene
-from steelnb.simulation.sections import GROUND, PLATE
+from steelnb.simulation.member_list import COLUMNS, find_joints
+from steelnb.simulation.members import GROUND, PLATE
+from steelnb.simulation.raycasting import cast_bundle, make_scene
 from steelnb.simulation.tower import half_width
 from tests.lattice import pieces_of
 
