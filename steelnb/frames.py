@@ -13,7 +13,7 @@ import pandas as pd
 from steelnb.core import rng
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Segments
-from steelnb.hough.peers import find_bars
+from steelnb.hough.alternatives.methods import find_bars
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
@@ -94,7 +94,7 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
 
 
 def attempt(method: str, scene: Scene, **options: Any) -> Trial:
-    """Segment a scene by one of `steelnb.hough.peers.METHODS` with its own options, and score the result."""
+    """Segment a scene by one of `steelnb.hough.alternatives.methods.METHODS` with its own options, and score the result."""
     begin = time.perf_counter()
     segments = find_bars(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin

@@ -13,8 +13,8 @@ from steelnb import experiment, pictures, plots
 from steelnb.batch import at_level
 from steelnb.core.errors import SteelnbError
 from steelnb.core.types import Array, Flight, Segments, Trajectory
-from steelnb.hough.blocks import MIN_VOTES, segment_structure
 from steelnb.hough.lines import default_dx
+from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
 from steelnb.metrics import position_error_m
 from steelnb.plots import COLOURS, LABELS
 from steelnb.row import case_of, paired_clouds

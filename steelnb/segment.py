@@ -10,8 +10,8 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Segments
-from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
 from steelnb.hough.lines import default_dx, spacing
+from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.pictures import figure_bars

@@ -8,8 +8,8 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments
-from steelnb.hough.blocks import segment_structure, within
 from steelnb.hough.lines import default_dx
+from steelnb.hough.whole_structure.search import segment_structure, within
 from steelnb.points import voxel_grid
 from steelnb.segment import SegmentReport, segment_file
 from tests.lattice import lattice, scanned, thinned

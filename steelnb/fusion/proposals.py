@@ -8,8 +8,8 @@ from numba import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
 from steelnb.fusion.ridges import ridge_points
-from steelnb.hough.bars import nearest_bar
-from steelnb.hough.blocks import MIN_VOTES, segment_structure, within
+from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
 from steelnb.points import VoxelMap, voxel_grid
 
 TUBE_M, VOXEL_M = 0.06, 0.04

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.lines import default_dx, detect_lines
-from steelnb.hough.pieces import cut, filter_pieces, merge
+from steelnb.hough.segments_kernels import cut, filter_pieces, merge
 from steelnb.settings import HoughSettings
 
 GAP = 4.0

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.hough import cut_and_sort, detect_lines, detect_segments
 from steelnb.hough.lines import default_dx
-from steelnb.hough.pieces import merge
+from steelnb.hough.segments_kernels import merge
 from tests import naive
 
 

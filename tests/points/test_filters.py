@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Scan
 from steelnb.points import preprocess_scan, voxel_grid
-from steelnb.points.preprocess import crop
+from steelnb.points.filters import crop
 from steelnb.settings import PreprocessSettings
 from tests import naive
 

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
-from steelnb.hough import bars as module
-from steelnb.hough.bars import bars_of_groups, in_passes, nearest_bar, refine
+from steelnb.hough.alternatives import refine as module
+from steelnb.hough.alternatives.refine import bars_of_groups, in_passes, nearest_bar, refine
 
 
 def bars(*ends):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.hough import bars
-from steelnb.hough.peers import METHODS, find_bars
+from steelnb.hough.alternatives import refine
+from steelnb.hough.alternatives.methods import METHODS, find_bars
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
 OPTIONS = {"gmm": {"components": [2, 3, 6], "sample": 900}}
@@ -13,11 +13,11 @@ EXACT = [name for name in METHODS if name != "ransac-planes"]
 def cloud(bars=BARS, points=300, noise_m=0.01, clutter=0, seed=0):
     rng = np.random.default_rng(seed)
     pieces = [start + rng.uniform(size=(points, 1)) * (end - start) for start, end in bars]
-    result = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(points * len(bars), 3))
+    result = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(points * len(refine), 3))
     return np.concatenate([result, rng.uniform(-1, 2, (clutter, 3))])
 
 
-def ends(bars):
+def ends(refine):
     """Ends of bars (M, 2, 3), lower z (then x) first, bars by their first end."""
     bars = np.array([sorted(bar, key=lambda p: (round(p[2], 1), p[0], p[1])) for bar in bars])
     return bars[np.lexsort(bars[:, 0].T)]
@@ -88,5 +88,5 @@ def test_gmm_selects_the_number_of_components():
 def test_short_bars_and_bars_of_few_points_are_dropped(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
     assert len(find_bars(method, cloud(), points_min=400, **options)) == 0
-    monkeypatch.setattr(bars, "LENGTH_MIN_M", 1.45)
+    monkeypatch.setattr(refine, "LENGTH_MIN_M", 1.45)
     assert len(find_bars(method, cloud(), **options)) == 2

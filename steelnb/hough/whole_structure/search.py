@@ -16,11 +16,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, Segments
-from steelnb.hough.cubes import sort_into_cubes, walk
-from steelnb.hough.growth import grow, run_along, trim
-from steelnb.hough.pieces import span
 from steelnb.hough.segments import GAP, detect_segments
+from steelnb.hough.segments_kernels import span
 from steelnb.hough.transform import fit_line
+from steelnb.hough.whole_structure.cubes import sort_into_cubes, walk
+from steelnb.hough.whole_structure.growth import grow, run_along, trim
 
 BLOCK = 12.0
 """Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by up to dx/2."""

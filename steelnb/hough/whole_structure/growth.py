@@ -3,9 +3,9 @@
 import numpy as np
 from numba import njit
 
-from steelnb.hough.cubes import walk
-from steelnb.hough.pieces import span
+from steelnb.hough.segments_kernels import span
 from steelnb.hough.transform import fit_line
+from steelnb.hough.whole_structure.cubes import walk
 
 FITS_MAX = 8
 """Maximum number of fits of a growing segment."""

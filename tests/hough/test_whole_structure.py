@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
-from steelnb.hough.blocks import segment_structure, within
+from steelnb.hough.whole_structure.search import segment_structure, within
 from steelnb.points import voxel_grid
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array, IntArray, Lines, Segments
-from steelnb.hough.blocks import EXCLUDE_DX
-from steelnb.hough.pieces import filter_pieces, merge
 from steelnb.hough.segments import cut_and_sort
+from steelnb.hough.segments_kernels import filter_pieces, merge
 from steelnb.hough.transform import fit_line
+from steelnb.hough.whole_structure.search import EXCLUDE_DX
 
 POINTS_MIN, GAP_MAX_M, MERGE_DISTANCE_M, LENGTH_MIN_M = 15, 0.25, 0.12, 0.3
 """Minimum number of points, maximum gap, maximum distance of merged pieces, and minimum length of a bar. Shared by all

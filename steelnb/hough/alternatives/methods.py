@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Lines, Segments
-from steelnb.hough.bars import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, refine
+from steelnb.hough.alternatives.refine import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, refine
 from steelnb.hough.lines import default_dx, detect_lines, distinct_points
 from steelnb.hough.transform import drop, fit_near_line
 
