@@ -26,7 +26,7 @@ SAVED = re.compile(r"[Ss]ave (?:this|it) as\s+`([^`]+)`")
 LINKING = ("README.md", "results/README.md", "benchmarks/README.md", "CONTRIBUTING.md", "docs/index.md")
 LINK = re.compile(r"""\]\(([^)#:\s]+)[^):]*\)|src="([^"]+)\"""")
 WITH_EXAMPLES = (
-    "steelnb.hough.lines", "steelnb.hough.segments", "steelnb.registration.api", "steelnb.settings.experiment",
+    "steelnb.hough.lines", "steelnb.hough.segments", "steelnb.registration.icp", "steelnb.settings.experiment",
     "steelnb.settings.world",
 )  # fmt: skip
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array
-from steelnb.points.features import STEP_M
+from steelnb.odometry.loam.features import STEP_M
 from steelnb.points.ranges import ranges_ahead
 
 SHARE_OF_WIDTH = 0.10

@@ -30,7 +30,7 @@ VOXEL_M = 0.1
 
 class Program(NamedTuple):
     """The parameters of one of the report's programs. ``iterations_max``, ``epsilon`` and ``mse_change_min`` are PCL's
-    convergence criteria (`steelnb.registration.as_pcl`); GICP has no ``mse_change_min``. With ``drop_rotation``, only
+    convergence criteria (`steelnb.registration.pcl`); GICP has no ``mse_change_min``. With ``drop_rotation``, only
     the translation of each step is applied, but the scan is added to the map with its rotation."""
 
     error: Literal["point", "gicp"]

@@ -157,7 +157,7 @@ class FaceSettings(RegistrationSettings):
 
 
 class LoamSettings(MapSettings):
-    """LOAM (`steelnb.odometry.loam`). The other settings of `RegistrationSettings` are fixed."""
+    """LOAM (`steelnb.odometry.loam.odometry`). The other settings of `RegistrationSettings` are fixed."""
 
     family: ClassVar[str] = "loam"
 

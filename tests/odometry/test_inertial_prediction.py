@@ -12,7 +12,7 @@ from steelnb.metrics import score_trajectory
 from steelnb.odometry import faces, make_odometry, run
 from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
 from steelnb.points import VoxelMap
-from steelnb.registration.solve import exp_about
+from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
 from tests.fusion.test_inertial import EVERY, SHEET, swaying

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.types import Array
-from steelnb.registration.bfgs import euler_pose, metrics, minimise
+from steelnb.registration.pcl_bfgs import euler_pose, metrics, minimise
 from steelnb.registration.target import Target
 
 PAIRS_MIN = {"point": 3, "gicp": 4}

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration import Target, align, make_target, prior_term, register, solve
+from steelnb.registration import Target, align, make_target, prior_term, register, solver
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration import target as target_module
 from tests import naive
@@ -36,7 +36,7 @@ class Problem:
         H, b = np.zeros((6, 6)), np.zeros(6)
         t = self.target
         answer = kernels.linearise(
-            solve.ERRORS[self.error], self.source, self.C_source, t.point, t.normal, t.covariance, self.match, T,
+            solver.ERRORS[self.error], self.source, self.C_source, t.point, t.normal, t.covariance, self.match, T,
             self.T[:3, :3], self.centre, math.inf, self.scale, H, b,
         )  # fmt: skip
         return *answer, H, b
@@ -123,12 +123,12 @@ def test_a_step_that_raises_the_loss_of_the_same_pairs_is_rejected(monkeypatch):
             decisions.append((answer, after > before))
         return answer
 
-    really_worse = solve.worse
-    monkeypatch.setattr(solve, "worse", worse)
+    really_worse = solver.worse
+    monkeypatch.setattr(solver, "worse", worse)
     damped = converged()
     assert 50 < sum(answer for answer, _ in decisions) < len(decisions) - 50
     assert all(answer == truth for answer, truth in decisions)
-    monkeypatch.setattr(solve, "worse", lambda *_: False)
+    monkeypatch.setattr(solver, "worse", lambda *_: False)
     assert damped > converged() + 3
 
 

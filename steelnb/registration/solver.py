@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, IntArray
+from steelnb.odometry.loam.target import FeatureTarget
 from steelnb.registration import normal_equations as kernels
-from steelnb.registration.feature_target import FeatureTarget
-from steelnb.registration.observability import unobserved_shifts, without_shifts
+from steelnb.registration.degeneracy import unobserved_shifts, without_shifts
 from steelnb.registration.target import Target
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}

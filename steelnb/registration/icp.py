@@ -9,7 +9,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration.solve import FREE, RegistrationResult, align, pairs_needed
+from steelnb.registration.solver import FREE, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import finite, make_target
 
 METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
