@@ -94,7 +94,7 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
 
 
 def attempt(method: str, scene: Scene, **options: Any) -> Trial:
-    """Segment a scene by one of `steelnb.hough.alternatives.methods.METHODS` with its own options, and score the result."""
+    """Segment a scene by one of `hough.alternatives.methods.METHODS` with its own options, and score the result."""
     begin = time.perf_counter()
     segments = find_bars(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin

@@ -1,12 +1,11 @@
 """Source, target → `RegistrationResult`: the ICP family, with one solver for all errors and degrees of freedom."""
 
-from steelnb.odometry.loam.target import FeatureTarget
 from steelnb.registration.icp import register
 from steelnb.registration.pcl import Aligned, gicp_as_pcl, icp_as_pcl
-from steelnb.registration.solver import FREE, AnyTarget, RegistrationResult, Term, align, prior_term
-from steelnb.registration.target import Target, make_target
+from steelnb.registration.solver import FREE, RegistrationResult, Term, align, prior_term
+from steelnb.registration.target import AnyTarget, Target, make_target
 
 __all__ = [
-    "FREE", "Aligned", "AnyTarget", "FeatureTarget", "RegistrationResult", "Target", "Term", "align", "gicp_as_pcl",
+    "FREE", "Aligned", "AnyTarget", "RegistrationResult", "Target", "Term", "align", "gicp_as_pcl",
     "icp_as_pcl", "make_target", "prior_term", "register",
 ]  # fmt: skip

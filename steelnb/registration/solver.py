@@ -9,10 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, IntArray
-from steelnb.odometry.loam.target import FeatureTarget
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.degeneracy import unobserved_shifts, without_shifts
-from steelnb.registration.target import Target
+from steelnb.registration.target import AnyTarget
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.eye(6)}
@@ -20,7 +19,6 @@ FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.e
 EIGENVALUE_RATIO_MIN = 1e-10
 """The solver does not move along eigenvectors of H below this fraction of the largest eigenvalue."""
 
-AnyTarget = Target | FeatureTarget
 Term = Callable[[Array, Array], tuple[Array, Array, float]]
 """An additional cost: (pose ``(4, 4)``, centre of the twist ``(3,)``) → ``H (6, 6)``, ``b (6,)`` and loss."""
 
@@ -35,7 +33,7 @@ class RegistrationResult:
     ``H (6, 6)`` is the final normal matrix of a twist ξ = (ω, v) in the axes of the target: a rotation about ``centre
     (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are unit vectors along which
     the solve did not translate, since the paired surfaces have no normals along them
-    (`observability.unobserved_shifts`).
+    (`degeneracy.unobserved_shifts`).
     """
 
     T_target_source: Array
@@ -91,7 +89,7 @@ def align(
     accelerated: extrapolate steps that shrink at a constant rate (`_extrapolated`).
     terms: additional costs.
     normals_min: if above 0, ``gicp`` leaves out translations that the surfaces do not determine
-        (`observability.unobserved_shifts`).
+        (`degeneracy.unobserved_shifts`).
 
     A step that raises the loss of the same pairs is rejected, and the next one is damped (Levenberg–Marquardt).
     """

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -21,6 +22,18 @@ CACHED = 3
 Search = Callable[[Array], IntArray]
 """Pose ``T_target_source (4, 4)`` → index ``(N,)`` of the target point of each source point, −1 if none is within the
 limit. Each call overwrites and returns the same array."""
+
+
+class AnyTarget(Protocol):
+    """What the solver registers to: points ``(M, 3)`` with normals and covariances, and a search for pairs in them."""
+
+    @property
+    def point(self) -> Array: ...
+    @property
+    def normal(self) -> Array: ...
+    @property
+    def covariance(self) -> Array: ...
+    def search(self, source: Array, limit_m: float) -> Search: ...
 
 
 @dataclass(frozen=True)

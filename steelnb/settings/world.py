@@ -182,8 +182,8 @@ class TofSettings(CameraSettings):
 
     ``pixel_origin``: where in its pixel the driver places a depth. The report's driver omits the half pixel to the
     ``centre``, so its points lie half a pixel too far left and up, towards the ``corner``. With ``faults``, the sensor
-    has the errors of a real one (`steelnb.simulation.tof_faults`); the noise of a range then depends on the amplitude of
-    its return. ``draw``: number of the draw of the range noise; draws of one seed differ in nothing else.
+    has the errors of a real one (`steelnb.simulation.tof_faults`); the noise of a range then depends on the amplitude
+    of its return. ``draw``: number of the draw of the range noise; draws of one seed differ in nothing else.
     """
 
     range_max_m: Positive = 4.0

@@ -13,11 +13,11 @@ EXACT = [name for name in METHODS if name != "ransac-planes"]
 def cloud(bars=BARS, points=300, noise_m=0.01, clutter=0, seed=0):
     rng = np.random.default_rng(seed)
     pieces = [start + rng.uniform(size=(points, 1)) * (end - start) for start, end in bars]
-    result = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(points * len(refine), 3))
+    result = np.concatenate(pieces) + rng.normal(scale=noise_m, size=(points * len(bars), 3))
     return np.concatenate([result, rng.uniform(-1, 2, (clutter, 3))])
 
 
-def ends(refine):
+def ends(bars):
     """Ends of bars (M, 2, 3), lower z (then x) first, bars by their first end."""
     bars = np.array([sorted(bar, key=lambda p: (round(p[2], 1), p[0], p[1])) for bar in bars])
     return bars[np.lexsort(bars[:, 0].T)]

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.registration import FREE, FeatureTarget, align
+from steelnb.odometry.loam.target import FeatureTarget
+from steelnb.registration import FREE, align
 from tests.naive import full
 
 NONE = np.zeros((0, 3))

@@ -5,8 +5,9 @@ import numpy as np
 from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry
 from steelnb.odometry.loam.features import Features, loam_features, scan_lines
+from steelnb.odometry.loam.target import FeatureTarget
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.registration import AnyTarget, FeatureTarget, RegistrationResult, align
+from steelnb.registration import AnyTarget, RegistrationResult, align
 from steelnb.settings import LoamSettings, OdometrySettings
 
 SHARPEST = {0: 2, 1: 4}
