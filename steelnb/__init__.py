@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from steelnb.core.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
+    from steelnb.fusion.adjustment.smooth import smooth
     from steelnb.fusion.reconstruct import reconstruct
-    from steelnb.fusion.smooth import smooth
     from steelnb.fusion.structure import Structure
     from steelnb.hough import detect_lines, detect_segments
     from steelnb.io import read_cloud, read_flight, read_truth, write_flight, write_structure
@@ -39,7 +39,7 @@ _MODULES = {
     "experiment": ("Result", "run"),
     "fusion": ("SegmentMap",),
     "fusion.reconstruct": ("reconstruct",),
-    "fusion.smooth": ("smooth",),
+    "fusion.adjustment.smooth": ("smooth",),
     "fusion.structure": ("Structure",),
     "hough": ("detect_lines", "detect_segments"),
     "io": ("read_cloud", "read_flight", "read_truth", "write_flight", "write_structure"),

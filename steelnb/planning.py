@@ -12,7 +12,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.poses import yaw_of
+from steelnb.fusion.adjustment.drift_factors import yaw_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.settings import FlightSettings
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.core.types import Array, Flight, IntArray, Segments
-from steelnb.fusion.proposals import find_bars
+from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.reconstruct import MappedScans, reconstruct
 from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.structure import Structure

@@ -15,9 +15,9 @@ from steelnb import odometry
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
-from steelnb.fusion.uncertainty import axis_sigma_m
 from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
 from steelnb.io.trajectories import interpolate

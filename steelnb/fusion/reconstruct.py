@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Scan, Segments
-from steelnb.fusion import problem, sections
-from steelnb.fusion.bar_voxels import BarVoxels, Observations, world_points
-from steelnb.fusion.factors import PointEquations, linearised
-from steelnb.fusion.inertial import Inertial
+from steelnb.fusion.adjustment import problem
+from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
+from steelnb.fusion.adjustment.imu_factors import Inertial
+from steelnb.fusion.adjustment.point_factors import PointEquations, linearised
+from steelnb.fusion.adjustment.problem import Bars, Problem
+from steelnb.fusion.adjustment.solver import improve
+from steelnb.fusion.candidates import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
 from steelnb.fusion.joints import between_joints, find_joints, trim_bends
-from steelnb.fusion.poses import DRIFT_PERIOD_S
-from steelnb.fusion.problem import Bars, Problem
-from steelnb.fusion.proposals import TUBE_M, VOXEL_M, find_bars, find_struts, merge_pieces
-from steelnb.fusion.section_choice import fit_sections
-from steelnb.fusion.solver import improve
+from steelnb.fusion.point_to_bar import BarVoxels, Observations, world_points
+from steelnb.fusion.sections import shapes
+from steelnb.fusion.sections.choose import fit_sections
 from steelnb.fusion.structure import Structure
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
@@ -200,15 +201,15 @@ class MappedScans:
     def fit(self, bars: Segments, every: int) -> FittedBars:
         """Fit a section (angle, circle or plane) to the points on each bar in one in ``every`` scans. The axes move
         to the centroids."""
-        across, n = sections.frames(bars.direction), len(bars)
-        histogram, sightings = np.zeros((n, *sections.HISTOGRAM)), np.zeros(n, dtype=np.int64)
+        across, n = shapes.frames(bars.direction), len(bars)
+        histogram, sightings = np.zeros((n, *shapes.HISTOGRAM)), np.zeros(n, dtype=np.int64)
         for k, points, bar in self.bar_points(self.around(bars), every):
             sightings += np.bincount(bar, minlength=n) >= 10
-            sections.accumulate(
+            shapes.accumulate(
                 points, self.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        thickness = self.before.bars.thickness if self.before else self.settings.thickness or sections.THICKNESS
+        thickness = self.before.bars.thickness if self.before else self.settings.thickness or shapes.THICKNESS
         centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, thickness)
         half = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half * slope, across)

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array
-from steelnb.fusion.poses import yaw_of
+from steelnb.fusion.adjustment.drift_factors import yaw_of
 
 SLICE_M, POINTS_MIN = 1.0, 200
 """Height of the slices in which a bend is measured, and minimum number of points of a slice."""

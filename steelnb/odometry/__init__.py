@@ -3,7 +3,7 @@
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
-from steelnb.odometry.faces import FaceOdometry
+from steelnb.odometry.faces.odometry import FaceOdometry
 from steelnb.odometry.loam.odometry import LoamOdometry
 from steelnb.odometry.methods import correct, load_odometry, make_odometry
 from steelnb.odometry.orb import OrbOdometry

@@ -15,8 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import GRAVITY, Array, Imu
-from steelnb.fusion.inertial import SIGMA_MIN, gaps, integrated, integration_covariances
-from steelnb.fusion.poses import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance, moved_poses, yaw_of
+from steelnb.fusion.adjustment.drift_factors import (
+    DRIFT_PERIOD_S,
+    FIXED,
+    TILT_SIGMA_RAD,
+    drift_variance,
+    moved_poses,
+    yaw_of,
+)
+from steelnb.fusion.adjustment.imu_factors import SIGMA_MIN, gaps, integrated, integration_covariances
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 

@@ -15,12 +15,12 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.images import CameraImages
 from steelnb.core.types import Array, Estimate, Flight, Imu
-from steelnb.fusion.inertial import check_imu
-from steelnb.fusion.smooth import smooth
+from steelnb.fusion.adjustment.imu_factors import check_imu
+from steelnb.fusion.adjustment.smooth import smooth
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry
-from steelnb.odometry.faces import FaceOdometry
+from steelnb.odometry.faces.odometry import FaceOdometry
 from steelnb.odometry.loam.odometry import LoamOdometry
 from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.peers import PeerOdometry
@@ -70,10 +70,10 @@ def correct(
 ) -> Estimate:
     """Correct a flight with the method of the settings, scan by scan.
 
-    With ``smooth``, all poses and bars are then adjusted together (`steelnb.fusion.smooth`). Smoothing time is divided
-    evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the odometry of the
-    settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the readings of an IMU
-    do not fit the prior (`check_imu`)."""
+    With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
+    divided evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
+    odometry of the settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the
+    readings of an IMU do not fit the prior (`check_imu`)."""
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
         check_imu(flight.imu, flight.prior)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Imu
-from steelnb.fusion.poses import DRIFT_PERIOD_S, tilt_decay
+from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings

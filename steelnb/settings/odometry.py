@@ -70,7 +70,7 @@ Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
 class OdometrySettings(Settings):
     """Settings that all families share; `preset` returns the settings of a method.
 
-    ``smooth``: adjust all poses and bars together after the last scan (`steelnb.fusion.smooth`).
+    ``smooth``: adjust all poses and bars together after the last scan (`steelnb.fusion.adjustment.smooth`).
     """
 
     method: str

@@ -6,9 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Flight, Segments, Trajectory
-from steelnb.fusion import Structure, sections
-from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.problem import Bars
+from steelnb.fusion import Structure
+from steelnb.fusion.adjustment.problem import Bars
+from steelnb.fusion.point_to_bar import Observations
+from steelnb.fusion.sections import shapes
 from steelnb.settings import TofSettings, TowerSettings
 from steelnb.simulation import build_tower, scan_flight
 
@@ -75,7 +76,7 @@ def around(tower, poses: int = 24, noise_m: float = 0.0, seed: int = 0, turn_rad
 
 
 @functools.cache
-def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: float = sections.THICKNESS):
+def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: float = shapes.THICKNESS):
     """Four posts and two beams of angle sections, some of them ``tubes``, around a sensor that slides past, with points
     on their near faces. Shared by tests, so it must not be changed."""
     rng = np.random.default_rng(seed)
@@ -83,10 +84,10 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: flo
     posts = [((x, y, -1.0), (x, y, 1.0)) for x, y in foot]
     ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
     segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
-    across = sections.frames(segments.direction)
+    across = shapes.frames(segments.direction)
     bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6), thickness)
     bars.turn[list(tubes)] = np.nan
-    corner = sections.outlines(bars.turn, bars.flange, thickness)
+    corner = shapes.outlines(bars.turn, bars.flange, thickness)
     T = np.tile(np.eye(4), (scans, 1, 1))
     T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, scans), 0.2 * np.sin(np.arange(scans) / 6)
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(scans) / 9), [0, 0, 1])).as_matrix()
@@ -101,7 +102,7 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: flo
                 beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
                 # from far enough all lines of sight across the bar are parallel; close by, aim again
                 for _ in range(20):
-                    front, *_ = sections.front_face(corner[b], cosine, sine, beside)
+                    front, *_ = shapes.front_face(corner[b], cosine, sine, beside)
                     point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
                     view = across[b] @ (pose[:3, 3] - point)
                     before, (cosine, sine) = (cosine, sine), view / np.linalg.norm(view)

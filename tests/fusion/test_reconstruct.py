@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
+from steelnb.fusion.candidates import VOXEL_M, find_bars
 from steelnb.fusion.joints import find_joints
-from steelnb.fusion.proposals import VOXEL_M, find_bars
 from steelnb.metrics.members import match_members
 from steelnb.metrics.reconstruction import reference, score_structure
 from steelnb.points import VoxelMap

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, Segments, Trajectory
-from steelnb.fusion import factors, problem, smooth, solver, uncertainty
-from steelnb.fusion.problem import Bars
-from steelnb.fusion.sections import THICKNESS
+from steelnb.fusion.adjustment import point_factors, problem, smooth, solver, uncertainty
+from steelnb.fusion.adjustment.problem import Bars
+from steelnb.fusion.sections.shapes import THICKNESS
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.settings import ExperimentSettings
@@ -104,7 +104,7 @@ def test_a_made_up_flight_comes_back_to_the_truth():
                         bars.flange + 0.002)  # fmt: skip
     state = problem.start(prior, prior, wrong)
     for _ in range(8):
-        state = solver.improve(state, factors.linearised(state, observed), prior, stamp_s)
+        state = solver.improve(state, point_factors.linearised(state, observed), prior, stamp_s)
     before, after = (np.linalg.norm((each - T)[:, :3, 3], axis=1).mean() for each in (prior, state.T_world_sensor))
     assert after < 0.15 * before
     assert np.abs(state.bars.flange - bars.flange).max() < 0.004
@@ -118,7 +118,7 @@ def test_the_thickness_is_found_though_a_section_is_wrong(thickness):
     wrong = replace(bars, turn=np.add(bars.turn, [0, 0, 0, 0, np.pi, 0]), thickness=THICKNESS)
     state = problem.start(T, T, wrong)
     for _ in range(4):
-        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+        state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
     assert state.bars.thickness == pytest.approx(thickness, abs=0.006)
 
 
@@ -127,6 +127,6 @@ def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     T, bars, observed = made_up(3, noise_m)
     state = problem.start(T, T, bars)
     for _ in range(3):
-        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+        state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
     sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(observed.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

@@ -5,10 +5,11 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from steelnb.fusion import factors, poses, problem, sections
-from steelnb.fusion.factors import FACE_DOF
-from steelnb.fusion.poses import UPRIGHT_DOF
-from steelnb.fusion.problem import BAR_DOF, Bars
+from steelnb.fusion.adjustment import drift_factors, point_factors, problem
+from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF
+from steelnb.fusion.adjustment.point_factors import FACE_DOF
+from steelnb.fusion.adjustment.problem import BAR_DOF, Bars
+from steelnb.fusion.sections import shapes
 from tests.fusion.made import made_up
 
 
@@ -21,7 +22,7 @@ def residuals_of(state, observed, p):
         point = T[:3, :3] @ s + T[:3, 3]
         frame = np.vstack([bars.across[b], direction])
         at, towards = frame @ (point - bars.segments.start[b]), frame @ (T[:3, 3] - point)
-        found.append(sections.face_distance(*at, *towards, corner, bars.segments.length[b])[:2])
+        found.append(shapes.face_distance(*at, *towards, corner, bars.segments.length[b])[:2])
     return np.array(found).T
 
 
@@ -33,7 +34,7 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     T = T_world @ T
     bars = Bars(bars.segments.transformed(T_world), bars.across @ T_world[:3, :3].T, bars.turn, bars.flange)
     state = problem.start(T, T, bars, tilt_sigma_rad)
-    eq = factors.linearised(state, observed)
+    eq = point_factors.linearised(state, observed)
     step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
     matrix, block = np.zeros((len(T), size, size)), np.zeros((6, FACE_DOF, FACE_DOF))
     for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
@@ -57,7 +58,7 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
 
 
 def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
-    monkeypatch.setattr(poses, "FIXED", 1e4)  # as weighty as the increments
+    monkeypatch.setattr(drift_factors, "FIXED", 1e4)  # as weighty as the increments
     # The prior's attitude lies 1° to 3° off, so the cost has slopes in all degrees of freedom.
     rng, n, sigma = np.random.default_rng(5), 4, 0.02
     T, prior = np.tile(np.eye(4), (2, n, 1, 1))
@@ -68,9 +69,10 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
     stamp_s = 0.2 * np.arange(n)
 
     def vector(step):
-        return poses.prior_equations(poses.moved_poses(T, step.reshape(n, 6)), prior, stamp_s, sigma)[2].ravel()
+        T_moved = drift_factors.moved_poses(T, step.reshape(n, 6))
+        return drift_factors.prior_equations(T_moved, prior, stamp_s, sigma)[2].ravel()
 
-    matrix, beside, _ = poses.prior_equations(T, prior, stamp_s, sigma)
+    matrix, beside, _ = drift_factors.prior_equations(T, prior, stamp_s, sigma)
     dense = block_diag(*matrix)
     for k in range(n - 1):
         dense[6 * k : 6 * k + 6, 6 * k + 6 : 6 * k + 12] = beside[k]

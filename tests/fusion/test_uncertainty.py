@@ -6,8 +6,9 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
-from steelnb.fusion import factors, poses, problem, sections, solver, uncertainty
-from steelnb.fusion.problem import BAR_DOF, Bars
+from steelnb.fusion.adjustment import drift_factors, point_factors, problem, solver, uncertainty
+from steelnb.fusion.adjustment.problem import BAR_DOF, Bars
+from steelnb.fusion.sections import shapes
 from tests.fusion.made import bars_of, made_up
 
 STAMP_S = 0.2 * np.arange(40)
@@ -22,15 +23,15 @@ def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
 def marginals(state, observed, prior, shared_sigma_m=uncertainty.SHARED_SIGMA_M):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(uncertainty, "SHARED_SIGMA_M", shared_sigma_m / state.sigma_ratio**2)
-        return uncertainty.marginals(state, factors.linearised(state, observed), prior, STAMP_S)
+        return uncertainty.marginals(state, point_factors.linearised(state, observed), prior, STAMP_S)
 
 
 def dense(state, observed, prior, stamp_s, shared_sigma_m):
     """The inverse of all equations, with the displacement of each pair of a scan and a bar as an unknown."""
-    eq = factors.linearised(state, observed)
+    eq = point_factors.linearised(state, observed)
     K, n, P = len(eq.matrix), len(eq.block), len(observed.pair_bar)
-    chained, beside, _ = poses.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
-    D = poses.pose_size(state.tilt_sigma_rad)
+    chained, beside, _ = drift_factors.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+    D = drift_factors.pose_size(state.tilt_sigma_rad)
     size = D * K + BAR_DOF * n
     matrix = np.zeros((size + 2 * P, size + 2 * P))
     matrix[: D * K, : D * K] = block_diag(*(eq.matrix + chained))
@@ -71,18 +72,18 @@ def test_many_runs_scatter_as_they_say():
     for _ in range(30):
         noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
         observed = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
-        drift = rng.normal(size=(39, 4)) * poses.DRIFT_SIGMA
+        drift = rng.normal(size=(39, 4)) * drift_factors.DRIFT_SIGMA
         prior = T.copy()
         prior[1:, :3, 3] += np.cumsum(drift[:, 1:], axis=0)
         turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 0]), [0, 0, 1])).as_matrix()
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
         state = problem.start(T, prior, bars)
         for _ in range(4):
-            state = solver.improve(state, factors.linearised(state, observed), prior, STAMP_S)
+            state = solver.improve(state, point_factors.linearised(state, observed), prior, STAMP_S)
         pose = marginals(state, observed, prior, NONE)[0]
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
-        error[:, 0] = poses.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
+        error[:, 0] = drift_factors.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
         squared.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pose[1:]), error).mean() / 4)
         scaled.append(error[20] / np.sqrt(np.diag(pose[21])))
     assert 0.8 < np.mean(squared) < 1.25
@@ -105,7 +106,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 
 
 def test_a_free_direction_is_named(monkeypatch):
-    monkeypatch.setattr(poses, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
+    monkeypatch.setattr(drift_factors, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
     T, bars, observed = wall_of_posts()
     with pytest.raises(InputError, match="pose 1 is singular: nothing holds it, mostly along z"):
         marginals(state_of(T, bars), observed, T)
@@ -130,7 +131,7 @@ def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
 def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
     monkeypatch.setattr(uncertainty, "END_SIGMA_M", 0.0)
     segments = bars_of([[0, 0, 0], [1, 2, 2]])
-    frame = sections.frames(segments.direction)
+    frame = shapes.frames(segments.direction)
     cosine, sine = np.cos(0.7), np.sin(0.7)
     across = np.array([[cosine, sine], [-sine, cosine]]) @ frame
     bar = np.zeros((1, 6, 6))
@@ -143,7 +144,7 @@ def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
 
 def test_ends_of_an_axis_have_their_own_error():
     segments = bars_of([[0, 0, 0], [0, 0, 2.0]])
-    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, sections.frames(segments.direction), 1.0)
+    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, shapes.frames(segments.direction), 1.0)
     for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
         sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
         assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)

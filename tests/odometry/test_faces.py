@@ -8,11 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, odometry
 from steelnb.core.types import Flight, Scan, Trajectory
-from steelnb.fusion import keyframes
-from steelnb.fusion.locate import Locator, points_in_range
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CloudOdometry, FaceOdometry, faces, make_odometry
-from steelnb.odometry.faces import ADOPT_S
+from steelnb.odometry import CloudOdometry, FaceOdometry, make_odometry
+from steelnb.odometry.faces import keyframes
+from steelnb.odometry.faces import odometry as faces
+from steelnb.odometry.faces.odometry import ADOPT_S
+from steelnb.odometry.faces.scan_to_bars import Locator, points_in_range
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 from tests.fusion.made import around, small_tower
 

@@ -7,15 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Imu
-from steelnb.fusion.poses import DRIFT_SIGMA
+from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import faces, make_odometry, run
+from steelnb.odometry import make_odometry, run
+from steelnb.odometry.faces import odometry as faces
 from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
 from steelnb.points import VoxelMap
 from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
-from tests.fusion.test_inertial import EVERY, SHEET, swaying
+from tests.fusion.test_imu_factors import EVERY, SHEET, swaying
 from tests.odometry.test_tilt import tilt_rms_deg, world
 
 __all__ = ["world"]  # a fixture

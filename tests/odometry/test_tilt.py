@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, fusion
-from steelnb.fusion.poses import TILT_S, tilt_of
+from steelnb.fusion.adjustment.drift_factors import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import correct, faces, methods
+from steelnb.odometry import correct, methods
+from steelnb.odometry.faces import odometry as faces
 from steelnb.odometry.prediction import Prediction
 from steelnb.settings import ExperimentSettings, OdometrySettings
 

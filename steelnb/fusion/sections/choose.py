@@ -19,8 +19,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array
-from steelnb.fusion.section_fit import ROUND_DOF, fit_section, profiles, robust, section_step, settle
-from steelnb.fusion.sections import THICKNESS, cells_of, edges_of, merged_cells, outline
+from steelnb.fusion.sections.fit import ROUND_DOF, fit_section, profiles, robust, section_step, settle
+from steelnb.fusion.sections.shapes import THICKNESS, cells_of, edges_of, merged_cells, outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Estimate, Flight, Trajectory
-from steelnb.fusion import uncertainty
-from steelnb.fusion.inertial import Inertial, check_imu
-from steelnb.fusion.poses import TILT_SIGMA_RAD
+from steelnb.fusion.adjustment import uncertainty
+from steelnb.fusion.adjustment.drift_factors import TILT_SIGMA_RAD
+from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu
 from steelnb.fusion.reconstruct import MappedScans, Stages
 from steelnb.settings import ImuSettings, StructureSettings
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.types import Array, IntArray, Scan
-from steelnb.fusion import poses
-from steelnb.fusion.bar_voxels import BarVoxels, Observations, face_residuals, world_points
-from steelnb.fusion.factors import FACE_DOF, linearised, noise_ratio
-from steelnb.fusion.poses import UPRIGHT_DOF, moved_poses, pose_step
-from steelnb.fusion.problem import Bars, Problem
-from steelnb.fusion.proposals import VOXEL_M
-from steelnb.fusion.sections import THICKNESS_SPREAD
+from steelnb.fusion.adjustment import drift_factors
+from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF, moved_poses, pose_step
+from steelnb.fusion.adjustment.point_factors import FACE_DOF, linearised, noise_ratio
+from steelnb.fusion.adjustment.problem import Bars, Problem
+from steelnb.fusion.candidates import VOXEL_M
+from steelnb.fusion.point_to_bar import BarVoxels, Observations, face_residuals, world_points
+from steelnb.fusion.sections.shapes import THICKNESS_SPREAD
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
@@ -61,16 +61,16 @@ class Locator:
 
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
-        self.variance, self._stamp_s = np.zeros(poses.pose_size(tilt_sigma_rad)), stamp_s
+        self.variance, self._stamp_s = np.zeros(drift_factors.pose_size(tilt_sigma_rad)), stamp_s
         self._voxels = BarVoxels.around(bars.segments, MATCH_REACH_M, MATCH_MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
         """Add the variance of the drift since the last scan."""
-        passed_s = max(stamp_s - self._stamp_s, 0.0) or poses.DRIFT_PERIOD_S
+        passed_s = max(stamp_s - self._stamp_s, 0.0) or drift_factors.DRIFT_PERIOD_S
         self._stamp_s = stamp_s
         self.variance = self.variance.copy()
-        self.variance[-UPRIGHT_DOF:] += poses.drift_variance(passed_s)
-        decay = poses.tilt_decay(2.0 * passed_s)  # of a variance
+        self.variance[-UPRIGHT_DOF:] += drift_factors.drift_variance(passed_s)
+        decay = drift_factors.tilt_decay(2.0 * passed_s)  # of a variance
         self.variance[:-UPRIGHT_DOF] = decay * self.variance[:-UPRIGHT_DOF] + (1.0 - decay) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:

@@ -11,10 +11,10 @@ from numba import njit
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from steelnb.core.types import Array
-from steelnb.fusion.factors import PointEquations, common_thickness, noise_ratio
-from steelnb.fusion.inertial import STATE_DOF
-from steelnb.fusion.poses import ChainEquations, prior_equations
-from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
+from steelnb.fusion.adjustment.drift_factors import ChainEquations, prior_equations
+from steelnb.fusion.adjustment.imu_factors import STATE_DOF
+from steelnb.fusion.adjustment.point_factors import PointEquations, common_thickness, noise_ratio
+from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
 
 TINY = 1e-12
 """Smaller numbers count as zero. The contributions of a bar decay from pose to pose once it is out of view, and

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import GRAVITY, Imu, Trajectory
-from steelnb.fusion import inertial, poses, smooth
-from steelnb.fusion.poses import moved_poses
+from steelnb.fusion.adjustment import drift_factors, imu_factors, smooth
+from steelnb.fusion.adjustment.drift_factors import moved_poses
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, ImuSettings
 from steelnb.simulation import measured_imu
@@ -41,7 +41,7 @@ def made(scans=5):
     """Inertial factors at the true poses of `swaying`, and those poses of the sensor."""
     trajectory, imu, motion = swaying(scans)
     at = Trajectory(trajectory.stamp_s[::EVERY], trajectory.T_world_drone[::EVERY])
-    return replace(inertial.Inertial.started(imu, SHEET, MOUNT, at), motion=motion), at.T_world_drone @ MOUNT
+    return replace(imu_factors.Inertial.started(imu, SHEET, MOUNT, at), motion=motion), at.T_world_drone @ MOUNT
 
 
 @given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
@@ -100,8 +100,8 @@ def test_noise_spreads_as_its_covariance_says():
     still = Imu(STEP_S * np.arange(n), np.tile([0, 0, GRAVITY], (n, 1)), np.zeros((n, 3)))
     noise = SHEET.replace(gyro_bias=0.0, accelerometer_bias=0.0, gyro_walk=0.0, accelerometer_walk=0.0)
     at = Trajectory(still.stamp_s[::EVERY], np.tile(np.eye(4), (count + 1, 1, 1)))
-    factors = inertial.Inertial.started(measured_imu(still, noise, 0), noise, np.eye(4), at)
-    expected = inertial.integration_covariances(noise, np.array([EVERY * STEP_S]))[0]
+    factors = imu_factors.Inertial.started(measured_imu(still, noise, 0), noise, np.eye(4), at)
+    expected = imu_factors.integration_covariances(noise, np.array([EVERY * STEP_S]))[0]
     scale = np.outer(*[np.sqrt(np.diag(expected))] * 2)
     found = np.cov(factors.errors(at.T_world_drone)[:, :9].T)
     np.testing.assert_allclose(found / scale, expected / scale, atol=5 / np.sqrt(count) + 0.05)
@@ -111,11 +111,11 @@ def test_an_interval_with_a_gap_says_nothing():
     factors, T = made(6)
     kept = (factors.imu.stamp_s < 0.45) | (factors.imu.stamp_s > 0.56)
     torn = Imu(factors.imu.stamp_s[kept], factors.imu.specific_force[kept], factors.imu.angular_rate[kept])
-    np.testing.assert_array_equal(inertial.gaps(torn.stamp_s, factors.stamp_s), [False, False, True, False, False])
+    np.testing.assert_array_equal(imu_factors.gaps(torn.stamp_s, factors.stamp_s), [False, False, True, False, False])
     stopped = Imu(*(column[factors.imu.stamp_s < 0.85] for column in vars(factors.imu).values()))
-    np.testing.assert_array_equal(inertial.gaps(stopped.stamp_s, factors.stamp_s), [False] * 4 + [True])
+    np.testing.assert_array_equal(imu_factors.gaps(stopped.stamp_s, factors.stamp_s), [False] * 4 + [True])
     at = Trajectory(factors.stamp_s, T @ np.linalg.inv(MOUNT))
-    weight = inertial.Inertial.started(torn, SHEET, MOUNT, at).weight
+    weight = imu_factors.Inertial.started(torn, SHEET, MOUNT, at).weight
     assert not weight[2, :9, :9].any()
     assert np.linalg.eigvalsh(weight[[0, 1, 3, 4], :9, :9]).min() > 0
 
@@ -136,9 +136,9 @@ def test_an_interval_with_a_gap_says_nothing():
 def test_readings_in_other_units_or_axes_are_refused(change, says):
     trajectory, imu, _ = swaying(21, rate=(0.02, 0.01, 0.3))
     prior = Trajectory(trajectory.stamp_s[::EVERY], trajectory.T_world_drone[::EVERY])
-    inertial.check_imu(imu, prior)
+    imu_factors.check_imu(imu, prior)
     with pytest.raises(InputError, match=says):
-        inertial.check_imu(change(imu), prior)
+        imu_factors.check_imu(change(imu), prior)
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown
     assert ate_m(found, truth) < ate_m(without, truth)
     sigma = np.sqrt(found.pose_covariance[1:, [3, 4], [3, 4]])
     assert sigma.min() > 0
-    assert sigma.max() < poses.TILT_SIGMA_RAD
+    assert sigma.max() < drift_factors.TILT_SIGMA_RAD
 
 
 def test_a_flight_without_readings_is_smoothed_without(flown):

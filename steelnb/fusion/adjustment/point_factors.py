@@ -11,11 +11,11 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array, IntArray
-from steelnb.fusion import sections
-from steelnb.fusion.bar_voxels import Observations
-from steelnb.fusion.poses import pose_size
-from steelnb.fusion.problem import BAR_DOF, BAR_SIGMA, Problem
-from steelnb.fusion.sections import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
+from steelnb.fusion.adjustment.drift_factors import pose_size
+from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
+from steelnb.fusion.point_to_bar import Observations
+from steelnb.fusion.sections import shapes
+from steelnb.fusion.sections.shapes import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
 from steelnb.settings.odometry import THICKNESS_MAX, THICKNESS_MIN
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
@@ -137,15 +137,15 @@ def _gathered(  # type: ignore[no-untyped-def]
             continue
         # A point s in the sensor frame is o + r s in the frame of the bar.
         x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
-        ou, ov, ot = sections.in_frame(direction[b], across[b], x, y, z)
-        r00, r10, r20 = sections.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
-        r01, r11, r21 = sections.in_frame(direction[b], across[b], pose[0, 1], pose[1, 1], pose[2, 1])
-        r02, r12, r22 = sections.in_frame(direction[b], across[b], pose[0, 2], pose[1, 2], pose[2, 2])
+        ou, ov, ot = shapes.in_frame(direction[b], across[b], x, y, z)
+        r00, r10, r20 = shapes.in_frame(direction[b], across[b], pose[0, 0], pose[1, 0], pose[2, 0])
+        r01, r11, r21 = shapes.in_frame(direction[b], across[b], pose[0, 1], pose[1, 1], pose[2, 1])
+        r02, r12, r22 = shapes.in_frame(direction[b], across[b], pose[0, 2], pose[1, 2], pose[2, 2])
         total[:] = 0.0
         for i in range(first[pair], first[pair + 1]):
             sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
             u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
-            residual, sigma, distance, cosine, sine, beside, front, rise, edge = sections.face_distance(
+            residual, sigma, distance, cosine, sine, beside, front, rise, edge = shapes.face_distance(
                 ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
             )
             if residual != residual:
@@ -158,7 +158,7 @@ def _gathered(  # type: ignore[no-untyped-def]
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             jacobian[0], jacobian[1], jacobian[2], jacobian[3] = -gu, -gv, -gu * tau, -gv * tau
             jacobian[4], jacobian[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            growth = sections.face_growth(edge, flange[b], thickness)
+            growth = shapes.face_growth(edge, flange[b], thickness)
             jacobian[BAR_DOF], jacobian[FACE_DOF] = -growth * math.sqrt(1.0 + rise * rise), -residual
             for n in range(FACE_DOF):  # bounds known at compile time: three times as fast
                 weighted = weight * jacobian[n]

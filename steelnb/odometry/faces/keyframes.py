@@ -4,9 +4,9 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Imu, Scan, Trajectory
-from steelnb.fusion.inertial import Inertial
-from steelnb.fusion.problem import Problem
-from steelnb.fusion.proposals import VOXEL_M
+from steelnb.fusion.adjustment.imu_factors import Inertial
+from steelnb.fusion.adjustment.problem import Problem
+from steelnb.fusion.candidates import VOXEL_M
 from steelnb.fusion.reconstruct import MappedScans, insert_scan
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Segments
-from steelnb.fusion import sections
-from steelnb.fusion.inertial import Inertial
-from steelnb.fusion.poses import moved_poses, pose_size, yaw_of
+from steelnb.fusion.adjustment.drift_factors import moved_poses, pose_size, yaw_of
+from steelnb.fusion.adjustment.imu_factors import Inertial
+from steelnb.fusion.sections import shapes
 
 BAR_DOF = 6
 """Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""
@@ -47,7 +47,7 @@ class Bars:
     across: Array
     turn: Array
     flange: Array
-    thickness: float = sections.THICKNESS
+    thickness: float = shapes.THICKNESS
 
     @property
     def has_section(self) -> NDArray[np.bool_]:
@@ -67,7 +67,7 @@ class Bars:
     def faces(self) -> tuple[Array, Array, Array, Array, Array]:
         """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
         s = self.segments
-        return s.start, s.direction, s.length, self.across, sections.outlines(self.turn, self.flange, self.thickness)
+        return s.start, s.direction, s.length, self.across, shapes.outlines(self.turn, self.flange, self.thickness)
 
     def take(self, mask: NDArray[np.bool_] | NDArray[np.int64]) -> "Bars":
         """The bars selected by a mask or an index."""

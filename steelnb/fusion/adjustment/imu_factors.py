@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
-from steelnb.fusion.poses import POSE_DOF, ChainEquations, chain_equations, moved_poses
+from steelnb.fusion.adjustment.drift_factors import POSE_DOF, ChainEquations, chain_equations, moved_poses
 from steelnb.settings import ImuSettings
 
 STATE_DOF = 15

@@ -5,8 +5,8 @@ which the scan sees them. A bar with a known section has no such bias.
 
 1. Every `KEYFRAME_S` a scan becomes a keyframe.
 2. Every `REFIT_S`, a second thread finds bars in all keyframes, and adjusts bars and poses together
-   (`steelnb.fusion.keyframes`).
-3. Each scan is registered to the front faces of these bars (`steelnb.fusion.locate`).
+   (`steelnb.odometry.faces.keyframes`).
+3. Each scan is registered to the front faces of these bars (`steelnb.odometry.faces.scan_to_bars`).
 4. Odometry by clouds takes over where the bars do not determine the pose: at the start, and in unmapped areas.
 """
 
@@ -15,9 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from steelnb.core.types import Array, Imu, Scan, Segments
-from steelnb.fusion.keyframes import Keyframes
-from steelnb.fusion.locate import POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.fusion.poses import (
+from steelnb.fusion.adjustment.drift_factors import (
     DRIFT_PERIOD_S,
     DRIFT_SIGMA,
     TILT_SIGMA_RAD,
@@ -27,9 +25,11 @@ from steelnb.fusion.poses import (
     pose_size,
     pose_step,
 )
-from steelnb.fusion.problem import Problem
+from steelnb.fusion.adjustment.problem import Problem
 from steelnb.odometry.base import Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
+from steelnb.odometry.faces.keyframes import Keyframes
+from steelnb.odometry.faces.scan_to_bars import POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 

@@ -15,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion import sections
-from steelnb.fusion.problem import Bars
+from steelnb.fusion.adjustment.problem import Bars
+from steelnb.fusion.sections import shapes
 from steelnb.points.voxel_kernels import EMPTY, find, pack, put
 
 
@@ -196,10 +196,10 @@ def face_residuals(points, bar, T, start, direction, length, across, corner):  #
         b = bar[i]
         if b < 0:
             continue
-        x, y, z, cx, cy, cz = sections.sighting(T, points[i], start[b])
-        u, v, t = sections.in_frame(direction[b], across[b], x, y, z)
-        p, q, w = sections.in_frame(direction[b], across[b], cx, cy, cz)
-        residual[i], sigma[i], distance[i] = sections.face_distance(u, v, t, p, q, w, corner[b], length[b])[:3]
+        x, y, z, cx, cy, cz = shapes.sighting(T, points[i], start[b])
+        u, v, t = shapes.in_frame(direction[b], across[b], x, y, z)
+        p, q, w = shapes.in_frame(direction[b], across[b], cx, cy, cz)
+        residual[i], sigma[i], distance[i] = shapes.face_distance(u, v, t, p, q, w, corner[b], length[b])[:3]
         place[i, 0], place[i, 1], place[i, 2] = start[b, 0] + x, start[b, 1] + y, start[b, 2] + z
         ray[i, 0], ray[i, 1], ray[i, 2] = cx, cy, cz
     return residual, sigma, distance, place, ray

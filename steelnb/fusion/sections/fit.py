@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array
-from steelnb.fusion import sections
-from steelnb.fusion.sections import VIEWS, front_face, outline
+from steelnb.fusion.sections import shapes
+from steelnb.fusion.sections.shapes import VIEWS, front_face, outline
 
 TURNS = VIEWS
 """Number of rotations in the search. A section rotated by one step looks the same from the next direction."""
@@ -48,7 +48,7 @@ def profiles(thickness):  # type: ignore[no-untyped-def]
     outline(0.0, 1.0, thickness, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
     for view in range(VIEWS):
-        cosine, sine = sections.direction_of(view)
+        cosine, sine = shapes.direction_of(view)
         beside = -sine * corner[:, 0] + cosine * corner[:, 1]
         side[view, 0], side[view, 1] = beside.min(), beside.max()
         for k in range(PROFILE):
@@ -136,7 +136,7 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
             if is_round:
                 jacobian[4] = -state[4] / front
         else:  # beside the section
-            edge = sections.nearest_edge(corner, cosine, sine, beside)
+            edge = shapes.nearest_edge(corner, cosine, sine, beside)
             residual = beside - edge
             ju, jv = sine, -cosine
             if is_round:

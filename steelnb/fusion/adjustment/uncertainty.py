@@ -13,11 +13,11 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.factors import PointEquations, summed
-from steelnb.fusion.poses import UPRIGHT_DOF, pose_size
-from steelnb.fusion.problem import BAR_DOF, Problem
-from steelnb.fusion.sections import frames
-from steelnb.fusion.solver import Chain, normal_equations
+from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF, pose_size
+from steelnb.fusion.adjustment.point_factors import PointEquations, summed
+from steelnb.fusion.adjustment.problem import BAR_DOF, Problem
+from steelnb.fusion.adjustment.solver import Chain, normal_equations
+from steelnb.fusion.sections.shapes import frames
 
 SHARED_SIGMA_M = 0.001
 """Standard deviation, per axis, of the displacement that all points of a bar in a scan share, at the range noise of
