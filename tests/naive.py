@@ -231,7 +231,7 @@ def loam_features(image, edges, planes, side=5, regions=4, smooth=5e-3, grazing=
 def match_features(
     pixel, octave, descriptor, depth, expected, expected_octave, expected_depth, wanted, search_px, hamming_max, ratio
 ):
-    """The rule of `steelnb.odometry.features.match` from whole tables."""
+    """The rule of `steelnb.odometry.orb.features.match` from whole tables."""
     bits = np.unpackbits((wanted[:, None] ^ descriptor[None]).view(np.uint8), axis=2).sum(axis=2).astype(float)
     with np.errstate(invalid="ignore"):
         other_depth = np.abs(expected_depth[:, None] - depth) > 5 * np.maximum(0.01, 0.01 * depth)

@@ -2,16 +2,16 @@
 
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.deepvo import DeepVoOdometry
+from steelnb.odometry.deepvo.odometry import DeepVoOdometry
 from steelnb.odometry.faces.odometry import FaceOdometry
+from steelnb.odometry.libraries import PeerOdometry
 from steelnb.odometry.loam.odometry import LoamOdometry
 from steelnb.odometry.methods import correct, load_odometry, make_odometry
-from steelnb.odometry.orb import OrbOdometry
-from steelnb.odometry.peers import PeerOdometry
-from steelnb.odometry.report_clouds import ReportCloudOdometry
-from steelnb.odometry.report_segments import ReportSegmentOdometry
+from steelnb.odometry.orb.odometry import OrbOdometry
+from steelnb.odometry.report.clouds import ReportCloudOdometry
+from steelnb.odometry.report.segments import ReportSegmentOdometry
 from steelnb.odometry.run import run
-from steelnb.odometry.segments import SegmentOdometry, shared_segments
+from steelnb.odometry.segments.odometry import SegmentOdometry, shared_segments
 
 __all__ = [
     "BaseOdometry", "CloudOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",

@@ -6,8 +6,8 @@ import numpy as np
 
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.prediction import make_prediction
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree

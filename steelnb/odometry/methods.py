@@ -19,15 +19,15 @@ from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.deepvo import DeepVoOdometry
+from steelnb.odometry.deepvo.odometry import DeepVoOdometry
 from steelnb.odometry.faces.odometry import FaceOdometry
+from steelnb.odometry.libraries import PeerOdometry
 from steelnb.odometry.loam.odometry import LoamOdometry
-from steelnb.odometry.orb import OrbOdometry
-from steelnb.odometry.peers import PeerOdometry
-from steelnb.odometry.report_clouds import ReportCloudOdometry
-from steelnb.odometry.report_segments import ReportSegmentOdometry
+from steelnb.odometry.orb.odometry import OrbOdometry
+from steelnb.odometry.report.clouds import ReportCloudOdometry
+from steelnb.odometry.report.segments import ReportSegmentOdometry
 from steelnb.odometry.run import OnStep, run
-from steelnb.odometry.segments import SegmentOdometry
+from steelnb.odometry.segments.odometry import SegmentOdometry
 from steelnb.settings import OdometrySettings, StructureSettings
 from steelnb.settings.base import guess
 

@@ -64,7 +64,7 @@ def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
 
 Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
 """Errors of the IMU, None to use no IMU. Its readings predict the pose of each scan
-(`steelnb.odometry.inertial_prediction`) and take part in smoothing."""
+(`steelnb.odometry.imu_filter`) and take part in smoothing."""
 
 
 class OdometrySettings(Settings):
@@ -103,7 +103,7 @@ class OdometrySettings(Settings):
 
 
 class SegmentSettings(OdometrySettings):
-    """Odometry by segments; the method names the correction rule (`steelnb.odometry.corrections`).
+    """Odometry by segments; the method names the correction rule (`steelnb.odometry.segments.corrections`).
 
     ``robust_scale_m``: scale of the robust weights (Geman-McClure) of both least-squares rules.
     """
@@ -172,7 +172,7 @@ class LoamSettings(MapSettings):
 
 
 class OrbSettings(OdometrySettings):
-    """Visual odometry by ORB features (`steelnb.odometry.orb`)."""
+    """Visual odometry by ORB features (`steelnb.odometry.orb.odometry`)."""
 
     family: ClassVar[str] = "orb"
     inertial: Inertial = None
@@ -186,7 +186,7 @@ class DeepVoSettings(OdometrySettings):
 
 
 class LibrarySettings(OdometrySettings):
-    """Odometry by the library that the method names (`steelnb.odometry.peers`)."""
+    """Odometry by the library that the method names (`steelnb.odometry.libraries`)."""
 
     family: ClassVar[str] = "library"
 
@@ -195,7 +195,7 @@ CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariance
 
 
 class ReportCloudSettings(OdometrySettings):
-    """The report's programs for odometry by clouds, one per method (`steelnb.odometry.report_clouds`).
+    """The report's programs for odometry by clouds, one per method (`steelnb.odometry.report.clouds`).
 
     ``switched`` names the original's traits to replace. ``floor``: points below ``preprocess.floor_m`` are cut off.
     ``thinning``: the scan is downsampled by a voxel grid of ``preprocess.voxel_leaf_m``. ``mount``: the scan is placed
@@ -218,7 +218,7 @@ class ReportCloudSettings(OdometrySettings):
 
 
 class ReportSegmentSettings(OdometrySettings):
-    """The report's program for odometry by segments (`steelnb.odometry.report_segments`)."""
+    """The report's program for odometry by segments (`steelnb.odometry.report.segments`)."""
 
     family: ClassVar[str] = "report_segments"
     hough: HoughSettings = HoughSettings()

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from steelnb import experiment
 from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m, score_gaps
-from steelnb.odometry import CloudOdometry, LoamOdometry, clouds, prediction
+from steelnb.odometry import CloudOdometry, LoamOdometry, clouds, drift_filter
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
 
@@ -112,7 +112,7 @@ def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
     _, flight, truth = world
     monkeypatch.setattr(clouds, "ITERATIONS_MEASURED", 3)
     odometry, _, error = run.__wrapped__("best")
-    monkeypatch.setattr(prediction, "DRIFT_GAIN", 0.0)
+    monkeypatch.setattr(drift_filter, "DRIFT_GAIN", 0.0)
     behind = run.__wrapped__("best")[2]
     drift = flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position
     rate = -(drift[-1] - drift[0]) / (len(drift) - 1)

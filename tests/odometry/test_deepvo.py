@@ -9,7 +9,8 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import DeepVoOdometry, make_odometry, run
-from steelnb.odometry.deepvo import (
+from steelnb.odometry.deepvo.network import VERSION, WEIGHTS, convolved, read_network, write_network
+from steelnb.odometry.deepvo.odometry import (
     COLUMNS,
     MIRROR,
     ROWS,
@@ -19,7 +20,6 @@ from steelnb.odometry.deepvo import (
     level_pair,
     motions,
 )
-from steelnb.odometry.network import VERSION, WEIGHTS, convolved, read_network, write_network
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from tests import naive
 

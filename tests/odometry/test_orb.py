@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.images import project
 from steelnb.odometry import OrbOdometry, make_odometry, run
-from steelnb.odometry.features import DepthImage, Features, find_features, import_opencv, match
-from steelnb.odometry.landmarks import LandmarkMap
-from steelnb.odometry.reprojection import solve_pose
+from steelnb.odometry.orb.features import DepthImage, Features, find_features, import_opencv, match
+from steelnb.odometry.orb.landmarks import LandmarkMap
+from steelnb.odometry.orb.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import CameraSettings, ExperimentSettings, TofSettings
 from steelnb.simulation import FORWARD, camera

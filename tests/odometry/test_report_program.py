@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Segments
-from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments
+from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry
+from steelnb.odometry.report import segments as report_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Aligned, Target, gicp_as_pcl, icp_as_pcl, pcl_bfgs
@@ -234,7 +235,7 @@ def rod(start, end, spacing_m=0.02, scatter_m=0.0, seed=0):
 
 def sort(points, **changes):
     settings = OdometrySettings.preset("report-segments", "report").hough.replace(**changes)
-    return report_segments.sorted_segments(points, settings)[0]
+    return segments.sorted_segments(points, settings)[0]
 
 
 def test_a_line_is_taken_whole_or_not_at_all():

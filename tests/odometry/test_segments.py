@@ -3,9 +3,18 @@ import pytest
 
 from steelnb.core.types import Scan, Segments
 from steelnb.fusion import SegmentMap, associate
-from steelnb.odometry import SegmentOdometry, corrections, segments, shared_segments
+from steelnb.odometry import SegmentOdometry, shared_segments
 from steelnb.odometry.base import SPACING_M
-from steelnb.odometry.corrections import average, bar_equations, least_squares, least_squares_yaw, shared_ends, shifted
+from steelnb.odometry.segments import corrections
+from steelnb.odometry.segments import odometry as segments
+from steelnb.odometry.segments.corrections import (
+    average,
+    bar_equations,
+    least_squares,
+    least_squares_yaw,
+    shared_ends,
+    shifted,
+)
 from steelnb.settings import OdometrySettings
 from tests import naive
 

@@ -8,8 +8,8 @@ from steelnb import experiment, fusion
 from steelnb.fusion.adjustment.drift_factors import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct, methods
+from steelnb.odometry.drift_filter import Prediction
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.prediction import Prediction
 from steelnb.settings import ExperimentSettings, OdometrySettings
 
 SIGMA_RAD = 0.0175

@@ -30,7 +30,7 @@ from steelnb.odometry.base import Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces.keyframes import Keyframes
 from steelnb.odometry.faces.scan_to_bars import POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.odometry.inertial_prediction import NONE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import NONE, InertialPrediction, information_at
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 
 KEYFRAME_S = 1.0

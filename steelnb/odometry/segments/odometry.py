@@ -13,9 +13,9 @@ from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.corrections import CORRECTIONS, shifted
+from steelnb.odometry.drift_filter import PRIOR_SIGMA, Prediction
 from steelnb.odometry.near_side import NearSide
-from steelnb.odometry.prediction import PRIOR_SIGMA, Prediction
+from steelnb.odometry.segments.corrections import CORRECTIONS, shifted
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
 

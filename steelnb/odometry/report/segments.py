@@ -13,7 +13,7 @@ import numpy as np
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.hough import detect_lines
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.corrections import GAIN, across_of
+from steelnb.odometry.segments.corrections import GAIN, across_of
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Segments
 from steelnb.fusion import SegmentMap, associate
-from steelnb.odometry.prediction import PRIOR_SIGMA
+from steelnb.odometry.drift_filter import PRIOR_SIGMA
 
 GAIN = 0.5
 """Share of the mean offset by which `average` corrects, as in the report."""

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
-from steelnb.odometry.inertial_prediction import NONE, InertialPrediction
+from steelnb.odometry.imu_filter import NONE, InertialPrediction
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
 

@@ -11,7 +11,7 @@ from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.inertial_prediction import BIAS, NONE, POSE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import BIAS, NONE, POSE, InertialPrediction, information_at
 from steelnb.points import VoxelMap
 from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.images import project
 from steelnb.core.types import Array, IntArray
-from steelnb.odometry.features import Features
+from steelnb.odometry.orb.features import Features
 
 SIGHTINGS_MAX = 50
 """The weight of a new observation stops decreasing after this number, so that positions can still change."""

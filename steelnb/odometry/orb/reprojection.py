@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.types import Array
-from steelnb.odometry.features import SCALE, Features
+from steelnb.odometry.orb.features import SCALE, Features
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
 from steelnb.registration.solver import exp_about

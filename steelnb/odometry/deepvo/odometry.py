@@ -10,7 +10,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.network import Network, read_network
+from steelnb.odometry.deepvo.network import Network, read_network
 from steelnb.settings import DeepVoSettings, OdometrySettings
 from steelnb.settings.presets import PRESETS
 

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 from steelnb.core.images import CameraImages, GreyImage, unproject
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.features import Features, features_with_depth, match
-from steelnb.odometry.inertial_prediction import NONE
-from steelnb.odometry.landmarks import Expected, LandmarkMap
-from steelnb.odometry.prediction import PRIOR_SIGMA, make_prediction
-from steelnb.odometry.reprojection import solve_pose
+from steelnb.odometry.drift_filter import PRIOR_SIGMA, make_prediction
+from steelnb.odometry.imu_filter import NONE
+from steelnb.odometry.orb.features import Features, features_with_depth, match
+from steelnb.odometry.orb.landmarks import Expected, LandmarkMap
+from steelnb.odometry.orb.reprojection import solve_pose
 from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
 
