@@ -157,7 +157,7 @@ class FaceSettings(RegistrationSettings):
 
 
 class LoamSettings(MapSettings):
-    """LOAM (`steelnb.odometry.loam.odometry`). The other settings of `RegistrationSettings` are fixed."""
+    """LOAM (`steelnb.odometry.loam`). The other settings of `RegistrationSettings` are fixed."""
 
     family: ClassVar[str] = "loam"
 
@@ -172,7 +172,7 @@ class LoamSettings(MapSettings):
 
 
 class OrbSettings(OdometrySettings):
-    """Visual odometry by ORB features (`steelnb.odometry.orb.odometry`)."""
+    """Visual odometry by ORB features (`steelnb.odometry.orb`)."""
 
     family: ClassVar[str] = "orb"
     inertial: Inertial = None

@@ -235,7 +235,7 @@ def rod(start, end, spacing_m=0.02, scatter_m=0.0, seed=0):
 
 def sort(points, **changes):
     settings = OdometrySettings.preset("report-segments", "report").hough.replace(**changes)
-    return segments.sorted_segments(points, settings)[0]
+    return report_segments.sorted_segments(points, settings)[0]
 
 
 def test_a_line_is_taken_whole_or_not_at_all():
