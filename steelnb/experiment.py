@@ -4,17 +4,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
-from steelnb.closed_loop import OnboardPilot
 from steelnb.core.cache import cached
 from steelnb.core.errors import InputError
 from steelnb.core.types import Estimate, Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
+from steelnb.planning import OnboardPilot
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.presets import members_file
 from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation import (
     FORWARD,
+    OnboardSensors,
     Truth,
     Visibility,
     build_tower,
@@ -57,7 +58,10 @@ def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) 
     planned = settings.flight.trajectory == "planned"
 
     def flown() -> tuple[Trajectory, Imu, RangeScans, Visibility]:
-        pilot = OnboardPilot(settings, tower, on_progress) if planned else None
+        pilot = None
+        if planned:
+            sensors = OnboardSensors(settings, tower)
+            pilot = sensors.steered_by(OnboardPilot(settings, sensors.imu, on_progress))
         trajectory, imu = fly(tower, settings.flight, settings.seed, pilot)
         return trajectory, imu, *scan_flight(tower, trajectory, tof, settings.seed)
 
@@ -116,9 +120,8 @@ def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_prog
 
 
 def broken_off(settings: ExperimentSettings) -> Flight | None:
-    """The run that was broken off before that of the settings (`ReportCloudSettings`): the drone at rest, every scan of
-    the
-    sensor, other noise of the sensor; None if there was none."""
+    """The run that was broken off before that of the settings (`ReportCloudSettings`): the drone at rest, every scan
+    of the sensor, other noise of the sensor; None if there was none."""
     odometry = settings.odometry
     if not isinstance(odometry, ReportCloudSettings) or not odometry.broken_off_s:
         return None

@@ -4,11 +4,12 @@ from steelnb.simulation.camera import FORWARD, Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
 from steelnb.simulation.members import Member
+from steelnb.simulation.onboard_sensors import OnboardSensors
 from steelnb.simulation.tof import scan_flight
 from steelnb.simulation.tower import Tower, build_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [
-    "FORWARD", "Camera", "Command", "Member", "Pilot", "Tower", "Truth", "Visibility", "build_tower",
+    "FORWARD", "Camera", "Command", "Member", "OnboardSensors", "Pilot", "Tower", "Truth", "Visibility", "build_tower",
     "filtered_attitude", "fly", "measured_imu", "photograph", "scan_flight",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
-from steelnb.planning import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S, Planner
+from steelnb.planning.planner import CLEARANCE_M, SEARCH_STOP_S, SEARCH_TURN_S, Planner
 from steelnb.settings import FlightSettings
 
 TAN_HORIZONTAL, TAN_VERTICAL, RANGE_M = 0.93, 1.32, 6.0

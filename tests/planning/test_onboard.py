@@ -4,22 +4,27 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.closed_loop import OnboardPilot
 from steelnb.core.errors import CollisionError, InputError
 from steelnb.odometry import make_odometry, run
-from steelnb.planning import Planner
+from steelnb.planning import OnboardPilot, Planner
 from steelnb.settings import ExperimentSettings, FlightSettings
-from steelnb.simulation import Command, build_tower, fly
+from steelnb.simulation import Command, OnboardSensors, build_tower, fly
 
 NOISE = "random-walk+yaw-random-walk"
+
+
+def steered(settings):
+    """The pilot of a flight, and its true poses and exact IMU readings."""
+    tower = build_tower(settings.tower)
+    sensors = OnboardSensors(settings, tower)
+    pilot = OnboardPilot(settings, sensors.imu)
+    return pilot, fly(tower, settings.flight, settings.seed, sensors.steered_by(pilot))
 
 
 @pytest.mark.parametrize("sensor", ["starling2", "starling2-honest"])
 def test_scans_during_a_flight_equal_those_of_the_whole_flight_bit_for_bit(sensor):
     settings = ExperimentSettings.preset("planned", NOISE, "best", sensor, seed=3, duration_s=2.0)
-    tower = build_tower(settings.tower)
-    pilot = OnboardPilot(settings, tower)
-    true, _ = fly(tower, settings.flight, settings.seed, pilot)
+    pilot, (true, _) = steered(settings)
     flight, truth = experiment.simulate(settings)
     np.testing.assert_array_equal(true.T_world_drone, truth.trajectory.T_world_drone)
     estimate = run(flight, make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu))
@@ -33,9 +38,8 @@ def test_scans_during_a_flight_equal_those_of_the_whole_flight_bit_for_bit(senso
 def around():
     """A quarter of the way around the tower: settings, pilot and true poses."""
     settings = ExperimentSettings.preset("planned", "random-walk", "best", seed=5, duration_s=12.0)
-    tower = build_tower(settings.tower)
-    pilot = OnboardPilot(settings, tower)
-    return settings, pilot, fly(tower, settings.flight, settings.seed, pilot)[0]
+    pilot, (true, _) = steered(settings)
+    return settings, pilot, true
 
 
 def test_a_planned_flight_goes_around_the_tower_and_sees_it_in_every_scan(around):
@@ -65,7 +69,7 @@ def test_the_drone_follows_the_planner_s_velocities(around):
 def test_the_path_depends_on_the_estimated_pose(around):
     settings, _, true = around
     drifting = settings.replace(noise_name="random-walk:0.02")
-    other, _ = fly(build_tower(settings.tower), drifting.flight, 5, OnboardPilot(drifting, build_tower(settings.tower)))
+    _, (other, _) = steered(drifting)
     np.testing.assert_array_equal(other.position[0], true.position[0])
     assert np.abs(other.position - true.position).max() > 0.02
 
