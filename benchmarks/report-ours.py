@@ -17,7 +17,7 @@ from steelnb import experiment
 from steelnb.core.determinism import machine
 from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.reconstruct import reconstruct
-from steelnb.metrics.reconstruction import reference, score_structure
+from steelnb.metrics.structure import reference, score_structure
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 

@@ -15,8 +15,8 @@ from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.reconstruct import MappedScans, reconstruct
 from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.structure import Structure
-from steelnb.metrics.members import match_members
-from steelnb.metrics.reconstruction import Reference, StructureScore, reference, score_structure, toward_sensor_m
+from steelnb.metrics.segments import match_members
+from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
 from steelnb.odometry import SegmentOdometry
 from steelnb.row import case_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Array, Flight, Trajectory
-from steelnb.io.bags import CLOUD, IMU, ODOMETRY, TF, typestore
+from steelnb.io.bag_reader import CLOUD, IMU, ODOMETRY, TF, typestore
 from steelnb.io.recordings import truth_path
 from steelnb.io.trajectories import write_tum
 

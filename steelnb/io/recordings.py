@@ -10,7 +10,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
-from steelnb.io.bags import CAMERA, CLOUD, IMU, ODOMETRY, POSE, TF, Bag, is_bag
+from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE, TF, Bag, is_bag
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.trajectories import interpolate, read_trajectory
 

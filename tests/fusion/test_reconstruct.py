@@ -11,8 +11,8 @@ from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
 from steelnb.fusion.candidates import VOXEL_M, find_bars
 from steelnb.fusion.joints import find_joints
-from steelnb.metrics.members import match_members
-from steelnb.metrics.reconstruction import reference, score_structure
+from steelnb.metrics.segments import match_members
+from steelnb.metrics.structure import reference, score_structure
 from steelnb.points import VoxelMap
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation.truth import SliceCounter

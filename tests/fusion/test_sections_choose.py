@@ -10,7 +10,7 @@ from steelnb.fusion import reconstruct
 from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.reconstruct import MappedScans
 from steelnb.fusion.sections import choose, fit, shapes
-from steelnb.metrics.members import match_members
+from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
 from steelnb.simulation.members import PLATE, mesh_members

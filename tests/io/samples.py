@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
+from steelnb.io.bag_reader import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, TF, typestore
 from steelnb.io.bag_writer import Messages
-from steelnb.io.bags import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, TF, typestore
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
 STAMPS = np.round(0.2 * np.arange(5), 9)

@@ -8,7 +8,7 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
-from steelnb.metrics.members import seen_members
+from steelnb.metrics.segments import seen_members
 from steelnb.settings import CameraSettings, TofSettings, TowerSettings
 from steelnb.simulation import Camera, build_tower, scan_flight
 from steelnb.simulation.camera import SAMPLES

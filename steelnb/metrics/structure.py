@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import nearest_point
 from steelnb.fusion.structure import Structure
-from steelnb.metrics.members import DISTANCE_MAX_M, SHARE_MIN, match_members, share
+from steelnb.metrics.segments import DISTANCE_MAX_M, SHARE_MIN, match_members, share
 from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion import Structure
-from steelnb.metrics.reconstruction import Reference, reference, score_structure
+from steelnb.metrics.structure import Reference, reference, score_structure
 from steelnb.settings import TowerSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.truth import SLICE_M, Visibility

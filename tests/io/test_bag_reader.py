@@ -5,7 +5,7 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.io import read_flight, write_tum
-from steelnb.io.bags import ODOMETRY, POSE, T_OPTICAL_SENSOR
+from steelnb.io.bag_reader import ODOMETRY, POSE, T_OPTICAL_SENSOR
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses
 
 MOUNT, SHIFT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3)), T_of((1, 2, 3))
