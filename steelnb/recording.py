@@ -22,8 +22,8 @@ from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import shift_of
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
-from steelnb.pictures import figure_bars, figure_flight
-from steelnb.plots import COLOURS, LABELS
+from steelnb.plots.flight import figure_bars, figure_flight
+from steelnb.plots.style import COLOURS, LABELS
 from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 
 WARM_UP_SCANS = 3

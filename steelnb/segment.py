@@ -14,7 +14,7 @@ from steelnb.hough.lines import default_dx, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
-from steelnb.pictures import figure_bars
+from steelnb.plots.flight import figure_bars
 from steelnb.points import voxel_grid
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
-from steelnb.plots import (
+from steelnb.plots.style import (
     COLOURS,
     Figure,
     draw_bars,

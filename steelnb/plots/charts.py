@@ -9,7 +9,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib.lines import Line2D
 
-from steelnb.plots import BLACK, COLOURS, DRIFT, GREY, gather_legend
+from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
 
 def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
