@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from steelnb import experiment
+from steelnb import experiment, plots
 from steelnb.batch import at_level
 from steelnb.core.errors import SteelnbError
 from steelnb.core.types import Array, Flight, Segments, Trajectory
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
 from steelnb.metrics import position_error_m
-from steelnb.plots import flight, style
-from steelnb.plots.style import COLOURS, LABELS
+from steelnb.plots import COLOURS, LABELS, flight
 from steelnb.row import case_of, paired_clouds
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.simulation import Truth
@@ -69,7 +68,7 @@ def figure_scene(
         shown = members[(members[..., 2] < highest_m).all(axis=1)]
         lines["true members"] = _apart(shown), COLOURS["member"], 2
     if segments is not None:
-        lines["bars found"] = _apart(style.end_points(segments)), COLOURS["bars found"], 6
+        lines["bars found"] = _apart(plots.end_points(segments)), COLOURS["bars found"], 6
     lines |= {name: (path.position, colours[name], WIDTHS[name]) for name, path in known.items()}
     for name, (points, colour, width) in lines.items():
         look = {"mode": "lines", "name": name, "legendgroup": name, "line": {"color": colour, "width": width}}
@@ -115,7 +114,7 @@ def plotly_bundle(figure: "PlotlyFigure") -> dict[str, Any]:
     return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": "a scene"}
 
 
-def figure_flight(view: View) -> style.Figure:
+def figure_flight(view: View) -> plots.Figure:
     """The scene as a static figure (`pictures.figure_flight`)."""
     case, method = case_of(view.result.settings), view.result.settings.odometry.method
     title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case)
@@ -188,7 +187,7 @@ class Panel:
         segments = result.segments
         if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
             segments = segment_structure(result.points, default_dx(result.points))
-        cloud = style.thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
+        cloud = plots.thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
         self.view = View(result, paths | {"corrected": result.corrected}, cloud, segments)
         method, numbers = settings.odometry.method, result.metrics
         self._draw(figure_scene(self.view.paths, cloud, segments, truth.tower.axes, method))

@@ -3,10 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from steelnb import batch, experiment
+from steelnb import batch, experiment, plots
 from steelnb.core.types import Flight
 from steelnb.metrics import score_segments
-from steelnb.plots import style
 from steelnb.runs import grid
 from steelnb.settings import ExperimentSettings
 
@@ -70,10 +69,10 @@ def test_curves_hold_the_error_of_every_scan_without_and_with_correction(runs):
 
 
 def test_a_map_is_drawn_over_the_members_with_right_and_wrong_bars_apart(runs):
-    run, panel = runs[2], style.Figure().subplots()
+    run, panel = runs[2], plots.Figure().subplots()
     members = run.truth.tower.axes
     right = score_segments(run.segments, members).right
-    style.draw_judged_bars(panel, members, style.end_points(run.segments), right)
+    plots.draw_judged_bars(panel, members, plots.end_points(run.segments), right)
     counts = [len(lines.get_segments()) for lines in panel.collections]
     assert counts == [len(members), (~right).sum(), right.sum()]
     assert right.mean() == pytest.approx(run.metrics["segment_precision"])

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
-from steelnb.plots.style import (
+from steelnb.plots import (
     COLOURS,
     Figure,
     draw_bars,
@@ -15,9 +15,9 @@ from steelnb.plots.style import (
     frame_perspective,
     gather_legend,
     project_perspective,
-    style,
     thinned,
 )
+from steelnb.plots.style import style
 
 POINTS_MAX = 60_000
 

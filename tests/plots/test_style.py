@@ -3,21 +3,22 @@
 import numpy as np
 import pytest
 
+from steelnb import plots
 from steelnb.plots import style
 from steelnb.settings import METHODS, TowerSettings
 from steelnb.simulation import build_tower
 
 
 def test_every_method_has_a_colour_and_a_name():
-    assert set(METHODS) <= set(style.METHODS) & set(style.LABELS)
+    assert set(METHODS) <= set(style.METHOD_LOOKS) & set(plots.LABELS)
 
 
 @pytest.mark.parametrize("flight", ["vertical", "zigzag"])
 def test_a_tower_is_drawn_with_all_of_its_members_and_in_view(flight):
     tower = build_tower(TowerSettings.of_flight(flight))
-    figure = style.Figure()
+    figure = plots.Figure()
     scene, front, side = figure.subplots(1, 3)
-    style.draw_tower([scene, front, side], tower, {"orbit": np.array([[3.0, 3, 1], [-3, 3, 2]])})
+    plots.draw_tower([scene, front, side], tower, {"orbit": np.array([[3.0, 3, 1], [-3, 3, 2]])})
     for panel, across in ((front, 0), (side, 1)):
         drawn = np.concatenate([lines.get_segments() for lines in panel.collections])
         assert len(drawn) == len(tower.members)

@@ -1,0 +1,142 @@
+"""Drawing of towers, bars, clouds and paths in perspective."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from numpy.typing import NDArray
+
+from steelnb.core.types import Array, Segments
+from steelnb.plots.style import BLACK, COLOURS, KINDS, LABELS, Figure, gather_legend, style
+
+if TYPE_CHECKING:
+    from steelnb.simulation import Tower
+
+CLOUD_POINTS = 60_000
+"""Maximum number of points in a picture of a cloud."""
+BAR_M = 2.0
+"""Length of the bar that shows the scale of a perspective."""
+
+
+def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
+    """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
+    panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
+
+
+def end_points(segments: Segments) -> Array:
+    """Both ends of each segment ``(M, 2, 3)``."""
+    return np.stack([segments.start, segments.end], axis=1)
+
+
+def thinned(points: Array, count: int) -> Array:
+    """At most ``count`` of the points ``(N, 3)``, evenly spaced in their order."""
+    return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
+
+
+def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
+    """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
+    ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale.
+
+    Matplotlib's 3D axes are not used, since they draw into a square and hide bars behind points.
+    """
+    azimuth, elevation = np.radians([-55.0, elevation_deg])
+    to_camera = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    away = points - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+    distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
+    flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
+    return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
+
+
+def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
+    """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
+    draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
+
+
+def draw_judged_bars(
+    panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
+) -> None:
+    """Draw the bars found ``(B, 2, 3)``, coloured by whether they are ``right (B,)``, over the true members ``(M, 2,
+    3)`` as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
+    cloud = members.reshape(-1, 3)
+    draw_bars(panel, members, cloud, color=COLOURS["member"], lw=0.8, label="true member")
+    draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on none")
+    draw_bars(panel, bars[right], cloud, color=COLOURS["right"], lw=1.5, label="bar on a member")
+    if joints is not None:
+        x, y = project_perspective(joints, cloud).T
+        panel.plot(x, y, "o", color=BLACK, ms=2.4, label="joint")
+    frame_perspective(panel, cloud)
+
+
+def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_deg: float = 10.0) -> None:
+    """Draw ``paths``, name of the colour → positions ``(N, 3)``, as `project_perspective` shows them, and frame them
+    (`frame_perspective`). The truth is a wide line."""
+    for name, positions in paths.items():
+        x, y = project_perspective(positions, cloud, elevation_deg).T
+        label = LABELS.get(name, f"{name} flight")
+        panel.plot(x, y, color=COLOURS[name], lw=3.2 if name == "truth" else 1.3, label=label)
+    frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
+
+
+def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None:
+    """Draw ``paths``, name of the colour → positions ``(N, 3)``, and the members ``(M, 2, 3)`` of a tower, as
+    `project_perspective` shows them."""
+    draw_bars(panel, members, members.reshape(-1, 3), color=COLOURS["member"], lw=0.5)
+    draw_paths(panel, paths, members.reshape(-1, 3))
+
+
+def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
+    """Set the limits of a panel to the projection (`project_perspective`) of ``cloud (N, 3)`` and ``more``, and draw a
+    scale bar instead of axes."""
+    flat = project_perspective(np.concatenate([cloud, *more]), cloud, elevation_deg)
+    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
+    panel.set(xlim=(left - 0.3, right + 0.3), ylim=(low - 0.9, high + 0.2), aspect="equal")
+    panel.set_axis_off()
+    panel.plot([left, left + BAR_M], [low - 0.4] * 2, color=BLACK, linewidth=2.5)
+    panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
+
+
+@style()
+def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
+    """The cloud that each method built, in its colour, over the true one, seen along y and along x.
+
+    ``clouds``: method → built and true points ``(N, 3)``, metres. Points of both are drawn in random order.
+    """
+    everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
+    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + np.array([[-0.4], [0.4]])
+    wide = (high - low)[:2]
+    scale = min(6.0 / (high - low)[2], 3.2 / wide.sum())  # inches per metre
+    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.4))
+    for frame, (method, pair) in zip(figure.subfigures(1, len(clouds), squeeze=False)[0], clouds.items(), strict=True):
+        points, colours = np.concatenate(pair), np.repeat([COLOURS[method], COLOURS["truth"]], [len(c) for c in pair])
+        order = np.random.default_rng(0).permutation(len(points))[:CLOUD_POINTS]  # neither hides the other
+        for across, panel in enumerate(frame.subplots(1, 2, sharey=True, width_ratios=wide)):
+            panel.scatter(points[order, across], points[order, 2], s=0.35, c=colours[order], lw=0, rasterized=True)
+            panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across else "z (m)")
+            panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
+        panel.plot([], [], "o", color=COLOURS[method], label=LABELS[method])
+        frame.suptitle(LABELS[method], fontsize=12)
+    panel.plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
+    gather_legend(figure, ncols=3)
+    return figure
+
+
+def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array], elevation_deg: float = 25.0) -> None:
+    """Draw a tower into three panels, its members coloured by kind: in perspective from above the front right, with its
+    plates and ``paths`` (name of the colour → positions ``(N, 3)``); from the front; and from the side."""
+    scene, *sides = panels
+    flat = project_perspective(tower.plates, tower.vertices, elevation_deg)
+    scene.add_collection(PolyCollection(list(flat), fc=COLOURS["member"], alpha=0.6))
+    kinds = np.array([member.kind for member in tower.members])
+    for kind in (name for name in reversed(KINDS) if name in kinds):
+        bars = tower.axes[kinds == kind]
+        look = {"color": KINDS[kind], "lw": {"leg": 2.2, "secondary": 0.8}.get(kind, 1.2)}
+        draw_bars(scene, bars, tower.vertices, elevation_deg, **look)
+        for across, side in enumerate(sides):
+            draw_lines(side, bars[:, :, [across, 2]], label=f"{kind} ({len(bars)})", **look)
+    draw_paths(scene, paths, tower.vertices, elevation_deg)
+    for side, name, axis in zip(sides, ("front", "side"), "xy", strict=True):
+        side.set(aspect="equal", title=name, xlabel=f"{axis} (m)", ylabel="z (m)")
+        side.autoscale()
