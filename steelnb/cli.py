@@ -118,8 +118,8 @@ def run(
     with _progress() as (on_stage, on_share):
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
-        from steelnb.recording import opened_lines, run_recording
-        from steelnb.recording_settings import Scene, recording_settings, settings_line, voxel_warning
+        from steelnb.recording.run import opened_lines, run_recording
+        from steelnb.recording.settings import Scene, recording_settings, settings_line, voxel_warning
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}
@@ -190,7 +190,7 @@ def segment(
 ) -> None:
     """Find the straight bars in a point cloud."""
     with _progress() as (on_stage, _):
-        from steelnb.segment import segment_file
+        from steelnb.recording.segment_cloud import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)

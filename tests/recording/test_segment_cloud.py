@@ -11,7 +11,7 @@ from steelnb.core.types import Segments
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import segment_structure, within
 from steelnb.points import voxel_grid
-from steelnb.segment import SegmentReport, segment_file
+from steelnb.recording.segment_cloud import SegmentReport, segment_file
 from tests.lattice import lattice, scanned, thinned
 
 FILES = {"segments.csv", "segments.png"}

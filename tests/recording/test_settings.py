@@ -8,7 +8,7 @@ import pytest
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, Scan, Trajectory
-from steelnb.recording_settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings
+from steelnb.recording.settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings
 from steelnb.settings import METHODS, ExperimentSettings
 
 
