@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.results import find_root
+from steelnb.notebook.results import find_root
 from workflow import digests
 from workflow.digests import SETTINGS, changed, digest, read
 

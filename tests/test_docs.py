@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from steelnb import cli, runs
+from steelnb import cli
 from steelnb.io import read_flight, write_tum
+from steelnb.notebook import runs
 from tests.lattice import lattice, scanned
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +54,7 @@ def run(words: list[str]) -> None:
     """Run one command of a page. For `make` it is enough that the target exists."""
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    elif words[:3] == ["python", "-m", "steelnb.runs"]:
+    elif words[:3] == ["python", "-m", "steelnb.notebook.runs"]:
         assert runs.main(words[3:]) == 0
     else:
         assert words[0] == "steelnb"

@@ -3,10 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from steelnb import batch, experiment, plots
+from steelnb import experiment, plots
 from steelnb.core.types import Flight
 from steelnb.metrics import score_segments
-from steelnb.runs import grid
+from steelnb.notebook import batch
+from steelnb.notebook.runs import grid
 from steelnb.settings import ExperimentSettings
 
 

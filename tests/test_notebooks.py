@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.claims import read_claims
+from steelnb.notebook.claims import read_claims
 from workflow.experiments import first_parts, make_parts
 from workflow.task_notebooks import cache_folder, merge, run
 

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
-from steelnb.results import find_root
+from steelnb.notebook.results import find_root
 from workflow.__main__ import main
 from workflow.experiments import make_parts
 

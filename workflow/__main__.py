@@ -16,7 +16,7 @@ import typer
 from steelnb.cli import call
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
-from steelnb.results import find_root
+from steelnb.notebook.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)

@@ -15,8 +15,8 @@ from pydantic import Field
 from steelnb.core.cache import digest_sources
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.parameters import FOLDER, check_names, check_parameters, literals
-from steelnb.results import EXPERIMENTS_FILE, file_digest
+from steelnb.notebook.parameters import FOLDER, check_names, check_parameters, literals
+from steelnb.notebook.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, parse_parameter, read_tables
 
 BUDGETS = {"full": "results", "smoke": "results-smoke"}

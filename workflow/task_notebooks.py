@@ -30,8 +30,8 @@ import steelnb.core.errors
 from steelnb.core.cache import CACHE_VARIABLE
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.files import new_folder
-from steelnb.parameters import FOLDER
-from steelnb.results import PROGRESS_VARIABLE, RESULTS, TABLES, find_root, pictures, write_json
+from steelnb.notebook.parameters import FOLDER
+from steelnb.notebook.results import PROGRESS_VARIABLE, RESULTS, TABLES, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
 
 EXECUTED = "executed.ipynb"

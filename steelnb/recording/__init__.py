@@ -1,0 +1,1 @@
+"""A recording → corrected poses and bars; a cloud → its bars."""

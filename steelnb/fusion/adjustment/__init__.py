@@ -1,0 +1,1 @@
+"""One least-squares problem of poses, bars and IMU readings."""

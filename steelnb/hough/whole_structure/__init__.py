@@ -1,0 +1,1 @@
+"""The iterative transform on the cloud of a whole structure, in blocks."""

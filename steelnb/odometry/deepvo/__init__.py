@@ -1,0 +1,1 @@
+"""Learned odometry, after DeepVO."""

@@ -1,0 +1,1 @@
+"""Odometry by the front faces of bars."""

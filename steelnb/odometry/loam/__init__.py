@@ -1,0 +1,1 @@
+"""LOAM: edge and planar features of a scan."""

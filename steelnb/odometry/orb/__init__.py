@@ -1,0 +1,1 @@
+"""Visual odometry by ORB features."""

@@ -1,0 +1,1 @@
+"""The report's programs as they were, with their faults."""

@@ -1,0 +1,1 @@
+"""Odometry by segments, the report's idea."""

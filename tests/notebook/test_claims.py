@@ -7,12 +7,23 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.claims import FAILS, HOLDS, NOT_RUN, OPEN, USUAL, Claim, cells_of, judge, read_claims, verdict_table
 from steelnb.core.errors import InputError
-from steelnb.frames import frame_runs
-from steelnb.runs import read_runs
+from steelnb.notebook.claims import (
+    FAILS,
+    HOLDS,
+    NOT_RUN,
+    OPEN,
+    USUAL,
+    Claim,
+    cells_of,
+    judge,
+    read_claims,
+    verdict_table,
+)
+from steelnb.notebook.runs import read_runs
+from steelnb.notebook.single_frames import frame_runs
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NOISES = ("random-walk", "constant-drift")
 
 

@@ -2,10 +2,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.batch import flat
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments
-from steelnb.rebuild import CASE, METHODS, NUMBERS, POSES, fly_tower, near_side, rebuild, structure_row
+from steelnb.notebook.batch import flat
+from steelnb.notebook.structure import CASE, METHODS, NUMBERS, POSES, fly_tower, near_side, rebuild, structure_row
 from steelnb.settings import TowerSettings
 
 

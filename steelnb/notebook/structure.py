@@ -17,8 +17,8 @@ from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_o
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
+from steelnb.notebook.tables import case_of
 from steelnb.odometry import SegmentOdometry
-from steelnb.row import case_of
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 
 POSES = ("raw", "corrected", "true")

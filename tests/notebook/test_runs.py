@@ -13,15 +13,16 @@ import pandas as pd
 import psutil
 import pytest
 
-from steelnb import experiment, row, runs
+from steelnb import experiment
 from steelnb.core.cache import PACKAGE
 from steelnb.core.errors import InputError, OutputError
 from steelnb.metrics import position_error_m
-from steelnb.row import CASE, CURVES, TIMES
+from steelnb.notebook import runs, tables
+from steelnb.notebook.tables import CASE, CURVES, TIMES
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.presets import members_file
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 AXES = {
     "seeds": [1, 2], "trajectories": ["zigzag"], "noises": ["random-walk"], "sensors": ["report-4cm"],
     "methods": ["icp", "average"], "duration_s": 3.0,
@@ -44,7 +45,7 @@ def numbers(table: pd.DataFrame) -> pd.DataFrame:
 def made(monkeypatch):
     """The runs that were computed, not read from the cache."""
     found = []
-    monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(s), row.make_row(s, flown))[1])
+    monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(s), tables.make_row(s, flown))[1])
     return found
 
 
@@ -116,7 +117,7 @@ def test_a_dask_cluster_gives_the_same_table(plain, tmp_path):
 def test_a_killed_study_loses_only_the_current_runs(plain, tmp_path, made, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path, stored = study(tmp_path, {**AXES, "seeds": "1-6"}), []
-    command = [sys.executable, "-m", "steelnb.runs", str(path), "-o", "out", "-j", "2"]
+    command = [sys.executable, "-m", "steelnb.notebook.runs", str(path), "-o", "out", "-j", "2"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while len(stored) < 3:
         assert process.poll() is None
@@ -167,7 +168,7 @@ def test_numbers_and_curves_describe_the_run():
     )  # fmt: skip
     flight, truth = experiment.simulate(settings)
     result = experiment.estimate(settings, flight, truth)
-    found = row.numbers(flight, result)
+    found = tables.numbers(flight, result)
     assert found["lost_share"] == pytest.approx(25 / 149, abs=0.01)
     error = position_error_m(result.corrected, truth.trajectory)
     lost = result.matches[1:] == 0
@@ -177,8 +178,8 @@ def test_numbers_and_curves_describe_the_run():
     assert found["wrong_share"] == pytest.approx(np.mean(error[result.matches > 0] > 0.25))
     assert found["bend_deg"] > 0
     assert 0 < found["turned_mean_deg"] < 5
-    thin = row.curves(result)
-    assert {name: len(values) for name, values in thin.items()} == dict.fromkeys(CURVES, row.CURVE_SAMPLES)
+    thin = tables.curves(result)
+    assert {name: len(values) for name, values in thin.items()} == dict.fromkeys(CURVES, tables.CURVE_SAMPLES)
     assert thin["curve_time_s"][[0, -1]] == pytest.approx(result.corrected.stamp_s[[0, -1]])
     assert thin["curve_error_m"][-1] == pytest.approx(found["error_final_m"])
     assert thin["curve_raw_m"][-1] == pytest.approx(found["raw_error_final_m"])

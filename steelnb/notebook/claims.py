@@ -11,7 +11,7 @@ from scipy import stats
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.row import CASE
+from steelnb.notebook.tables import CASE
 from steelnb.settings import Settings, read_tables
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"

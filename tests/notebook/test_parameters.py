@@ -9,13 +9,13 @@ import papermill
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb import parameters
 from steelnb.core.errors import InputError
-from steelnb.parameters import check_names, check_parameters
+from steelnb.notebook import parameters
+from steelnb.notebook.parameters import check_names, check_parameters
 from steelnb.settings import parse_parameter
 from workflow.experiments import parse_parameters, read_parameters
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
     "trajectory": "zigzag", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
     "any": None, "results_dir": "", "seed": 1, "seeds": [1], "blind_s": [[1.0, 2.0]],

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb import batch, experiment, scene
+from steelnb import experiment
 from steelnb.core.errors import CollisionError, InputError
-from steelnb.scene import PLOTLY_TYPE, Panel
+from steelnb.notebook import batch, panel
+from steelnb.notebook.panel import PLOTLY_TYPE, Panel
 from steelnb.settings import Noise
 
 SHORT = {"tof.rate_hz": 2.5}
@@ -20,7 +21,7 @@ def make_panel(**other: object) -> Panel:
 
 
 @pytest.fixture(scope="module")
-def view() -> scene.View:
+def view() -> panel.View:
     return make_panel().show()
 
 
@@ -47,14 +48,14 @@ def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> N
         make_panel(noise=noise, level=level)
 
 
-def test_a_flight_is_the_experiment_of_the_same_settings(view: scene.View) -> None:
+def test_a_flight_is_the_experiment_of_the_same_settings(view: panel.View) -> None:
     same = experiment.run(view.result.settings)
     assert same.metrics == view.result.metrics
     assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
 
 
-def test_the_cloud_lies_on_the_steel_and_is_light(view: scene.View) -> None:
-    assert 1000 < len(view.cloud) <= scene.POINTS_MAX
+def test_the_cloud_lies_on_the_steel_and_is_light(view: panel.View) -> None:
+    assert 1000 < len(view.cloud) <= panel.POINTS_MAX
     lowest = view.cloud[:, 2].min() + view.result.metrics["error_max_m"]
     assert lowest >= view.result.settings.odometry.preprocess.floor_m
     axes = view.result.truth.tower.axes
@@ -128,9 +129,9 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
     assert not [data for _, data in shown if PLOTLY_TYPE in data]
 
 
-def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: scene.View) -> None:
+def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: panel.View) -> None:
     paths = {**view.paths, "true": None}
-    figure = scene.figure_scene(paths)
+    figure = panel.figure_scene(paths)
     assert {trace.name for trace in figure.data} == {"drifting", "corrected"}
     apart_m = np.linalg.norm(view.paths["corrected"].position - view.paths["drifting"].position, axis=1)
     np.testing.assert_allclose(figure.data[-1].y, apart_m, atol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from steelnb.core.errors import OutputError
-from steelnb.results import Progress, find_root, write_results
+from steelnb.notebook.results import Progress, find_root, write_results
 
 
 def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:
@@ -77,4 +77,4 @@ def test_progress_is_a_bar_where_nobody_asks_for_a_file(
 
 
 def test_the_project_is_found_from_outside_it(tmp_path: Path) -> None:
-    assert find_root(tmp_path) == Path(__file__).parents[1]
+    assert find_root(tmp_path) == Path(__file__).parents[2]

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from steelnb.frames import Scenes, attempt, trial_table, trial_timing
+from steelnb.notebook.single_frames import Scenes, attempt, trial_table, trial_timing
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower
 from steelnb.simulation.paths import path, pose_on_path

@@ -15,9 +15,9 @@ from steelnb.core import rng
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import bend, position_error_m
+from steelnb.notebook.results import find_root
+from steelnb.notebook.tables import case_of, paired_clouds, stage_times
 from steelnb.odometry import shared_segments
-from steelnb.results import find_root
-from steelnb.row import case_of, paired_clouds, stage_times
 from steelnb.settings import (
     REPORT_NOISE,
     ExperimentSettings,

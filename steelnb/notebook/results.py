@@ -105,7 +105,7 @@ def _plain(value: Any) -> Any:
 def find_root(start: Path | None = None) -> Path:
     """The nearest folder from ``start`` (default: the current one) upwards that holds ``notebooks/runs.toml``,
     else the project that contains the package."""
-    start, project = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[1]
+    start, project = (start or Path.cwd()).resolve(), Path(__file__).resolve().parents[2]
     folders = (start, *start.parents)
     return next((folder for folder in folders if (folder / EXPERIMENTS_FILE).is_file()), project)
 

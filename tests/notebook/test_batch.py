@@ -4,11 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb import batch, experiment
+from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.metrics import position_error_m
-from steelnb.metrics.basin import find_basin
-from steelnb.row import paired_clouds
+from steelnb.notebook import batch
+from steelnb.notebook.basin import find_basin
+from steelnb.notebook.tables import paired_clouds
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import read_report_plots
 

@@ -1,7 +1,7 @@
 """Many runs: combinations of settings → a table with one row per run, on the cores of this machine or a Dask cluster.
 
 ``run_all(grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` returns the table;
-``python -m steelnb.runs STUDY.toml -o FOLDER`` writes the table of a study's file.
+``python -m steelnb.notebook.runs STUDY.toml -o FOLDER`` writes the table of a study's file.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from steelnb import experiment
 from steelnb.core.cache import PACKAGE, SOURCES, cached
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.files import new_folder, reading
-from steelnb.row import CASE, CURVES, TIMES, case_of, make_row
+from steelnb.notebook.tables import CASE, CURVES, TIMES, case_of, make_row
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport
 from steelnb.settings.presets import members_file
@@ -202,7 +202,9 @@ def read_runs(folder: Path) -> pd.DataFrame:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command of `make study`. Exit code 1: some runs failed; 2: bad input, reported in one line."""
-    parser = argparse.ArgumentParser(prog="python -m steelnb.runs", description="Run a study and write its table.")
+    parser = argparse.ArgumentParser(
+        prog="python -m steelnb.notebook.runs", description="Run a study and write its table."
+    )
     parser.add_argument("study", type=Path, metavar="STUDY.toml")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", required=True)
     parser.add_argument("-j", "--jobs", type=int, default=-1, help="flights at once; default: one per core")
@@ -221,6 +223,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from steelnb import runs  # workers load the module by this name
+    from steelnb.notebook import runs  # workers load the module by this name
 
     sys.exit(runs.main())

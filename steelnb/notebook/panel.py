@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from steelnb import experiment, plots
-from steelnb.batch import at_level
 from steelnb.core.errors import SteelnbError
 from steelnb.core.types import Array, Flight, Segments, Trajectory
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
 from steelnb.metrics import position_error_m
+from steelnb.notebook.batch import at_level
+from steelnb.notebook.tables import case_of, paired_clouds
 from steelnb.plots import COLOURS, LABELS, flight
-from steelnb.row import case_of, paired_clouds
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.simulation import Truth
 
