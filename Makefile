@@ -44,7 +44,7 @@ check: $(READY)  ## run every notebook from scratch and compare metrics and tabl
 	@$(BIN)/python -m workflow check $(ONLY)
 
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (from scratch: 7 hours on two cores)
-	@$(BIN)/python -m steelnb.notebook.runs notebooks/study.toml -o results/study
+	@$(BIN)/steelnb study notebooks/study.toml -o results/study
 
 test: $(READY) lint  ## run linters, type checks, import contracts and all tests, with the notebooks at the smoke budget, on two workers
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder

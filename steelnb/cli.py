@@ -17,6 +17,7 @@ from steelnb.core.files import check_folder
 EXIT_CODES = """\b
 Exit codes:
   0    done
+  1    some runs of a study failed
   2    bad input, reported in one line; nothing was written
   130  interrupted (Ctrl-C)
 """
@@ -198,6 +199,27 @@ def segment(
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
     print("\n".join(result.summary))
     _warn(*result.warnings)
+
+
+@app.command()
+def study(
+    settings: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Combinations of settings, one table a grid.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder of the tables.")],
+    jobs: Annotated[int, typer.Option("-j", "--jobs", help="Flights at once. Default: one per core.")] = -1,
+) -> int:
+    """Simulate every combination of some settings, and write one table with a row per run.
+
+    Rows are cached in .cache/runs, so a killed study resumes. Exit code 1: some runs failed.
+    """
+    from steelnb.notebook.study import RUNS, read_grids, run_study, write_runs
+
+    table = run_study(read_grids(settings), jobs)
+    write_runs(output, table)
+    failed = table[table["status"] == "failed"]
+    for run in failed.itertuples():
+        print(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", file=sys.stderr)
+    print(f"{output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
+    return int(len(failed) > 0)
 
 
 def _warn(*messages: str) -> None:

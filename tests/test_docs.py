@@ -16,7 +16,7 @@ import trimesh
 
 from steelnb import cli
 from steelnb.io import read_flight, write_tum
-from steelnb.notebook import runs
+from steelnb.notebook.study import read_runs
 from tests.lattice import lattice, scanned
 
 ROOT = Path(__file__).parents[1]
@@ -54,8 +54,6 @@ def run(words: list[str]) -> None:
     """Run one command of a page. For `make` it is enough that the target exists."""
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    elif words[:3] == ["python", "-m", "steelnb.notebook.runs"]:
-        assert runs.main(words[3:]) == 0
     else:
         assert words[0] == "steelnb"
         if "theirs.tum" in words:  # the other program of the page
@@ -103,7 +101,7 @@ def test_the_new_odometry_takes_drift_out(here):
 
 def test_the_study_has_its_runs(here):
     names, _ = follow("study.md")
-    assert len(names["table"]) == len(runs.read_runs(here / "my-results")) == 8
+    assert len(names["table"]) == len(read_runs(here / "my-results")) == 8
 
 
 def test_a_planned_flight_is_recorded(here):

@@ -6,8 +6,9 @@ import pytest
 from steelnb import experiment, plots
 from steelnb.core.types import Flight
 from steelnb.metrics import score_segments
-from steelnb.notebook import batch
-from steelnb.notebook.runs import grid
+from steelnb.notebook import report, tables
+from steelnb.notebook.runs import run_all
+from steelnb.notebook.study import grid
 from steelnb.settings import ExperimentSettings
 
 
@@ -15,11 +16,11 @@ from steelnb.settings import ExperimentSettings
 def runs():
     noises, methods = ["random-walk", "constant-drift:0.0004"], ["none", "average", "least_squares"]
     flown = {"seeds": [3], "trajectories": ["zigzag"], "sensors": ["starling2"], "duration_s": 16.0}
-    return batch.run_all([run.settings for run in grid(noises=noises, methods=methods, **flown)])
+    return run_all([run.settings for run in grid(noises=noises, methods=methods, **flown)])
 
 
 def test_correction_beats_no_correction_and_least_squares_beats_the_average(runs):
-    error = batch.table(runs).set_index(["noise", "method"])["error_mean_m"]
+    error = tables.table(runs).set_index(["noise", "method"])["error_mean_m"]
     for noise in ("random-walk", "constant-drift:0.0004"):
         assert error[noise, "average"] < 0.7 * error[noise, "none"]
         assert error[noise, "least_squares"] < 0.7 * error[noise, "average"]
@@ -27,7 +28,7 @@ def test_correction_beats_no_correction_and_least_squares_beats_the_average(runs
 
 
 def test_the_map_is_better_with_correction(runs):
-    table = batch.table(runs).set_index(["noise", "method"])
+    table = tables.table(runs).set_index(["noise", "method"])
     drifting, corrected = (table.loc[("constant-drift:0.0004", method)] for method in ("none", "least_squares"))
     assert corrected["segment_precision"] > drifting["segment_precision"] + 0.2
     assert corrected["segment_recall"] > 0.6
@@ -50,7 +51,7 @@ def test_the_flight_holds_no_truth():
 
 
 def test_the_time_of_a_frame_is_that_of_all_its_stages(runs):
-    timing = batch.timing(runs)
+    timing = tables.timing(runs)
     frames = timing[timing["stage"] == "frame"]
     assert len(frames) == len(runs)
     whole = [1e3 * np.median(np.sum(list(run.seconds.values()), axis=0)) for run in runs]
@@ -58,7 +59,7 @@ def test_the_time_of_a_frame_is_that_of_all_its_stages(runs):
 
 
 def test_curves_hold_the_error_of_every_scan_without_and_with_correction(runs):
-    curves = batch.curves(runs)
+    curves = report.curves(runs)
     assert set(curves["curve"]) == {"none", "average", "least_squares"}
     for run in runs:
         own = curves[(curves["method"] == run.settings.odometry.method) & (curves["noise"] == run.settings.noise_name)]

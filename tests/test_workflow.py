@@ -192,7 +192,7 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
     seen.append(keys())
     (project / "environment.lock").write_text("numpy==3\n")
     seen.append(keys())
-    monkeypatch.setattr("workflow.experiments.digest_sources", lambda excluded: "other code")
+    monkeypatch.setattr("workflow.experiments.digest_rooms", lambda: "other code")
     seen.append(keys())
     assert len({key for some in seen for key in some}) == 12
     (project / "data.csv").write_text("2\n")

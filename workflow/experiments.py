@@ -12,7 +12,7 @@ from typing import Any, Literal
 import nbformat
 from pydantic import Field
 
-from steelnb.core.cache import digest_sources
+from steelnb.core.cache import digest_rooms
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.notebook.parameters import FOLDER, check_names, check_parameters, literals
@@ -61,7 +61,7 @@ class Part:
         root = self.notebook.parents[1]
         files = {name: file_digest(root / name) for name in (*self.experiment.inputs, "environment.lock")}
         cells = [(cell.cell_type, cell.source) for cell in nbformat.read(self.notebook, 4).cells]
-        versions = [digest_sources(excluded=()), *platform.python_version_tuple()[:2]]
+        versions = [digest_rooms(), *platform.python_version_tuple()[:2]]
         return json.dumps([cells, self.parameters, files, versions], sort_keys=True)
 
 

@@ -31,7 +31,8 @@ from steelnb.core.cache import CACHE_VARIABLE
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.files import new_folder
 from steelnb.notebook.parameters import FOLDER
-from steelnb.notebook.results import PROGRESS_VARIABLE, RESULTS, TABLES, find_root, pictures, write_json
+from steelnb.notebook.progress import PROGRESS_VARIABLE
+from steelnb.notebook.results import RESULTS, TABLES, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
 
 EXECUTED = "executed.ipynb"

@@ -22,8 +22,11 @@ nothing is cached."""
 BYTES_MAX = 2_000_000_000
 """Above this size, the least recently used entries are deleted when a process first uses the folder."""
 PACKAGE = Path(__file__).resolve().parents[1]
-EXCLUDED = ("batch.py", "charts.py", "claims.py", "cli.py", "plots.py", "scene.py", "__main__.py")
-"""Parts of the package that do not affect results."""
+ROOMS = (
+    "core", "settings", "simulation", "points", "hough", "registration", "fusion", "odometry", "planning", "metrics",
+    "io", "experiment.py",
+)  # fmt: skip
+"""The rooms that flights and estimates depend on."""
 LIBRARIES = (
     "imufusion", "kiss-icp", "numba", "numpy", "open3d", "open3d-cpu", "opencv-python-headless", "pybullet", "scipy",
     "small-gicp",
@@ -33,12 +36,13 @@ LIBRARIES = (
 T = TypeVar("T")
 
 
-def digest_sources(excluded: tuple[str, ...] = EXCLUDED) -> str:
-    """SHA-256 of the package's files except ``excluded`` ones, and of the installed versions of `LIBRARIES`."""
+def digest_rooms(*rooms: str) -> str:
+    """SHA-256 of the package's files in some ``rooms``, all if none is named, and of the installed versions of
+    `LIBRARIES`."""
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*")):
         name = path.relative_to(PACKAGE)
-        if path.is_file() and name.parts[0] not in excluded and "__pycache__" not in name.parts:
+        if path.is_file() and (not rooms or name.parts[0] in rooms) and "__pycache__" not in name.parts:
             digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     for library in LIBRARIES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -46,7 +50,7 @@ def digest_sources(excluded: tuple[str, ...] = EXCLUDED) -> str:
     return digest.hexdigest()
 
 
-SOURCES = digest_sources()
+SOURCES = digest_rooms(*ROOMS)
 """Computed when this process starts, so later edits do not change it."""
 
 

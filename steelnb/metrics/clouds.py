@@ -4,8 +4,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import Array
+from steelnb.core.types import Array, Estimate, Flight
 from steelnb.fusion.adjustment.drift_factors import yaw_of
+from steelnb.points import preprocess_scan
+from steelnb.settings import PreprocessSettings
+from steelnb.simulation import Truth
 
 SLICE_M, POINTS_MIN = 1.0, 200
 """Height of the slices in which a bend is measured, and minimum number of points of a slice."""
@@ -73,3 +76,19 @@ def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
     growth = error_m[scans:] - error_m[:-scans]
     k = int(growth.argmax())
     return k + scans, float(growth[k])
+
+
+def paired_clouds(
+    flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings, every: int = 4
+) -> tuple[Array, Array]:
+    """Points of one scan in ``every``, at the estimated and at the true poses: two clouds ``(N, 3)``, metres, world
+    frame. Row k of both is the same return."""
+    true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    estimated, shown = estimate.corrected.T_world_drone, range(0, len(flight.scans), every)
+    T_drone_sensor = flight.T_drone_sensor
+    scans = [preprocess_scan(flight.scans[k], true[k], T_drone_sensor, preprocess) for k in shown]
+
+    def placed(T: Array) -> Array:
+        return np.concatenate([points @ T[k, :3, :3].T + T[k, :3, 3] for k, points in zip(shown, scans, strict=True)])
+
+    return placed(estimated), placed(true)

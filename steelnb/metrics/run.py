@@ -1,14 +1,19 @@
-"""All metrics of an estimate: of its trajectory, and of the segments of its map if it has any."""
+"""All metrics of an estimate: of its trajectory, and of the segments of its map if it has any; and diagnostics."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.types import Array, Estimate
+from steelnb.core.types import Array, Estimate, Flight
+from steelnb.metrics.clouds import bend, largest_slip, paired_clouds
 from steelnb.metrics.segments import score_segments
-from steelnb.metrics.trajectory import score_gaps, score_trajectory
+from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory
+from steelnb.settings import PreprocessSettings
 from steelnb.simulation import Truth
+
+WRONG_M = 0.25
+"""A scan with correspondences and a larger error than this counts as falsely registered."""
 
 
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
@@ -32,6 +37,45 @@ def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[flo
             "segment_offset_median_m": _median(score.offset_m),
         }
     return numbers
+
+
+def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings) -> dict[str, float]:
+    """Diagnostics of a run beside its metrics, NaN where they are not defined.
+
+    ``lost_share``: share of the scans after the first that have no correspondences; ``growth_lost_m_s`` and
+    ``growth_paired_m_s``: mean growth rate of the error at scans without and with correspondences;
+    ``raw_growth_lost_m_s`` and ``raw_growth_paired_m_s``: the same of the uncorrected error; ``wrong_share``: share of
+    the scans with correspondences whose error exceeds `WRONG_M`; ``slip_m``: largest growth of the error within a
+    second; ``bend_deg``: bend of the assembled cloud; ``turned_mean_deg`` and ``turned_final_deg``: angle between
+    estimated and true attitude.
+    """
+    stamp_s, path = estimate.corrected.stamp_s, truth.trajectory
+    error, paired = position_error_m(estimate.corrected, path), estimate.matches > 0
+    lost, scans_per_s = ~paired[1:], max(1, round((len(stamp_s) - 1) / max(stamp_s[-1] - stamp_s[0], 1e-9)))
+    growth, raw_growth = (np.diff(each) / np.diff(stamp_s) for each in (error, position_error_m(estimate.prior, path)))
+    true = path.at(stamp_s).T_world_drone[:, :3, :3]
+    cosine = 0.5 * (np.einsum("nij,nij->n", true, estimate.corrected.T_world_drone[:, :3, :3]) - 1)
+    rotation_error_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    try:
+        bend_deg = bend(*paired_clouds(flight, estimate, truth, preprocess))["bend_deg"]
+    except ValueError:  # too few points to fit
+        bend_deg = math.nan
+
+    def mean(values: np.ndarray, where: np.ndarray, of_none: float = math.nan) -> float:
+        return float(values[where].mean()) if where.any() else of_none
+
+    return {
+        "lost_share": lost.mean() if len(lost) else 0.0,
+        "growth_lost_m_s": mean(growth, lost),
+        "growth_paired_m_s": mean(growth, ~lost),
+        "raw_growth_lost_m_s": mean(raw_growth, lost),
+        "raw_growth_paired_m_s": mean(raw_growth, ~lost),
+        "wrong_share": mean(error > WRONG_M, paired, of_none=0.0),
+        "slip_m": largest_slip(error, scans_per_s)[1],
+        "bend_deg": bend_deg,
+        "turned_mean_deg": rotation_error_deg.mean(),
+        "turned_final_deg": rotation_error_deg[-1],
+    }
 
 
 def _median(values: Array) -> float:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.notebook.tables import CASE
+from steelnb.notebook.study import RUN_COLUMNS
 from steelnb.settings import Settings, read_tables
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
@@ -60,8 +60,8 @@ class Claim(Settings):
     @model_validator(mode="after")
     def _fits(self) -> "Claim":
         for name in (*self.by, *self.where, *self.a, *self.b):
-            if name not in CASE and (name != "metric" or name in (*self.by, *self.where, *self.a)):
-                raise ValueError(f"unknown column {name!r}; expected one of {', '.join(CASE)}")
+            if name not in RUN_COLUMNS and (name != "metric" or name in (*self.by, *self.where, *self.a)):
+                raise ValueError(f"unknown column {name!r}; expected one of {', '.join(RUN_COLUMNS)}")
         if len(self.threshold) != (2 if self.comparison == "between" else 1):
             raise ValueError(f"threshold = {self.threshold}: expected two numbers for 'between', else one")
         if (self.form == "level") == bool(self.b) or (self.form == "correlation" and "metric" not in self.b):

@@ -1,35 +1,29 @@
-"""The plotly scene of notebooks 00 and 13, and the panel of notebook 00 in which a flight is chosen."""
+"""The panel of notebook 00, in which a flight is chosen."""
 
 import functools
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from steelnb import experiment, plots
 from steelnb.core.errors import SteelnbError
-from steelnb.core.types import Array, Flight, Segments, Trajectory
+from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
-from steelnb.metrics import position_error_m
-from steelnb.notebook.batch import at_level
-from steelnb.notebook.tables import case_of, paired_clouds
-from steelnb.plots import COLOURS, LABELS, flight
-from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
-from steelnb.simulation import Truth
+from steelnb.metrics import paired_clouds
+from steelnb.notebook.runs import Flights
+from steelnb.notebook.tables import case_of
+from steelnb.plots import COLOURS, LABELS
+from steelnb.plots.flight import figure_flight
+from steelnb.plots.scene3d import HEIGHT_PX, figure_scene, plotly_bundle
+from steelnb.settings import METHODS, REPORT_NOISE, SENSORS, TRAJECTORIES, ExperimentSettings, Noise
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
 
 NOISES = ("random-walk", "constant-drift", "yaw-random-walk", "random-walk+yaw-random-walk")
 POINTS_MAX = 20_000
-HEIGHT_PX = 560
-PLOTLY_TYPE = "application/vnd.plotly.v1+json"
-WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
-"""Widths of the paths. A good correction covers the true path, so one is thin and the other wide to show both."""
 
 
 @dataclass(frozen=True)
@@ -42,85 +36,23 @@ class View:
     cloud: Array
     segments: Segments
 
-
-def figure_scene(
-    paths: Mapping[str, Trajectory | None],
-    cloud: Array | None = None,
-    segments: Segments | None = None,
-    members: Array | None = None,
-    method: str = "best",
-) -> "PlotlyFigure":
-    """The interactive 3D scene beside the errors over time. A click in the legend hides a line.
-
-    ``paths``: poses ``drifting``, ``corrected`` (in the colour of ``method``) and ``true``; the last two may be
-    missing. Errors are distances to the true path or, without one, to the drifting one. ``cloud (N, 3)``; ``segments``:
-    the bars found; ``members (M, 2, 3)``: the true ones. All in the world frame, metres.
-    """
-    from plotly.graph_objects import Scatter, Scatter3d
-    from plotly.subplots import make_subplots
-
-    known = {name: path for name, path in paths.items() if path is not None}
-    colours = {"true": COLOURS["truth"], "drifting": COLOURS["none"], "corrected": COLOURS[method]}
-    figure = make_subplots(1, 2, specs=[[{"type": "scene"}, {"type": "xy"}]], column_widths=(0.62, 0.38))
-    lines = {}
-    if members is not None:
-        highest_m = 1 + known["drifting"].position[:, 2].max()
-        shown = members[(members[..., 2] < highest_m).all(axis=1)]
-        lines["true members"] = _apart(shown), COLOURS["member"], 2
-    if segments is not None:
-        lines["bars found"] = _apart(plots.end_points(segments)), COLOURS["bars found"], 6
-    lines |= {name: (path.position, colours[name], WIDTHS[name]) for name, path in known.items()}
-    for name, (points, colour, width) in lines.items():
-        look = {"mode": "lines", "name": name, "legendgroup": name, "line": {"color": colour, "width": width}}
-        figure.add_trace(Scatter3d(**_columns(points), **look), 1, 1)
-    if cloud is not None:
-        marker = {"size": 1, "color": COLOURS["points"], "opacity": 0.5}
-        figure.add_trace(Scatter3d(**_columns(cloud), mode="markers", name="cloud", marker=marker), 1, 1)
-    reference = known.get("true", known["drifting"])
-    for name, path in known.items():
-        if path is not reference:
-            error_m = position_error_m(path.at(reference.stamp_s), reference)
-            look = {"name": name, "legendgroup": name, "line": {"color": colours[name], "width": 2}}
-            time_s = reference.stamp_s - reference.stamp_s[0]
-            figure.add_trace(Scatter(x=time_s, y=error_m, showlegend=False, **look), 1, 2)
-    axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
-    figure.update_layout(
-        template="plotly_white",
-        height=HEIGHT_PX,
-        margin={"l": 0, "r": 16, "t": 12, "b": 48},
-        legend={"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"},
-        scene={**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.0, "y": -1.9, "z": 0.6}}},
-    )
-    figure.update_xaxes(title_text="time (s)")
-    where = "truth" if "true" in known else "recorded poses"
-    beside = {"rangemode": "tozero", "side": "right"}  # on the left its title would lie over a narrow scene
-    figure.update_yaxes(title_text=f"distance to the {where} (m)", **beside)
-    return figure
+    def picture(self) -> plots.Figure:
+        """The scene as a static figure (`plots.flight.figure_flight`)."""
+        method = self.result.settings.odometry.method
+        title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case_of(self.result.settings))
+        names = {"drifting": "none", "corrected": method}
+        paths = {LABELS[name]: (self.paths[path], COLOURS[name]) for path, name in names.items()}
+        return figure_flight(paths, self.paths["true"], self.cloud, self.segments, title)
 
 
-def _columns(points: Array) -> dict[str, Any]:
-    """Points ``(N, 3)`` as the arguments x, y and z. Single precision halves the page and is finer than a pixel."""
-    return dict(zip("xyz", points.T.astype(np.float32), strict=True)) | {"hoverinfo": "skip"}
-
-
-def _apart(bars: Array) -> Array:
-    """Bars ``(M, 2, 3)`` as the points ``(3 M, 3)`` of one line that is interrupted between them."""
-    return np.concatenate([bars, np.full((len(bars), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-
-
-def plotly_bundle(figure: "PlotlyFigure") -> dict[str, Any]:
-    """MIME bundle of a figure for JupyterLab's Plotly renderer, regardless of the user's default, with a text."""
-    content = json.loads(cast(str, figure.to_json()))
-    return {PLOTLY_TYPE: {**content, "config": {"displaylogo": False, "responsive": True}}, "text/plain": "a scene"}
-
-
-def figure_flight(view: View) -> plots.Figure:
-    """The scene as a static figure (`pictures.figure_flight`)."""
-    case, method = case_of(view.result.settings), view.result.settings.odometry.method
-    title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case)
-    names = {"drifting": "none", "corrected": method}
-    paths = {LABELS[name]: (view.paths[path], COLOURS[name]) for path, name in names.items()}
-    return flight.figure_flight(paths, view.paths["true"], view.cloud, view.segments, title)
+def at_level(noise: str, level: float) -> str:
+    """A noise with all its levels multiplied by ``level``. Parts without a level have the report's. Raises `InputError`
+    for an unknown noise."""
+    Noise.parse(noise)
+    if noise == "none" or level == 1:
+        return noise
+    parts = (part.strip().partition(":") for part in noise.split("+"))
+    return "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
 
 
 class Panel:
@@ -148,7 +80,7 @@ class Panel:
             control.observe(self._follow, "value")
         self.status = widgets.HTML()
         self.view: View | None = None
-        self._flown: dict[Any, tuple[Flight, Truth]] = {}
+        self._flights = Flights()
         self._picture: Any = None
 
     def settings(self, noise: str, level: float, **more: Any) -> ExperimentSettings:
@@ -175,11 +107,7 @@ class Panel:
         began = time.perf_counter()
         settings = self.settings(**{name: control.value for name, control in self.controls.items()})
         self._tell("flying", 0)
-        world = experiment.world(settings)
-        if world not in self._flown:
-            self._flown = {world: experiment.simulate(settings, functools.partial(self._tell, "flying"))}
-        flight, truth = self._flown[world]
-        flight = experiment.redrift(settings, flight, truth)
+        flight, truth = self._flights(settings, functools.partial(self._tell, "flying"))
         paths = {"drifting": flight.prior, "true": truth.trajectory.at(flight.prior.stamp_s)}
         self._draw(figure_scene(paths, members=truth.tower.axes))
         doing = functools.partial(self._tell, "this is the drift; correcting it")
@@ -187,7 +115,7 @@ class Panel:
         segments = result.segments
         if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
             segments = segment_structure(result.points, default_dx(result.points))
-        cloud = plots.thinned(paired_clouds(flight, result, every=1)[0], POINTS_MAX)
+        cloud = plots.thinned(paired_clouds(flight, result, truth, settings.odometry.preprocess, 1)[0], POINTS_MAX)
         self.view = View(result, paths | {"corrected": result.corrected}, cloud, segments)
         method, numbers = settings.odometry.method, result.metrics
         self._draw(figure_scene(self.view.paths, cloud, segments, truth.tower.axes, method))

@@ -1,4 +1,4 @@
-"""The files that a notebook writes, and the progress that it shows."""
+"""The files that a notebook writes."""
 
 import contextlib
 import hashlib
@@ -6,12 +6,10 @@ import importlib.metadata
 import json
 import math
 import numbers
-import os
 import platform
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from steelnb.core.determinism import machine
 from steelnb.core.files import new_folder
@@ -21,14 +19,11 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 EXPERIMENTS_FILE = Path("notebooks", "runs.toml")
-PROGRESS_VARIABLE = "STEELNB_PROGRESS_FILE"
-PROGRESS_PERIOD_S = 0.2
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
 TABLES = ("table.csv", "bands.csv", "curves.csv", "timing.csv")
 RESULTS = ("metrics.json", "provenance.json", *TABLES, *PICTURES)
 """Patterns of the files that a notebook writes. A new run removes those of an earlier one."""
-Item = TypeVar("Item")
 
 
 def write_results(
@@ -129,47 +124,3 @@ def environment() -> dict[str, Any]:
 def pictures(folder: Path) -> list[Path]:
     """The figures and structures in a folder, sorted by name."""
     return sorted(path for pattern in PICTURES for path in folder.glob(pattern))
-
-
-class Progress:
-    """Progress of a notebook over ``total`` runs of equal length; one object per notebook.
-
-    `update` sets the completed fraction of the current run. Calling the object does the same, so it can be passed as a
-    callback. `step` ends a run, and `each` ends one per item of a sequence. JupyterLab shows a bar; if the workflow
-    sets ``STEELNB_PROGRESS_FILE``, the overall percentage is written to that file instead.
-    """
-
-    def __init__(self, total: int = 1, description: str = "progress") -> None:
-        from tqdm.auto import tqdm
-
-        self._total, self._done, self._shown_s = max(total, 1), 0, -math.inf
-        self._file = os.environ.get(PROGRESS_VARIABLE)
-        form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-        self._bar: Any = tqdm(total=1.0, desc=description, bar_format=form, disable=self._file is not None)
-
-    def update(self, fraction: float) -> None:
-        """Set the completed fraction of the current run, 0 to 1. It is shown at most five times per second."""
-        whole = min((self._done + min(max(fraction, 0.0), 1.0)) / self._total, 1.0)
-        now_s = time.monotonic()
-        if whole < 1 and now_s - self._shown_s < PROGRESS_PERIOD_S:
-            return
-        self._shown_s = now_s
-        if self._file:
-            Path(self._file).write_text(f"{whole:.0%}", encoding="utf-8")
-        self._bar.n = whole
-        self._bar.refresh()
-        if whole == 1:
-            self._bar.close()
-
-    __call__ = update
-
-    def step(self) -> None:
-        """End the current run; the next begins."""
-        self._done += 1
-        self.update(0.0)
-
-    def each(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Yield the items one by one, each as one run."""
-        for item in items:
-            yield item
-            self.step()

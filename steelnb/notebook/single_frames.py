@@ -23,7 +23,7 @@ from steelnb.simulation.tof import TofCamera, take_view
 NOISE_M, CLUTTER = 0.02, 0.1
 USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
 """The conditions at which the methods are compared."""
-CASE = ("scene", "noise_m", "clutter", "kept", "method")
+TRIAL_COLUMNS = ("scene", "noise_m", "clutter", "kept", "method")
 MEASURES = ["recall", "precision", "duplicates", "angle_deg", "offset_m"]
 ANGLE_MAX_RAD = math.radians(10)
 """Maximum angle of a right segment. Noise of 2 cm alone turns a bar of 30 cm with 30 points by 3° (1 sigma)."""
@@ -116,7 +116,7 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     ``recall``, ``precision``, ``duplicates``, ``points``, ``bars`` and ``segments`` are means over its frames; a frame
     without segments has precision 0. ``angle_deg`` and ``offset_m`` are medians over all right segments, NaN if none.
     """
-    rows, by, errors = _rows(trials), [*CASE, "seed"], ["angle_deg", "offset_m"]
+    rows, by, errors = _rows(trials), [*TRIAL_COLUMNS, "seed"], ["angle_deg", "offset_m"]
     groups = rows.groupby(by, sort=False)
     means = groups[["points", "bars", "segments", "recall", "precision", "duplicates"]].mean()
     of_all = rows.explode(errors).astype(dict.fromkeys(errors, float)).groupby(by, sort=False)[errors].median()
@@ -125,7 +125,7 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
 
 def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
     """Milliseconds per frame, median and 95th percentile, with the same rows as `trial_table`."""
-    groups = _rows(trials).groupby([*CASE, "seed"], sort=False)
+    groups = _rows(trials).groupby([*TRIAL_COLUMNS, "seed"], sort=False)
     times = groups["ms"].quantile(np.array([0.5, 0.95])).unstack().set_axis(["median_ms", "p95_ms"], axis=1)
     return groups[["points"]].mean().join(times).reset_index()
 
@@ -159,7 +159,7 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     without duration or noise. ``f1`` is the harmonic mean of recall and precision, ``frame_median_ms`` the time from
     ``timing.csv``. Raises `InputError`.
     """
-    names = [*CASE, "seed"]
+    names = [*TRIAL_COLUMNS, "seed"]
     with reading(folder / "table.csv", "results of segmentation-seeds"):
         rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
     times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]

@@ -22,9 +22,9 @@ from steelnb.odometry import SegmentOdometry
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
 
 POSES = ("raw", "corrected", "true")
-METHODS = ("final", "incremental")
+RECONSTRUCTIONS = ("final", "incremental")
 """From all scans at once, or scan by scan as in the report."""
-CASE = ("trajectory", "noise", "tower", "seed", "poses", "method", "odometry", "sensor")
+STRUCTURE_COLUMNS = ("trajectory", "noise", "tower", "seed", "poses", "method", "odometry", "sensor")
 NUMBERS = (
     "recall", "precision", "duplicates", "angle_median_deg", "offset_median_m", "offset_p90_m", "end_median_m",
     "joint_recall", "joint_error_median_m", "edge_recall", "edge_precision", "bars", "observed", "joints",
@@ -52,7 +52,7 @@ class TowerFlight:
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """One reconstructed structure, which of `POSES` and `METHODS` it is from, its score, and the seconds it took."""
+    """One reconstructed structure, which of `POSES` and `RECONSTRUCTIONS` it is from, its score, and its seconds."""
 
     source: TowerFlight
     poses: str
@@ -84,12 +84,12 @@ def fly_tower(
 
 
 def rebuild(source: TowerFlight, poses: Sequence[str] = POSES) -> dict[tuple[str, str], Rebuilt]:
-    """Reconstruct the structure with each of some `POSES` by each of `METHODS`. The keys are (poses, method).
+    """Reconstruct the structure with each of some `POSES` by each of `RECONSTRUCTIONS`. The keys are (poses, method).
 
     The final reconstruction adjusts corrected and true poses, unless the odometry smooths. Drifting poses are kept.
     """
     flight, runs = source.flight, {}
-    for each, method in itertools.product(poses, METHODS):
+    for each, method in itertools.product(poses, RECONSTRUCTIONS):
         began = time.perf_counter()
         if method == "final":
             smoothed = source.result.settings.odometry.smooth
@@ -116,7 +116,7 @@ def _scan_by_scan(source: TowerFlight, poses: str) -> Structure:
 
 
 def structure_row(run: Rebuilt) -> dict[str, Any]:
-    """One row of a table: the columns `CASE` and `NUMBERS`, and the ``seconds`` of the reconstruction.
+    """One row of a table: the columns `STRUCTURE_COLUMNS` and `NUMBERS`, and the ``seconds`` of the reconstruction.
 
     ``odometry`` names the method that corrected the poses. ``toward_sensor_median_m`` is the median distance by which
     bars are nearer to the sensor than the true axes, NaN if no bar is on a member.
@@ -129,7 +129,7 @@ def structure_row(run: Rebuilt) -> dict[str, Any]:
         **case, "tower": run.source.tower, "poses": run.poses, "method": run.method, "odometry": case["method"],
         **run.score.metrics, "toward_sensor_median_m": toward.median(), "ate_rmse_m": ate_m[run.poses],
     }  # fmt: skip
-    return {name: values[name] for name in (*CASE, *NUMBERS)} | {"seconds": run.seconds}
+    return {name: values[name] for name in (*STRUCTURE_COLUMNS, *NUMBERS)} | {"seconds": run.seconds}
 
 
 def near_side(run: Rebuilt) -> pd.DataFrame:

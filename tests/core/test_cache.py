@@ -1,5 +1,7 @@
 """Cached results are the same bits as computed ones."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -121,21 +123,33 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
 
 
 def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch):
-    for name in ("hough/votes.py", "settings/presets/methods.toml", "plots.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+    files = ("hough/votes.py", "settings/presets/methods.toml", "plots/style.py", "notebook/runs.py")
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
-    before = cache.digest_sources(), cache.digest_sources(excluded=())
+
+    def digests():
+        return cache.digest_rooms(*cache.ROOMS), cache.digest_rooms()
+
+    before = digests()
     (tmp_path / "hough" / "__pycache__").mkdir()
     (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
-    assert (cache.digest_sources(), cache.digest_sources(excluded=())) == before
-    for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("plots.py", False)):
+    assert digests() == before
+    for name, counts in zip(files, (True, True, False, False), strict=True):
         (tmp_path / name).write_text("a = 2\n")
-        assert (cache.digest_sources() != before[0]) is counts
-        assert cache.digest_sources(excluded=()) != before[1]
+        assert (digests()[0] != before[0]) is counts
+        assert digests()[1] != before[1]
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "LIBRARIES", ())
-    assert cache.digest_sources() != before[0]
+    assert digests()[0] != before[0]
+
+
+def test_every_room_that_a_result_depends_on_counts():
+    """What the page of the method imports, directly or not, is among the rooms."""
+    code = "import sys, steelnb.experiment; print(*(name for name in sys.modules if name.startswith('steelnb.')))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert {name.split(".")[1] for name in loaded} - {room.removesuffix(".py") for room in cache.ROOMS} == set()
 
 
 def test_the_least_recently_used_entries_are_deleted(folder, monkeypatch):

@@ -20,8 +20,8 @@ from steelnb.notebook.claims import (
     read_claims,
     verdict_table,
 )
-from steelnb.notebook.runs import read_runs
 from steelnb.notebook.single_frames import frame_runs
+from steelnb.notebook.study import read_runs
 
 ROOT = Path(__file__).parents[2]
 NOISES = ("random-walk", "constant-drift")

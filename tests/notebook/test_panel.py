@@ -7,8 +7,10 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb import experiment
 from steelnb.core.errors import CollisionError, InputError
-from steelnb.notebook import batch, panel
-from steelnb.notebook.panel import PLOTLY_TYPE, Panel
+from steelnb.notebook import panel
+from steelnb.notebook.panel import Panel
+from steelnb.plots import scene3d
+from steelnb.plots.scene3d import PLOTLY_TYPE
 from steelnb.settings import Noise
 
 SHORT = {"tof.rate_hz": 2.5}
@@ -37,7 +39,7 @@ def view() -> panel.View:
     ],
 )
 def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float, turn_rad: float) -> None:
-    settings = Noise.parse(batch.at_level(noise, level))
+    settings = Noise.parse(panel.at_level(noise, level))
     assert settings.random_walk_m == pytest.approx(walk_m)
     assert settings.yaw_random_walk_rad == pytest.approx(turn_rad)
 
@@ -131,7 +133,7 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
 
 def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: panel.View) -> None:
     paths = {**view.paths, "true": None}
-    figure = panel.figure_scene(paths)
+    figure = scene3d.figure_scene(paths)
     assert {trace.name for trace in figure.data} == {"drifting", "corrected"}
     apart_m = np.linalg.norm(view.paths["corrected"].position - view.paths["drifting"].position, axis=1)
     np.testing.assert_allclose(figure.data[-1].y, apart_m, atol=1e-12)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.notebook.batch import report_curve
+from steelnb.notebook.report import report_curve
 from steelnb.settings import Noise, read_report_plots
 from steelnb.simulation.noise import drift_errors
 

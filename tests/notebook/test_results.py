@@ -9,7 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from steelnb.core.errors import OutputError
-from steelnb.notebook.results import Progress, find_root, write_results
+from steelnb.notebook.progress import Progress
+from steelnb.notebook.results import find_root, write_results
 
 
 def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:

@@ -1,266 +1,156 @@
-"""Tables of short runs: their contents, resuming, failures, and a Dask cluster."""
+"""Runs that share a flight, their tables, and the basin of convergence."""
 
-import json
-import re
-import subprocess
-import sys
-import time
-from pathlib import Path
-
-import joblib
 import numpy as np
 import pandas as pd
-import psutil
 import pytest
 
 from steelnb import experiment
-from steelnb.core.cache import PACKAGE
-from steelnb.core.errors import InputError, OutputError
-from steelnb.metrics import position_error_m
-from steelnb.notebook import runs, tables
-from steelnb.notebook.tables import CASE, CURVES, TIMES
+from steelnb.core.errors import InputError
+from steelnb.metrics import paired_clouds, position_error_m
+from steelnb.notebook import report, tables
+from steelnb.notebook.bands import band_curves, band_table, draw_programs
+from steelnb.notebook.basin import find_basin
+from steelnb.notebook.clouds import assembled_clouds
+from steelnb.notebook.runs import flight_paths, run_all
 from steelnb.settings import ExperimentSettings
-from steelnb.settings.presets import members_file
+from steelnb.settings.report_plots import read_report_plots
 
-ROOT = Path(__file__).parents[2]
-AXES = {
-    "seeds": [1, 2], "trajectories": ["zigzag"], "noises": ["random-walk"], "sensors": ["report-4cm"],
-    "methods": ["icp", "average"], "duration_s": 3.0,
-}  # fmt: skip
-
-
-def study(folder: Path, *grids: dict) -> Path:
-    lines = []
-    for k, axes in enumerate(grids):
-        lines += [f"[g{k}]", *(f"{name} = " + json.dumps(each).replace('": ', '" = ') for name, each in axes.items())]
-    (folder / "study.toml").write_text("\n".join([*lines, ""]))
-    return folder / "study.toml"
-
-
-def numbers(table: pd.DataFrame) -> pd.DataFrame:
-    return table.drop(columns=list(TIMES))
-
-
-@pytest.fixture
-def made(monkeypatch):
-    """The runs that were computed, not read from the cache."""
-    found = []
-    monkeypatch.setattr(runs, "make_row", lambda s, flown: (found.append(s), tables.make_row(s, flown))[1])
-    return found
+SHORT = {"tof.columns": 90, "tof.rows": 120}
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory) -> pd.DataFrame:
-    return runs.run_all(runs.grid(**AXES), folder=tmp_path_factory.mktemp("kept"))
+def runs():
+    methods = [("icp-3dof", {}), ("icp-3dof", {"map": "weighted"}), ("gicp", {})]
+    given = {"seed": 3, "duration_s": 6.0}
+    return run_all(
+        [ExperimentSettings.preset(method=name, overrides=SHORT | changes, **given) for name, changes in methods]
+    )
 
 
-def test_rows_equal_plain_runs_and_cached_rows_are_the_same_bits(plain, tmp_path, made, monkeypatch):
-    flown, simulate = [], experiment.simulate
-    monkeypatch.setattr(experiment, "simulate", lambda s, *more: (flown.append(s.seed), simulate(s, *more))[1])
-    first = runs.run_all(runs.grid(**AXES), folder=tmp_path)
-    assert flown == [1, 2], "a flight is simulated once"
-    pd.testing.assert_frame_equal(runs.run_all(runs.grid(**AXES), folder=tmp_path), first, check_exact=True)
-    assert flown == [1, 2], "no flight is simulated for rows that are kept"
-    assert len(made) == 4
-    pd.testing.assert_frame_equal(numbers(first), numbers(plain), check_exact=True)
-    assert first["method"].tolist() == ["average", "icp"] * 2
-    given = {"sensor": "report-4cm", "seed": 2, "duration_s": 3.0, "method": "icp"}
-    result = experiment.run(ExperimentSettings.preset("zigzag", "random-walk", **given))
-    assert {name: first.iloc[3][name] for name in result.metrics} == result.metrics
-    wider = runs.run_all(runs.grid(**{**AXES, "seeds": "1-3"}), folder=tmp_path)
-    assert [settings.seed for settings in made[4:]] == [3, 3]
-    pd.testing.assert_frame_equal(wider.iloc[:4], first, check_exact=True)
+def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
+    assert all(run.truth is runs[0].truth for run in runs)
+    assert [tables.map_kind(run.settings) for run in runs] == ["re-voxelised", "weighted", "re-voxelised"]
+    table = tables.cloud_table(runs)
+    assert list(table)[:4] == ["trajectory", "noise", "method", "map"]
+    assert (table["scans"] == [len(run.corrected) for run in runs]).all()
+    numbers = tables.metrics(runs, tables.CLOUD_CASE)
+    assert numbers["zigzag.random-walk.icp-3dof.weighted.ate_rmse_m"] == runs[1].metrics["ate_rmse_m"]
+    assert all(np.isfinite(value) for value in numbers.values())
+    assert tables.provenance(runs, tables.CLOUD_CASE).keys() == {name.rpartition(".")[0] for name in numbers}
 
 
-def test_changed_sources_compute_rows_again_and_a_worker_with_other_sources_is_refused(tmp_path, made, monkeypatch):
-    some = runs.grid(**{**AXES, "seeds": [1], "methods": ["icp"]})
-    runs.run_all(some, folder=tmp_path)
-    for module in ("cache", "runs"):
-        monkeypatch.setattr(f"steelnb.{module}.SOURCES", "other code")
-    runs.run_all(some, folder=tmp_path)
-    assert len(made) == 2
-    with pytest.raises(InputError, match="a worker has another version of steelnb"):
-        runs._rows_of_flight(some, str(tmp_path), "code of the process that started it")
+def test_paths_are_those_of_the_flight_without_its_scans(runs):
+    tower, paths = flight_paths(runs[0].settings)
+    np.testing.assert_array_equal(tower.axes, runs[0].truth.tower.axes)
+    np.testing.assert_array_equal(paths["truth"], runs[0].truth.trajectory.position)
+    last = np.searchsorted(runs[0].truth.trajectory.stamp_s, runs[0].prior.stamp_s[-1])
+    np.testing.assert_allclose(paths["none"][last], runs[0].prior.position[-1], atol=0.02)
 
 
-def test_a_run_that_raises_is_reported_and_tried_again(tmp_path, made, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    path = study(tmp_path, {**AXES, "seeds": [1], "variants": {"": {}, "too near": {"flight.standoff_m": -0.05}}})
-    for count in (4, 2):
-        del made[:]
-        assert runs.main([str(path), "-o", "out", "-j", "1"]) == 1
-        shown = capsys.readouterr()
-        assert "4 runs, 2 of them failed" in shown.out
-        assert shown.err.count("CollisionError") == 2
-        assert len(made) == count
-    table = runs.read_runs(tmp_path / "out").set_index("variant")
-    assert table["status"].to_dict() == {"": "ok", "too near": "failed"}
-    assert table.loc["too near", "error"].str.contains("Traceback").all()
-    assert not table["error"].str.contains(str(PACKAGE.parent)).any(), "a table is published"
-    assert table.loc["too near", "ate_rmse_m"].isna().all()
-    assert len(runs.curves(table.reset_index())) == 2 * len(table["curve_time_s"].iloc[0])
+def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
+    rows = pd.DataFrame({"case": ["a", "b"], "seed": [1, 2], "x_m": [0.5, np.nan], "n": [3, 4]})
+    assert tables.flat(rows, ["case", "seed"]) == {"a.1.x_m": 0.5, "a.1.n": 3.0, "b.2.n": 4.0}
+    assert tables.flat(rows.set_index("case"), columns=["n"]) == {"a.n": 3.0, "b.n": 4.0}
 
 
-def test_a_dask_cluster_gives_the_same_table(plain, tmp_path):
-    from distributed import Client, LocalCluster
-
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster,
-        Client(cluster),
-        joblib.parallel_config(backend="dask"),
-    ):
-        table = runs.run_all(runs.grid(**AXES), folder=tmp_path)
-    pd.testing.assert_frame_equal(numbers(table), numbers(plain), check_exact=True)
-
-
-@pytest.mark.slow
-def test_a_killed_study_loses_only_the_current_runs(plain, tmp_path, made, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path, stored = study(tmp_path, {**AXES, "seeds": "1-6"}), []
-    command = [sys.executable, "-m", "steelnb.notebook.runs", str(path), "-o", "out", "-j", "2"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    while len(stored) < 3:
-        assert process.poll() is None
-        time.sleep(0.01)
-        stored = [*tmp_path.glob(f"{runs.KEPT}/**/output.pkl")]
-    processes = [*psutil.Process(process.pid).children(recursive=True), process]
-    for each in processes:
-        each.kill()
-    process.wait()
-    stored = [*tmp_path.glob(f"{runs.KEPT}/**/output.pkl")]
-    table = runs.run_all(runs.read_grids(path))
-    assert len(made) == len(table) - len(stored) == 12 - len(stored)
-    assert (table["status"] == "ok").all()
-    pd.testing.assert_frame_equal(numbers(table.iloc[:4]), numbers(plain), check_exact=True)
+def test_paired_clouds_hold_the_same_returns_at_two_poses(runs):
+    flight, _ = experiment.simulate(runs[0].settings)
+    built, true = paired_clouds(flight, runs[0], runs[0].truth, runs[0].settings.odometry.preprocess)
+    assert [len(cloud) for cloud, _ in assembled_clouds(runs)] == [len(built)] * 3
+    for own, both in zip(assembled_clouds(runs[:1])[0], (built, true), strict=True):
+        np.testing.assert_array_equal(own, both)
+    assert built.shape == true.shape
+    off = np.linalg.norm(built - true, axis=1)
+    assert off.max() < 2 * runs[0].metrics["error_max_m"] + 0.05
+    assert off.max() > 0
 
 
-def test_tables_survive_writing_and_reading(plain, tmp_path):
-    runs.write_runs(tmp_path / "out", plain)
-    pd.testing.assert_frame_equal(runs.read_runs(tmp_path / "out")[plain.columns], plain, check_exact=True)
-    assert not {*TIMES} & {*pd.read_parquet(tmp_path / "out" / runs.RUNS)}
-    content = (tmp_path / "out" / runs.RUNS).read_bytes()
-    runs.write_runs(tmp_path / "out", plain.assign(frame_p95_ms=0.0))
-    assert (tmp_path / "out" / runs.RUNS).read_bytes() == content
-    with pytest.raises(OutputError, match="cannot be written"):
-        runs.write_runs(tmp_path / "out" / runs.RUNS, plain)
-    (tmp_path / "out" / runs.RUNS).write_bytes(content[: len(content) // 2])
-    for folder, words in ((tmp_path / "out", "not the table of a study"), (tmp_path, "does not exist")):
-        with pytest.raises(InputError, match=words):
-            runs.read_runs(folder)
+def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
+    flight, truth = experiment.simulate(runs[0].settings)
+    starts = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    basin = find_basin(runs[0].settings, flight, truth, 15, starts)
+    assert basin["right"].tolist() == [True, True, False]
+    assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
+    assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
+    segments = ExperimentSettings.preset(noise="none", method="least_squares", duration_s=5.0)
+    with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
+        find_basin(segments, flight, truth, 0, starts)
 
 
-def test_the_committed_table_has_the_columns_and_runs_of_the_study(plain):
-    committed = runs.read_runs(ROOT / "results" / "study")
-    gaps = {"ate_outside_gaps_rmse_m", "error_after_gaps_max_m"}  # of runs with blind intervals
-    assert {*committed} == {*plain} | gaps
-    texts = plain.assign(seed=plain["seed"].astype(str))  # since "report" is among the seeds of the study
-    assert committed[list(CASE)].dtypes.astype(str).tolist() == texts[list(CASE)].dtypes.astype(str).tolist()
-    cases = [run.case for run in runs.read_grids(ROOT / "notebooks" / "study.toml")]
-    study = {tuple({**case, "seed": str(case["seed"])}.values()) for case in cases}
-    assert {*committed[list(CASE)].itertuples(index=False, name=None)} <= study
-    assert not set(range(11, 21)) & {case["seed"] for case in cases}, "seeds of the development"
+def test_the_report_s_experiments_have_its_samples_and_its_curves():
+    cases = report.report_cases(["orbit"], "constant-drift", {"average": ["average"], "gicp": ["report-gicp", "gicp"]})
+    assert [case.flight.trajectory for case in cases] == ["orbit-3.3", "orbit", "orbit"]
+    assert {case.seed for case in cases} == {"report"}
+    plots = [report.plot_of(case) for case in cases]
+    assert [(plot.figure, plot.method) for plot in plots] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
+    assert [case.tof.samples for case in cases] == [plot.name for plot in plots]
+    time_s, error_m = report.report_curve(plots[0])
+    assert report.report_curve(plots[0], until_s=60.0)[0].max() <= 60
+    assert (error_m.mean(), error_m.max(), error_m[-1]) == pytest.approx((0.285, 0.417, 0.33), abs=0.003)
+    assert time_s[-1] == pytest.approx(plots[0].duration_s, abs=2)
+    walk = report.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
+    assert walk.tof == cases[0].tof
+    assert report.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    elsewhere = ExperimentSettings.preset("vertical", "constant-drift", overrides={"tof.samples": "3.6 orbit gicp"})
+    assert report.plot_of(elsewhere) is None, "the same samples on another flight"
+    with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
+        report.report_cases(["orbit"], "random-walk", {"best": ["best"]})
+    early, late = (plot for plot in read_report_plots() if plot.name.startswith("3.5 vertical icp-3dof"))
+    for plot, count in ((early, 415), (late, 835)):
+        time_s = report.report_curve(plot)[0]
+        assert plot.samples == count
+        assert time_s.min() >= 0.008 * plot.steps[0] - 1e-9, "nothing of the other run"
+        assert time_s.max() <= 0.008 * plot.steps[-1] + 1e-9
 
 
-def test_numbers_and_curves_describe_the_run():
-    settings = ExperimentSettings.preset(
-        "zigzag", "random-walk", sensor="report-4cm", seed=4, duration_s=30.0, method="icp",
-        overrides={"tof.blind_s": [[10.0, 15.0]]},
-    )  # fmt: skip
+def test_a_band_holds_its_draws_and_says_where_the_report_lies():
+    short = {"duration_s": 27.0, "overrides": {"tof.start_s": 20.0}}
+    cases = report.report_cases(["vertical"], "random-walk", {"gicp": ["report-gicp"]}, **short)
+    drawn = draw_programs(cases, 3)
+    assert set(drawn["curve"]) == {"draws", "draw", "report"}
+    ours = drawn[drawn["curve"] == "draws"].pivot(index="sample", columns="draw", values="error_m")
+    assert ours.shape[1] == 3
+    assert (ours.std(axis=1) > 0).all(), "draws differ"
+    flight, truth = experiment.simulate(cases[0])
+    alone = position_error_m(experiment.estimate(cases[0], flight, truth).corrected, truth.trajectory)
+    np.testing.assert_array_equal(ours[0], alone)  # draw 0 is the run itself
+    (row,) = band_table(drawn).to_dict("records")
+    shown = drawn[drawn["curve"] == "report"]
+    means = [np.interp(shown["sample"], ours.index, ours[draw]).mean() for draw in ours]
+    assert row["mean_m"] == pytest.approx(np.median(means))
+    assert (row["mean_low_m"], row["mean_high_m"]) == pytest.approx(np.percentile(means, [10, 90]))
+    assert row["report_mean_m"] == pytest.approx(shown["error_m"].mean())
+    assert row["share_below"] == np.mean(np.array(means) < row["report_mean_m"])
+    curves = band_curves(drawn)
+    assert (curves["low_m"] <= curves["median_m"]).all()
+    np.testing.assert_allclose(curves["draw_m"], ours[0])
+    with pytest.raises(InputError, match="draws = 1: expected at least two"):
+        draw_programs(cases, 1)
+    faulty = cases[0].override({"tof.faults": ["footprint"]})
+    with pytest.raises(InputError, match="draws of the noise: expected a sensor without faults"):
+        draw_programs([faulty], 2)
+
+
+def test_the_earlier_run_of_a_plot_is_flown_before_it():
+    cases = report.report_cases(["vertical"], "random-walk", {"icp-3dof": ["report-icp-3dof"], "gicp": ["report-gicp"]})
+    earlier, main, gicp = report.with_earlier_runs(cases)
+    assert [report.plot_of(each).run for each in (earlier, main, gicp)] == ["earlier", "", ""]
+    assert (report.plot_of(earlier).samples, earlier.flight.duration_s) == (415, pytest.approx(90.6, abs=0.1))
+
+
+def test_a_program_keeps_map_and_correction_of_a_run_that_was_broken_off():
+    plot = ExperimentSettings.report("3.6", "orbit", "icp", "report-icp")
+    settings = plot.override({"flight.duration_s": 9.0})
+    assert settings.odometry.broken_off_s == (13.8, 16.8)
+    before = experiment.broken_off(settings)
+    np.testing.assert_allclose(before.scans.stamp_s[[0, -1]], [13.8, 16.8], atol=0.2)
+    moved = before.prior.position[-1] - before.prior.position[0]
+    np.testing.assert_allclose(moved, [0.0186, -0.0052, 0.0243], atol=2e-3)  # the drift; the drone stood
     flight, truth = experiment.simulate(settings)
-    result = experiment.estimate(settings, flight, truth)
-    found = tables.numbers(flight, result)
-    assert found["lost_share"] == pytest.approx(25 / 149, abs=0.01)
-    error = position_error_m(result.corrected, truth.trajectory)
-    lost = result.matches[1:] == 0
-    total = 0.2 * (found["growth_lost_m_s"] * lost.sum() + found["growth_paired_m_s"] * (~lost).sum())
-    assert total == pytest.approx(np.diff(error).sum())
-    assert found["slip_m"] == pytest.approx(max(error[5:] - error[:-5]))
-    assert found["wrong_share"] == pytest.approx(np.mean(error[result.matches > 0] > 0.25))
-    assert found["bend_deg"] > 0
-    assert 0 < found["turned_mean_deg"] < 5
-    thin = tables.curves(result)
-    assert {name: len(values) for name, values in thin.items()} == dict.fromkeys(CURVES, tables.CURVE_SAMPLES)
-    assert thin["curve_time_s"][[0, -1]] == pytest.approx(result.corrected.stamp_s[[0, -1]])
-    assert thin["curve_error_m"][-1] == pytest.approx(found["error_final_m"])
-    assert thin["curve_raw_m"][-1] == pytest.approx(found["raw_error_final_m"])
-    index = np.searchsorted(result.corrected.stamp_s, thin["curve_time_s"] - 1e-3)
-    np.testing.assert_array_equal(thin["curve_matches"], result.matches[index])
-    long = runs.curves(pd.DataFrame([{**runs.Run(settings).case, **thin}]))
-    assert [*long] == [*CASE, "time_s", "raw_m", "error_m", "matches"]
-    assert long["error_m"].tolist() == thin["curve_error_m"].tolist()
-
-
-def test_a_grid_has_every_combination_and_both_ends_of_a_range(tmp_path):
-    axes = {**AXES, "seeds": "3-5", "noises": ["random-walk", "constant-drift"]}
-    some = runs.grid(**axes, variants={"": {}, "near": {"preprocess.crop_m": 1.4}})
-    cases = pd.DataFrame([run.case for run in some])
-    assert len(cases.drop_duplicates()) == len(some) == 3 * 2 * 2 * 2
-    assert set(cases["seed"]) == {3, 4, 5}
-    assert set(cases["variant"]) == {"", "near"}
-    assert {run.settings.odometry.preprocess.crop_m for run in some if run.variant == "near"} == {1.4}
-    assert len({experiment.world(run.settings) for run in some}) == 3
-    planned = [run.settings for run in runs.grid(**{**axes, "trajectories": ["planned"]})]
-    assert len({experiment.world(settings) for settings in planned}) == len(planned)  # steered by what is estimated
-    assert len(runs.read_grids(study(tmp_path, AXES, {**AXES, "seeds": "2-3"}))) == 6, "duplicates run once"
-
-
-def test_flights_whose_imus_differ_are_not_shared():
-    imus = {"": {}, "biased": {"imu.accelerometer_bias": 0.1}}
-    flown = runs.grid(**{**AXES, "seeds": [1], "sensors": ["starling2-honest"], "methods": ["best"]}, variants=imus)
-    assert len({experiment.world(run.settings) for run in flown}) == 2
-
-
-def test_a_table_may_mix_the_seed_report_and_numbers(tmp_path):
-    axes = {**AXES, "methods": ["icp"], "sensors": ["report"], "trajectories": ["vertical"]}
-    table = runs.run_all([run.settings for run in runs.grid(**{**axes, "seeds": [7, "report"]})], folder=tmp_path)
-    assert table["seed"].tolist() == ["7", "report"]
-    runs.write_runs(tmp_path / "out", table)
-    assert runs.read_runs(tmp_path / "out")["seed"].tolist() == ["7", "report"]
-    assert runs.Grid(**{**axes, "seeds": ["report", "3-4", 9]}).seeds == ["report", 3, 4, 9]
-
-
-BAD = (
-    ("sees = [1]", ["[g0]", "sees"]),
-    ("seeds = ", ["not the settings of a study"]),
-    ('seeds = "many"', ["seeds = 'many'"]),
-    ('seeds = "1-1000000000"', ["seeds = '1-1000000000'", "at most 100,000"]),
-    ("seeds = ['report', '9-8']", ["'9-8'", "101-130"]),
-    ("methods = []", ["methods = []"]),
-    ('methods = ["icp", "icq"]', ["[g0]", "'icq'", "'icp-3dof'"]),
-    ('sensors = ["lidar"]', ["sensor = 'lidar'"]),
-    ('variants = { "much" = { "hough.dxm" = 1.0 } }', ["hough.dxm"]),
-    ("[empty", ["not the settings of a study"]),
-)
-
-
-@pytest.mark.parametrize(("line", "words"), BAD, ids=[line for line, _ in BAD])
-def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys, line, words):
-    monkeypatch.chdir(tmp_path)
-    path = study(tmp_path, {name: each for name, each in AXES.items() if name != line.split(" =")[0]})
-    path.write_text(path.read_text() + line)
-    assert runs.main([str(path), "-o", "out"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert all(word in told for word in words), told
-    assert [*tmp_path.iterdir()] == [path]
-
-
-def test_a_study_without_runs_or_jobs_is_refused(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        runs.read_grids(tmp_path / "study.toml")
-    with pytest.raises(InputError, match="no table"):
-        runs.read_grids(study(tmp_path))
-    for some, jobs in (([], 1), (runs.grid(**AXES), 0)):
-        with pytest.raises(InputError, match="expected at least one of each"):
-            runs.run_all(some, jobs, tmp_path)
-
-
-def test_rows_name_the_list_of_members_that_they_were_flown_on(tmp_path):
-    assert runs.tower_name(ExperimentSettings.preset("zigzag")) == ""
-    first = runs.tower_name(ExperimentSettings.preset("vertical"))
-    assert re.fullmatch(r"report-tower [0-9a-f]{8}", first)
-    own = tmp_path / "mine.csv"
-    own.write_bytes(members_file("report-tower").read_bytes() + b"leg,0,0,0,0,0,1,,,,0.1\n")
-    changed = ExperimentSettings.preset("vertical", overrides={"tower.members": str(own)})
-    assert re.fullmatch(r"mine [0-9a-f]{8}", runs.tower_name(changed)), "no path of this machine in a published table"
-    assert runs.tower_name(changed).split()[-1] != first.split()[-1]
+    error = position_error_m(experiment.estimate(settings, flight, truth).corrected, truth.trajectory)
+    assert error[0] == pytest.approx(0.143, abs=0.02), "the drift at the first scan of the map, as in the report's plot"
+    alone = settings.override({"broken_off_s": ()})
+    assert position_error_m(experiment.estimate(alone, flight, truth).corrected, truth.trajectory)[0] < 0.06
+    assert experiment.broken_off(alone) is None
+    with pytest.raises(InputError, match=r"broken_off_s = \(5.0, 4.0\): expected a start before its end"):
+        settings.override({"broken_off_s": (5.0, 4.0)})

@@ -4,8 +4,17 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments
-from steelnb.notebook.batch import flat
-from steelnb.notebook.structure import CASE, METHODS, NUMBERS, POSES, fly_tower, near_side, rebuild, structure_row
+from steelnb.notebook.structure import (
+    NUMBERS,
+    POSES,
+    RECONSTRUCTIONS,
+    STRUCTURE_COLUMNS,
+    fly_tower,
+    near_side,
+    rebuild,
+    structure_row,
+)
+from steelnb.notebook.tables import flat
 from steelnb.settings import TowerSettings
 
 
@@ -21,7 +30,7 @@ def runs(source):
 
 
 def test_a_row_for_each_poses_and_method_with_the_names_of_the_goals(runs):
-    assert list(runs) == [(poses, method) for poses in POSES for method in METHODS]
+    assert list(runs) == [(poses, method) for poses in POSES for method in RECONSTRUCTIONS]
     table = pd.DataFrame([structure_row(run) for run in runs.values()])
     rows = table.set_index(["poses", "method"])
     assert list(rows.index) == list(runs)
@@ -33,7 +42,7 @@ def test_a_row_for_each_poses_and_method_with_the_names_of_the_goals(runs):
     assert (rows["ate_rmse_m"]["raw"] > rows["ate_rmse_m"]["corrected"]).all()
     metrics = flat(table, ["poses", "method"], NUMBERS)
     assert metrics["true.final.recall"] == exact["recall"]
-    assert list(table) == [*CASE, *NUMBERS, "seconds"]
+    assert list(table) == [*STRUCTURE_COLUMNS, *NUMBERS, "seconds"]
     assert table["seconds"].tolist() == [run.seconds for run in runs.values()]
 
 

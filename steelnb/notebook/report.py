@@ -1,0 +1,130 @@
+"""The report's plots, and the experiments behind them."""
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from steelnb import experiment
+from steelnb.core import rng
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
+from steelnb.metrics import position_error_m
+from steelnb.notebook.results import find_root
+from steelnb.notebook.tables import case_of, cloud_table
+from steelnb.settings import ExperimentSettings
+from steelnb.settings.report_plots import ReportPlot, read_report_plots
+
+REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
+"""The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
+REPORT_CURVES = Path("notebooks", "report-curves.csv")
+"""The curves of the report's plots, read off its PDF. The path is relative to the root of the project."""
+
+
+@cache
+def _report_curves() -> pd.DataFrame:
+    return pd.read_csv(find_root() / REPORT_CURVES, dtype={"figure": str})
+
+
+def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np.inf) -> tuple[Array, Array]:
+    """Times (s) and errors (m), each ``(N,)``, of the curve ``corrected`` or ``drift`` in one of the report's plots.
+    Samples of another run in the same plot and those after ``until_s`` are left out."""
+    named = {"figure": plot.figure, "trajectory": plot.trajectory, "method": plot.method, "curve": curve}
+    rows = _report_curves()
+    rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1)]
+    time_s, error_m = plot.time_at(rows["step"].to_numpy()), rows["error_m"].to_numpy()
+    return time_s[time_s <= until_s], error_m[time_s <= until_s]  # false for NaN
+
+
+def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
+    """The report's plot whose samples an experiment has, if it has its flight and noise as well, or None."""
+    name = settings.tof.samples
+    plot = ReportPlot.named(name) if isinstance(name, str) else None
+    if plot is None or plot.noise != settings.noise_name:
+        return None
+    return plot if (plot.flight or plot.trajectory) == settings.flight.trajectory else None
+
+
+def report_cases(
+    trajectory: Iterable[str],
+    noise: str,
+    methods: Mapping[str, Iterable[str]],
+    sensor: str = "report",
+    seed: rng.Seed = "report",
+    duration_s: float | None = None,
+    overrides: dict[str, Any] | None = None,
+) -> list[ExperimentSettings]:
+    """Settings of the report's own experiments. ``methods`` maps the method of a plot to the methods that are run with
+    the sampling of that plot. If no plot of a flight has the ``noise``, the sampling is that of its other plot.
+
+    ``duration_s``: default, the duration of the plot. A plot's earlier run is left out. Raises `InputError`.
+    """
+    cases = []
+    shown_runs = [plot for plot in read_report_plots() if not plot.run]
+    for flight, shown in itertools.product(trajectory, methods):
+        plots = [plot for plot in shown_runs if (plot.trajectory, plot.method) == (flight, shown)]
+        if not plots:
+            raise InputError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
+        plot = next((plot for plot in plots if plot.noise == noise), plots[0])
+        cases += [
+            ExperimentSettings.report(
+                plot.figure, flight, shown, method, overrides, "", noise, sensor, seed, duration_s
+            )
+            for method in methods[shown]
+        ]  # fmt: skip
+    return cases
+
+
+def with_earlier_runs(cases: Iterable[ExperimentSettings]) -> list[ExperimentSettings]:
+    """The cases, each after the earlier run that the report's plot of it shows, if there is one."""
+    earlier = {f"{plot.figure} {plot.trajectory} {plot.method}": plot for plot in read_report_plots() if plot.run}
+    found = []
+    for case in cases:
+        plot = plot_of(case)
+        if plot and plot.name in earlier:
+            own = case.override({"tof.samples": earlier[plot.name].name})
+            found.append(
+                own.override({"flight.duration_s": min(earlier[plot.name].duration_s, case.flight.duration_s)})
+            )
+        found.append(case)
+    return found
+
+
+def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:
+    """`cloud_table` with the mean, maximum and last error (m) of the corrected curve in the report's plot of the same
+    experiment, up to the end of the run: ``report_mean_m``, ``report_max_m``, ``report_final_m``. NaN without a plot.
+    """
+    none = np.array([0.0]), np.array([np.nan])
+    errors = [_reported(result).get("report", none)[1] for result in results]
+    columns = ["report_mean_m", "report_max_m", "report_final_m"]
+    numbers = pd.DataFrame([(error.mean(), error.max(), error[-1]) for error in errors], columns=columns)
+    return cloud_table(results).join(numbers)
+
+
+def _reported(result: experiment.Result) -> dict[str, tuple[Array, Array]]:
+    """The curves ``report-drift`` and ``report`` of the report's plot of a run, to half a second after its end."""
+    plot, end_s = plot_of(result.settings), float(result.corrected.stamp_s[-1]) + 0.5
+    if plot is None:
+        return {}
+    return {"report-drift": report_curve(plot, "drift", end_s), "report": report_curve(plot, until_s=end_s)}
+
+
+def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
+    """Errors over time in long form, one row per sample: the columns of `case_of`, ``curve``, ``time_s``, ``error_m``.
+
+    Each run has a ``curve`` with the name of its method, and ``none``, its drift. If the report has a plot of the same
+    experiment (`plot_of`), the curves ``report`` and ``report-drift`` of that plot are added.
+    """
+    parts = []
+    for result in results:
+        lines = _reported(result)  # first, and so behind the others
+        for name, path in {"none": result.prior, result.settings.odometry.method: result.corrected}.items():
+            lines[name] = path.stamp_s, position_error_m(path, result.truth.trajectory)
+        for name, (time_s, error_m) in lines.items():
+            samples = {"curve": name, "time_s": time_s, "error_m": error_m}
+            parts.append(pd.DataFrame({**case_of(result.settings), **samples}))
+    return pd.concat(parts, ignore_index=True)

@@ -1,0 +1,233 @@
+"""A study: combinations of settings → a table with one row per run.
+
+``run_study(grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` returns the table;
+``steelnb study STUDY.toml -o FOLDER`` writes the table of a study's file.
+"""
+
+import hashlib
+import itertools
+import re
+import traceback
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, field_validator
+from tqdm import tqdm
+
+from steelnb import experiment
+from steelnb.core.cache import PACKAGE, cached, digest_rooms
+from steelnb.core.determinism import machine
+from steelnb.core.errors import InputError
+from steelnb.core.files import new_folder, reading
+from steelnb.metrics import diagnose, position_error_m
+from steelnb.notebook.runs import Flights, run_all
+from steelnb.notebook.tables import case_of, stage_times
+from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
+from steelnb.settings.base import Duration, SeedOrReport
+from steelnb.settings.presets import members_file
+
+RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
+"""Columns that identify a run; tables are sorted by them."""
+CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
+TIMES = ("frame_median_ms", "frame_p95_ms", "machine")
+"""Columns that differ from run to run of the same settings; comparisons ignore them."""
+CURVE_SAMPLES = 100
+KEPT = Path(".cache", "runs")
+"""Folder of cached rows, below the current one."""
+ROW_SOURCES = digest_rooms("notebook")
+"""Rows depend on this room as well as on the rooms that flights and estimates depend on."""
+RUNS, TIMING = "runs.parquet", "timing.parquet"
+
+
+class Run(NamedTuple):
+    """The settings of one run, and the name of its variant."""
+
+    settings: ExperimentSettings
+    variant: str = ""
+
+    @property
+    def case(self) -> dict[str, Any]:
+        """Values of the columns `RUN_COLUMNS`."""
+        values = {**case_of(self.settings), "duration_s": self.settings.flight.duration_s, "variant": self.variant}
+        return {name: values[name] for name in RUN_COLUMNS}
+
+    @property
+    def key(self) -> str:
+        """Identifies the run: a hash of its variant and its settings."""
+        return hashlib.sha256(f"{self.variant} {self.settings.model_dump_json()}".encode()).hexdigest()[:32]
+
+
+class Grid(Settings):
+    """Values to combine; one table of a study's file.
+
+    ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
+    name of the variant in tables → changed settings.
+    """
+
+    seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
+    trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
+    noises: Annotated[list[str], Field(min_length=1)]
+    sensors: Annotated[list[str], Field(min_length=1)]
+    methods: Annotated[list[str], Field(min_length=1)]
+    duration_s: Duration = 200.0
+    variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012
+
+    @field_validator("seeds", mode="before")
+    @classmethod
+    def _ranges(cls, value: Any) -> Any:
+        return [seed for each in (value if isinstance(value, list) else [value]) for seed in _seeds(each)]
+
+    def runs(self) -> list[Run]:
+        """One run per combination. Raises `InputError`."""
+        axes = self.sensors, self.trajectories, self.seeds, self.noises, self.variants.items(), self.methods
+        return [
+            Run(ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes), variant)
+            for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes)
+        ]
+
+
+def _seeds(value: Any) -> list[Any]:
+    """The seeds of a range such as ``"101-130"``, or the value itself as the only one."""
+    if not isinstance(value, str) or value == "report":
+        return [value]
+    found = re.fullmatch(r"(\d+)-(\d+)", value.replace(" ", ""))
+    if not found or not 0 <= int(found[2]) - int(found[1]) < 100_000:
+        raise ValueError("expected a list, or a range such as '101-130' of at most 100,000 seeds")
+    return list(range(int(found[1]), int(found[2]) + 1))
+
+
+def grid(**axes: Any) -> list[Run]:
+    """One run per combination of the values of a `Grid`. Raises `InputError`."""
+    return Grid(**axes).runs()
+
+
+def read_grids(path: Path) -> list[Run]:
+    """The runs of a study's TOML file, whose tables are `Grid`s, without duplicates. Raises `InputError`."""
+    grids = read_tables(path, Grid, "the settings of a study")
+    if not grids:
+        raise InputError(f"{path}: no table; expected at least one, such as [report]")
+    runs: list[Run] = []
+    for name, each in grids.items():
+        try:
+            runs += each.runs()
+        except InputError as fault:
+            raise InputError(f"{path}: [{name}]: {fault}") from None
+    return list({run.key: run for run in runs}.values())
+
+
+def run_study(
+    runs: Iterable[Run | ExperimentSettings], jobs: int | None = None, folder: Path | str = KEPT
+) -> pd.DataFrame:
+    """The table of some runs, sorted by `RUN_COLUMNS`, with the columns `RUN_COLUMNS`, ``tower`` (`tower_name`),
+    ``key``, ``status``, ``error`` and those of `make_row`.
+
+    Parameters
+    ----------
+    runs : from `grid`, or settings.
+    jobs : number of flights in parallel, each with all its runs; default: that of `joblib.parallel_config`, else one.
+    folder : cache of the rows. A killed call resumes from it, and only runs with changed settings or code run again.
+        Workers on other machines should share the folder.
+
+    A failed run has the ``status`` "failed" and a traceback as ``error``. It is not cached, so the next call tries
+    again. Raises `InputError` as `run_all` does.
+    """
+    wanted = [each if isinstance(each, Run) else Run(each) for each in runs]
+    path = str(Path(folder).absolute())
+    with tqdm(total=100, desc="runs", unit=" %", disable=None) as bar:
+        found = run_all(
+            [run.settings for run in wanted],
+            lambda share: _show(bar, share),
+            partial(_cached_row, path),
+            jobs,
+            timed=True,
+        )
+    table = pd.DataFrame(
+        [
+            {**run.case, "tower": tower_name(run.settings), "key": run.key, **row}
+            for run, row in zip(wanted, found, strict=True)
+        ]
+    )
+    if table["seed"].dtype == object:  # "report" is among the seeds
+        table["seed"] = table["seed"].astype(str)
+    first = [*RUN_COLUMNS, "tower", "key", "status", "error"]
+    last = [name for name in (*CURVES, *TIMES) if name in table]
+    numbers = sorted(set(table) - {*first, *last})
+    return table[[*first, *numbers, *last]].sort_values(list(RUN_COLUMNS), ignore_index=True)
+
+
+def _show(bar: tqdm, share: float) -> None:
+    bar.update(round(100 * share) - bar.n)
+
+
+def _cached_row(
+    folder: str, settings: ExperimentSettings, flights: Flights, on_progress: experiment.Progress | None
+) -> dict[str, Any]:
+    """The task of a study: the row of a run, from the cache in ``folder`` or made anew."""
+    key = "row", ROW_SOURCES, settings.model_dump_json(), experiment.world(settings)
+    try:
+        row = cached(lambda: make_row(settings, flights), *key, folder=folder)
+    except Exception:
+        # Tables are published, so the traceback must not contain this machine's paths.
+        error = traceback.format_exc(limit=-3).replace(f"{PACKAGE.parent}/", "")
+        return {"status": "failed", "error": error}
+    return {"status": "ok", "error": "", **row}
+
+
+def make_row(settings: ExperimentSettings, flights: Flights) -> dict[str, Any]:
+    """Correct the flight of the settings. Returns metrics, `diagnose`, `thinned_curves` and `TIMES`."""
+    flight, truth = flights(settings)
+    result = experiment.estimate(settings, flight, truth)
+    numbers = {**result.metrics, **diagnose(flight, result, truth, settings.odometry.preprocess)}
+    finite = {name: float(value) for name, value in numbers.items() if np.isfinite(value)}
+    times = {f"frame_{name}": ms for name, ms in stage_times(result)["frame"].items()}
+    return {**finite, **thinned_curves(result), **times, "machine": machine()}
+
+
+def thinned_curves(result: experiment.Result) -> dict[str, np.ndarray]:
+    """At most `CURVE_SAMPLES` samples of stamps, errors without and with correction, and numbers of correspondences."""
+    stamp_s, truth = result.corrected.stamp_s, result.truth.trajectory
+    chosen = np.unique(np.linspace(0, len(stamp_s) - 1, min(CURVE_SAMPLES, len(stamp_s))).round().astype(int))
+    return {
+        "curve_time_s": stamp_s[chosen].astype(np.float32),
+        "curve_raw_m": position_error_m(result.prior, truth)[chosen].astype(np.float32),
+        "curve_error_m": position_error_m(result.corrected, truth)[chosen].astype(np.float32),
+        "curve_matches": result.matches[chosen].astype(np.int32),
+    }
+
+
+def tower_name(settings: ExperimentSettings) -> str:
+    """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an
+    older list are told apart. Empty for a tower that is built from its dimensions."""
+    members = settings.tower.members
+    return (
+        f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}" if members else ""
+    )
+
+
+def study_curves(table: pd.DataFrame) -> pd.DataFrame:
+    """The thinned curves of some runs in long form, one row per sample: the columns `RUN_COLUMNS`, ``time_s``, the
+    errors without and with correction, ``raw_m`` and ``error_m``, and ``matches``, the number of correspondences."""
+    long = table[[*RUN_COLUMNS, *CURVES]].dropna(subset=list(CURVES)).explode(list(CURVES), ignore_index=True)
+    named = {name: name.removeprefix("curve_") for name in CURVES}
+    return long.astype(dict.fromkeys(CURVES, float)).rename(columns=named)
+
+
+def write_runs(folder: Path, table: pd.DataFrame) -> None:
+    """Write a table of `run_study` to `RUNS`, and its measured times to `TIMING`. Raises `OutputError`."""
+    times = [name for name in TIMES if name in table]
+    with new_folder(folder) as new:
+        table.drop(columns=times).to_parquet(new / RUNS, index=False, compression="zstd", compression_level=9)
+        timing = table[[*RUN_COLUMNS, "key", *times]]
+        timing.to_parquet(new / TIMING, index=False, compression="zstd", compression_level=9)
+
+
+def read_runs(folder: Path) -> pd.DataFrame:
+    """Read the table that `write_runs` wrote. Raises `InputError`."""
+    with reading(folder / RUNS, "the table of a study"):
+        table = pd.read_parquet(folder / RUNS)
+    with reading(folder / TIMING, "the times of a study"):
+        return table.merge(pd.read_parquet(folder / TIMING).drop(columns=list(RUN_COLUMNS)), on="key", how="left")
