@@ -14,6 +14,8 @@ from steelnb.simulation import Truth
 
 WRONG_M = 0.25
 """A scan with correspondences and a larger error than this counts as falsely registered."""
+WRONG_SHARE = 0.05
+"""A run with a larger share of falsely registered scans than this has converged wrongly."""
 
 
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:

@@ -11,6 +11,7 @@ from scipy import stats
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
+from steelnb.metrics import WRONG_SHARE
 from steelnb.notebook.study import RUN_COLUMNS
 from steelnb.settings import Settings, read_tables
 
@@ -24,12 +25,12 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
         np.interp(180.0, time, error) if time[-1] >= 179.0 else np.nan
         for time, error in zip(runs["curve_time_s"], runs["curve_raw_m"], strict=True)
     ],
-    "converged_wrongly": lambda runs: runs["wrong_share"] > 0.05,
+    "converged_wrongly": lambda runs: runs["wrong_share"] > WRONG_SHARE,
     "growth_beyond_drift_m_s": lambda runs: runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"],
 }
-"""Metrics derived from the columns of the runs. ``converged_wrongly``: ``wrong_share`` exceeds 5 %, the rule of
-notebook 04; ``growth_beyond_drift_m_s``: growth rate of the error at scans without correspondences, less that of the
-drift at the same scans."""
+"""Metrics derived from the columns of the runs. ``converged_wrongly``: ``wrong_share`` exceeds `metrics.WRONG_SHARE`;
+``growth_beyond_drift_m_s``: growth rate of the error at scans without correspondences, less that of the drift at the
+same scans."""
 COLUMNS = [
     "name", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold", "threshold_to",
     "verdict",
