@@ -12,7 +12,7 @@ from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
+from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
 INLIER_SHARE_MIN = 0.3
@@ -57,11 +57,13 @@ class CloudOdometry(BaseOdometry):
         super().__init__(settings, T_drone_sensor)
         s = self.settings
         self.measured = s.map == "measured"
-        iterations_max = ITERATIONS_MEASURED if self.measured else ITERATIONS_MAX[s.dof]
-        self.stop = iterations_max, *EPSILONS[self.measured]
         self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
         self.prediction = make_prediction(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = FREE["se3" if self.prediction.tilted else s.dof]
+        self.options = AlignOptions(
+            s.error, FREE["se3" if self.prediction.tilted else s.dof], s.max_correspondence_m, s.robust_scale or np.inf,
+            ITERATIONS_MEASURED if self.measured else ITERATIONS_MAX[s.dof], *EPSILONS[self.measured], self.measured,
+            NORMALS_MIN if self.prediction.known and s.error == "gicp" else 0.0,
+        )  # fmt: skip
         self.near_side = NearSide()
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
@@ -131,24 +133,19 @@ class CloudOdometry(BaseOdometry):
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
     ) -> tuple[RegistrationResult | None, str]:
         """The registration of a scan, and the reason if it is not used."""
-        s, known = self.settings, self.prediction.known
-        if len(points) < POINTS_MIN[known]:
+        if len(points) < POINTS_MIN[self.prediction.known]:
             return None, "too few points"
         if not self.mapped:
             return None, "first scan"
         if target is None:
             return None, "no map in sight"
-        result = align(
-            points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            s.robust_scale or np.inf, *self.stop, self.measured,
-            self.prediction.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
-        )  # fmt: skip
+        result = align(points, target, T_init, self.options, covariance, self.prediction.terms(T_init, points))
         jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < self.inliers_min * len(points):
             return result, "too little overlap"
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
             return result, result.reason
-        return result, f"jump of {jump_m:.2f} m" if jump_m > JUMP_MAX_VOXELS * s.map_voxel_m else ""
+        return result, f"jump of {jump_m:.2f} m" if jump_m > JUMP_MAX_VOXELS * self.settings.map_voxel_m else ""
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
