@@ -9,6 +9,7 @@ from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
@@ -105,6 +106,10 @@ class CloudOdometry(BaseOdometry):
         self.near_side = NearSide()
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        return self.corrected(scan, prior, watch)
+
+    def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        """What `update` does with a checked scan; also for an odometry that falls back on this one."""
         T_init = self.prediction.pose(prior, scan.stamp_s)
         if self.style.near_side:
             self.near_side.update(scan.points)
@@ -118,7 +123,7 @@ class CloudOdometry(BaseOdometry):
         if result and not reason:
             T_world_drone, unobserved = result.T_target_source, len(result.unobserved)
             arm = T_world_drone[:3, 3] - result.centre
-            self.prediction.correct(T_world_drone, prior, result.unobserved, result.H, arm)
+            self.prediction.correct(RegisteredPose(T_world_drone, result.unobserved, result.H, arm))
         else:
             self.prediction.lose()
         if reason in ("", "first scan") and len(points):
