@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.types import Array, Estimate
+from steelnb.core.estimates import Estimate
+from steelnb.core.types import Array
 from steelnb.metrics.segments import score_segments
 from steelnb.metrics.trajectory import score_gaps, score_trajectory
 from steelnb.simulation import Truth

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from steelnb.core.estimates import Estimate
 from steelnb.core.images import CameraImages
-from steelnb.core.types import Array, Estimate, Flight, Imu
+from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
 from steelnb.odometry.base import BaseOdometry, Odometry
