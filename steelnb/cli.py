@@ -119,8 +119,9 @@ def run(
     with _progress() as (on_stage, on_share):
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
-        from steelnb.recording.run import opened_lines, run_recording
+        from steelnb.recording.run import run_recording
         from steelnb.recording.settings import Scene, recording_settings, settings_line, voxel_warning
+        from steelnb.recording.summary import opened_lines
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}

@@ -212,6 +212,6 @@ def test_ctrl_c_is_exit_130_and_leaves_nothing(here: Path, monkeypatch: pytest.M
         raise KeyboardInterrupt
 
     before = sorted(here.rglob("*"))
-    monkeypatch.setattr("steelnb.recording.run.measure_recording", interrupted)
+    monkeypatch.setattr("steelnb.recording.run.evaluate", interrupted)
     assert cli.main(["run", "a.mcap", "-o", "stopped"]) == 130
     assert sorted(here.rglob("*")) == before

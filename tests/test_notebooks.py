@@ -13,7 +13,8 @@ import pytest
 
 from steelnb.notebook.claims import read_claims
 from workflow.experiments import first_parts, make_parts
-from workflow.task_notebooks import cache_folder, merge, run
+from workflow.run_notebooks import cache_folder, run
+from workflow.write_results import merge
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

@@ -50,7 +50,7 @@ results_dir = ""  # empty: show only
 GATE = """
 import ctypes, os, pathlib, sys, time
 from steelnb.core.errors import InputError
-from steelnb import results
+from steelnb.notebook import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
 assert "inline" in os.environ["MPLBACKEND"]
@@ -304,7 +304,6 @@ def test_a_stopped_run_leaves_nothing_and_the_next_one_resumes(
         assert run.stderr is not None
         assert next(line for line in run.stderr if line.startswith("pair/zigzag: done"))
         assert wait_until(asleep.exists, 60)
-        time.sleep(2)  # until pytask has noted it
         run.send_signal(number)
         errors = run.communicate(timeout=60)[1]
         assert wait_until(lambda: not marked(mark), 5), marked(mark)
