@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import reconstruct
+from steelnb.fusion.bar_fitting import BarFitter
 from steelnb.fusion.candidates import find_bars
-from steelnb.fusion.reconstruct import MappedScans
+from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.sections import choose, fit, shapes
 from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
@@ -166,7 +167,7 @@ def test_the_face_of_a_plate_is_seen_from_its_front_alone():
 def test_a_deck_is_told_from_bars(turn_rad):
     settings, flight = StructureSettings(floor_m=0.1), around(decked_tower(), 160, 0.01, 11, turn_rad)
     T = flight.prior.T_world_drone
-    fitted = MappedScans.mapped(flight.scans, T, settings).find_and_fit(2)
+    fitted = BarFitter(MappedScans.mapped(flight.scans, T, settings)).find_and_fit(2)
     bars, is_plate = fitted.bars, np.isinf(fitted.bars.flange)
     height = deck_distance(bars.segments)
     assert is_plate.any()

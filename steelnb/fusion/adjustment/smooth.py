@@ -10,9 +10,10 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Estimate, Flight, Trajectory
 from steelnb.fusion.adjustment import uncertainty
+from steelnb.fusion.adjustment.adjust import Stages, adjust
 from steelnb.fusion.adjustment.drift_factors import TILT_SIGMA_RAD
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu
-from steelnb.fusion.reconstruct import MappedScans, Stages
+from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.settings import ImuSettings, StructureSettings
 
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
@@ -57,9 +58,10 @@ def smooth(
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     for fits, stages in ROUNDS:
         try:
-            scans = MappedScans.mapped(flight.scans, T, settings, every=3, before=before)
-            state, equations = scans.adjusted(
-                prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad, inertial=inertial,
+            scans = MappedScans.mapped(flight.scans, T, settings, every=3)
+            state, equations = adjust(
+                scans, prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad,
+                inertial=inertial, before=before,
             )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
