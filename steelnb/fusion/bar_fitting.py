@@ -12,8 +12,9 @@ from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.candidates import TUBE_M, find_bars, merge_pieces
 from steelnb.fusion.joints import find_joints, trim_bends
 from steelnb.fusion.mapped_scans import MappedScans
-from steelnb.fusion.sections import shapes
 from steelnb.fusion.sections.choose import fit_sections
+from steelnb.fusion.sections.histogram import HISTOGRAM, accumulate
+from steelnb.fusion.sections.shapes import THICKNESS, TUBE, frames
 from steelnb.fusion.structure import Structure
 
 END_TUBES = 1.2
@@ -25,7 +26,7 @@ from joint to joint."""
 
 @dataclass(frozen=True)
 class FittedBars:
-    """B bars with their fitted sections, flange and tilt NaN for a bar with too few points.
+    """B bars with their fitted sections, unknown and with a tilt of NaN for a bar with too few points.
 
     Standard deviations ``sigma (B,)`` of the position of the axis across, metres, and ``tilt (B,)`` of its direction,
     radians; ``sightings (B,)``: number of scans that observed the bar.
@@ -48,13 +49,13 @@ class FittedBars:
     def tied(self) -> Structure:
         """The structure of these bars after extending them to their joints."""
         bars = self.bars
-        width = np.where(bars.is_bar, bars.flange, 2 * bars.segments.radius)
+        width = np.where(np.isnan(bars.flange), 2 * bars.segments.radius, bars.flange)
         joint, tie, segments = find_joints(bars.segments, width)
         angle = bars.turn + math.pi / 4  # of the bisector of the flanges
         opening = np.einsum("kb,bkx->bx", [np.cos(angle), np.sin(angle)], bars.across)
-        tube = bars.has_section & np.isnan(bars.turn)
+        tube = bars.kind == TUBE
         return Structure(
-            segments, bars.width_m, self.sightings, self.sigma, joint, tie, opening=opening,
+            segments, bars.flange, self.sightings, self.sigma, joint, tie, opening=opening,
             tube=tube if tube.any() else None,
         )  # fmt: skip
 
@@ -64,25 +65,25 @@ class BarFitter:
     """Fits bars to the points of ``scans``; ``thickness`` of angle sections: share of the flange."""
 
     scans: MappedScans
-    thickness: float = shapes.THICKNESS
+    thickness: float = THICKNESS
 
     def fit(self, bars: Segments, every: int) -> FittedBars:
         """Fit a section (angle, circle or plane) to the points on each bar in one in ``every`` scans. The axes move
         to the centroids."""
-        across, n = shapes.frames(bars.direction), len(bars)
-        histogram, sightings = np.zeros((n, *shapes.HISTOGRAM)), np.zeros(n, dtype=np.int64)
+        across, n = frames(bars.direction), len(bars)
+        histogram, sightings = np.zeros((n, *HISTOGRAM)), np.zeros(n, dtype=np.int64)
         for k, points, bar in self.scans.bar_points(self.scans.around(bars), every):
             sightings += np.bincount(bar, minlength=n) >= 10
-            shapes.accumulate(
+            accumulate(
                 points, self.scans.T_world_sensor[k], bar, bars.start, bars.direction, bars.length, across,
                 END_TUBES * TUBE_M, histogram,
             )  # fmt: skip
-        centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, self.thickness)
+        kind, centre, slope, flange, turn, spread, tilt = fit_sections(histogram, bars.length, self.thickness)
         half_length = 0.5 * bars.length[:, None]
         start = bars.start + np.einsum("bk,bkx->bx", centre - half_length * slope, across)
         end = bars.end + np.einsum("bk,bkx->bx", centre + half_length * slope, across)
         sigma = np.where(np.isfinite(spread), spread, bars.radius / np.sqrt(np.maximum(bars.count, 1)))
-        fitted = Bars(replace(bars, start=start, end=end), across, turn, flange, self.thickness)
+        fitted = Bars(replace(bars, start=start, end=end), across, kind, turn, flange, self.thickness)
         return FittedBars(fitted, sigma, tilt, sightings)
 
     def refine(self, bars: Segments, every: int = 5, rise_m: float = math.inf) -> tuple[FittedBars, Segments]:

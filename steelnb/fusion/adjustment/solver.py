@@ -49,8 +49,8 @@ def normal_equations(
     """
     T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs[:, :BAR_DOF].copy()
     bars = block_diag(*(equations.block[:, :BAR_DOF, :BAR_DOF] + np.diag(BAR_SIGMA**-2.0)))
-    from_fitted = np.column_stack([problem.bars.turn, problem.bars.width_m]) - problem.fitted
-    rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN without a section
+    from_fitted = np.column_stack([problem.bars.turn, problem.bars.flange]) - problem.fitted
+    rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN if a section has none
     chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
     matrix, beside, vector = chain.matrix + equations.matrix, chain.beside, chain.vector + equations.vector
     between = np.zeros((*vector.shape, *rhs.shape))
