@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
+from steelnb.core.angle_section import centroid_growth, centroid_m
 from steelnb.core.types import Array
 from steelnb.points.ranges import range_sigma_m
 
@@ -62,7 +63,7 @@ def angle_outline(turn, flange, thickness, corner):  # type: ignore[no-untyped-d
     """Write the outline of an angle section about its centroid to ``corner (6, 2)``, metres, counterclockwise.
     ``thickness``: share of the flange."""
     t = thickness * flange
-    c = (flange * flange + flange * t - t * t) / (2.0 * (2.0 * flange - t))
+    c = centroid_m(flange, t)
     xs = (0.0, flange, flange, t, t, 0.0)
     ys = (0.0, 0.0, t, t, flange, flange)
     cosine, sine = math.cos(turn), math.sin(turn)
@@ -120,7 +121,7 @@ def face_growth(kind, edge, flange, thickness):  # type: ignore[no-untyped-def]
     section is an angle. The centroid moves away from the heel, so the outer faces and the tips move, too."""
     if kind != ANGLE:
         return 0.0
-    centroid = (3.0 - 4.0 * thickness + thickness * thickness) / (2.0 * (2.0 - thickness) ** 2)
+    centroid = centroid_growth(thickness)
     if edge < 2:  # outer faces
         return centroid * flange
     return ((1.0 if edge == 3 or edge == 4 else 0.0) - centroid) * flange
