@@ -32,14 +32,14 @@ def reconstruct(
 
     There are two passes: first the dominant bars, then the shorter ones between them, which become visible once the
     sections of the first are fitted. The axis of a bar is the line through the centroids of its sections. A bar with
-    too few points for its section or direction is dropped, and so are lines in plates (`fusion.section_choice`).
+    too few points for its section or direction is dropped, and so are lines in plates (`sections.choose`).
 
     Parameters
     ----------
     scans : K scans, points in the sensor frame, NaN for no return; read several times, one in memory at a time.
     T_world_drone : ``(K, 4, 4)``, the corrected poses.
     T_drone_sensor : ``(4, 4)``, the mount of the sensor, default identity.
-    settings : see `StructureSettings`. With ``adjust``, poses and bars are adjusted together first (`fusion.problem`);
+    settings : see `StructureSettings`. With ``adjust``, poses and bars are adjusted together first (`adjust`);
         smoothing does this more accurately.
 
     Returns

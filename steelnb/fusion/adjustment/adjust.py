@@ -1,4 +1,4 @@
-"""The adjustment of a flight: find and fit its bars, then take the steps of `fusion.solver` in stages."""
+"""The adjustment of a flight: find and fit its bars, then take the steps of `adjustment.solver` in stages."""
 
 from collections.abc import Iterator
 from dataclasses import replace

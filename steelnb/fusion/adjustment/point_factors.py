@@ -1,6 +1,6 @@
-"""Factors of the points of an adjustment (`fusion.problem`), as normal equations.
+"""Factors of the points of an adjustment (`adjustment.problem`), as normal equations.
 
-The residual of a point is its distance to the front face of its bar (`fusion.sections`). It depends on the pose of its
+The residual of a point is its distance to the front face of its bar (`sections.shapes`). It depends on the pose of its
 scan, on position, direction, rotation and flange of the bar, and on the thickness that all bars share.
 """
 

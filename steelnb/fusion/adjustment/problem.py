@@ -1,7 +1,7 @@
 """The least-squares problem of an adjustment: one maximum a posteriori estimate of all poses and all bars of a flight,
 including their sections (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
 
-The factors (`fusion.factors`, `fusion.poses`, `fusion.inertial`):
+The factors (`point_factors`, `drift_factors`, `imu_factors`):
 
 - the distance of each point to the front face of its bar along the line of sight, with the range noise as its standard
   deviation and robust weights;
@@ -13,8 +13,8 @@ The unknowns are position and yaw of each pose, and position, direction, rotatio
 are unknowns, too, if those of the prior have a standard deviation; with an IMU, so are velocities and biases.
 
 If the thickness is wrong by 1 mm, a horizontal bar seems to move by as much between a view from below and one from
-above, and an adjustment moves the poses instead. So the thickness is estimated, too (`factors.common_thickness`).
-`fusion.solver` takes the steps.
+above, and an adjustment moves the poses instead. So the thickness is estimated, too (`point_factors.common_thickness`).
+`adjustment.solver` takes the steps.
 """
 
 from dataclasses import dataclass, replace

@@ -30,7 +30,7 @@ def smooth(
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
 ) -> Estimate:
-    """The estimate of a flight with all its poses and bars adjusted together (`fusion.solver`).
+    """The estimate of a flight with all its poses and bars adjusted together (`adjustment.solver`).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def smooth(
     estimate : the corrected poses.
     settings : of the bars, as for `reconstruct`.
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
-    imu : errors from the IMU's data sheet; if given, its readings are factors (`fusion.inertial`).
+    imu : errors from the IMU's data sheet; if given, its readings are factors (`imu_factors`).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the problem of an adjustment (`fusion.problem`): normal equations and steps.
+"""Gauss-Newton on the problem of an adjustment (`adjustment.problem`): normal equations and steps.
 
 The poses form a chain, so their matrix is block tridiagonal. They are eliminated first, and the bars are solved for by
 the Schur complement.
@@ -24,8 +24,8 @@ arithmetic with denormal numbers is slow."""
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
     """One Gauss-Newton step of all poses and bars.
 
-    ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
-    ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
+    ``equations``: those of this state (`point_factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the
+    sensor at ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
     """
     (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)

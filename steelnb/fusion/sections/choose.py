@@ -1,6 +1,6 @@
 """The section of each bar: an angle, a round tube or a plate, whichever explains the depths of its points.
 
-An angle section is fitted to depths and to the edges of its outline (`fusion.section_fit`). Its two flanges can follow
+An angle section is fitted to depths and to the edges of its outline (`sections.fit`). Its two flanges can follow
 an arc, and explain the depths of a plate about as well as a plane does. So the shapes are compared by depths alone, to
 which the angle section is fitted again. A tube, or a plate seen from few directions, must explain them clearly better.
 

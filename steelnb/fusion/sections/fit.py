@@ -188,7 +188,7 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
     """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search that uses its `merged_cells` and the
     `Profiles`, whose thickness it has.
 
-    Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
+    Returns flange, turn, spread and tilt (`choose.Sections`), and the least cost; fills ``centre (2,)`` and
     ``slope (2,)``.
     """
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
