@@ -1,5 +1,7 @@
 """Covariances of smoothing: against a dense inverse, against many runs, and with an undetermined direction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -7,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.fusion.adjustment import drift_factors, point_factors, problem, solver, uncertainty
-from steelnb.fusion.adjustment.problem import BAR_DOF, Bars
+from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
 from tests.fusion.made import bars_of, made_up
 
@@ -94,7 +96,8 @@ def wall_of_posts():
     """Only four posts, all seen at one height: the prior alone determines z."""
     T, bars, observed = made_up(1, 0.004)
     posts = np.arange(len(bars.flange)) < 4
-    return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), observed
+    kind, flange = np.where(posts, bars.kind, shapes.UNKNOWN), np.where(posts, bars.flange, np.nan)
+    return T, replace(bars, kind=kind, flange=flange), observed
 
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():

@@ -1,4 +1,4 @@
-"""Inertial factors of an adjustment (`fusion.problem`): velocities and IMU biases as states beside the poses.
+"""Inertial factors of an adjustment (`adjustment.problem`): velocities and IMU biases as states beside the poses.
 
 The readings between two scans are preintegrated: the result does not depend on the pose and velocity before them. They
 determine the vertical and the scale, which bars and a drifting prior do not. Source: Forster, Carlone, Dellaert,
