@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
@@ -111,7 +112,7 @@ class CloudOdometry(BaseOdometry):
         """Slots of the voxels near the points ``(N, 3)``, drone frame, of a scan."""
         if not len(points) or not len(voxels):
             return np.zeros(0, dtype=np.int64)
-        world = points @ T_init[:3, :3].T + T_init[:3, 3]
+        world = transform_points(T_init, points)
         low, high = world.min(axis=0), world.max(axis=0)
         reach_m = float((high - low).max() / 2 + 2 * self.settings.max_correspondence_m)
         return voxels.near((low + high) / 2, reach_m)
@@ -152,7 +153,7 @@ class CloudOdometry(BaseOdometry):
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
-        self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
+        self.map.insert(transform_points(T_world_drone, points))
 
     @property
     def mapped(self) -> bool:

@@ -12,17 +12,17 @@ world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for incr
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import GRAVITY, Array, Imu
-from steelnb.fusion.adjustment.drift_factors import (
-    DRIFT_PERIOD_S,
-    FIXED,
-    TILT_SIGMA_RAD,
-    drift_variance,
+from steelnb.core.geometry import (
+    cross_matrix,
+    information_at,
     moved_poses,
+    pose_difference,
+    twist_jacobian,
     yaw_of,
 )
+from steelnb.core.types import GRAVITY, Array, Imu
+from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
 from steelnb.fusion.adjustment.imu_factors import SIGMA_MIN, gaps, integrated, integration_covariances
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
@@ -80,7 +80,7 @@ class InertialPrediction:
         information = self.information
 
         def cost(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            error, by_twist = _difference(T_predicted, T), _by_twist(T[:3, 3] - centre)
+            error, by_twist = pose_difference(T_predicted, T), twist_jacobian(T[:3, 3] - centre)
             weighted = information @ error
             return by_twist.T @ information @ by_twist, by_twist.T @ weighted, 0.5 * float(error @ weighted)
 
@@ -101,7 +101,7 @@ class InertialPrediction:
         P = self.state.covariance
         before = P[POSE, POSE]
         gain = np.linalg.solve(before, P[POSE]).T  # of all errors, from those of the pose
-        step = gain @ _difference(self.state.T_world_drone, T_world_drone)
+        step = gain @ pose_difference(self.state.T_world_drone, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + registered) - before) @ gain.T
         self.state = self.state._replace(
             T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
@@ -179,8 +179,9 @@ class InertialPrediction:
         F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R
         F[POSITION, VELOCITY], F[POSITION, FORCE] = passed_s * np.eye(3), -0.5 * passed_s**2 * R
-        F[VELOCITY, ROTATION], F[POSITION, ROTATION] = -_cross(by_force), -_cross(shift)
-        F[VELOCITY, GYRO], F[POSITION, GYRO] = passed_s / 2 * _cross(by_force) @ R, passed_s / 3 * _cross(shift) @ R
+        force_cross, shift_cross = cross_matrix(by_force), cross_matrix(shift)
+        F[VELOCITY, ROTATION], F[POSITION, ROTATION] = -force_cross, -shift_cross
+        F[VELOCITY, GYRO], F[POSITION, GYRO] = passed_s / 2 * force_cross @ R, passed_s / 3 * shift_cross @ R
         order = [0, 1, 2, 6, 7, 8, 3, 4, 5]  # of rotation, velocity and position
         Q[:9, :9] = integration_covariances(self.noise, np.array([passed_s]))[0][np.ix_(order, order)]
         walk = np.maximum([self.noise.gyro_walk, self.noise.accelerometer_walk], SIGMA_MIN) ** 2 * passed_s
@@ -199,27 +200,3 @@ class InertialPrediction:
         Q[ROTATION, ROTATION], Q[POSITION, POSITION] = ROTATION_SIGMA_RAD**2 * np.eye(3), np.eye(3)
         Q[VELOCITY, VELOCITY] = VELOCITY_SIGMA_M_S**2 * np.eye(3)
         return T, expected / passed_s, F, Q
-
-
-def information_at(information: Array, arm: Array) -> Array:
-    """Convert information ``(6, 6)`` about the rotation and the shift of one point to that of another point, which is
-    offset from it by ``arm (3,)``."""
-    by_twist = _by_twist(-arm)
-    return np.asarray(by_twist.T @ information @ by_twist)
-
-
-def _by_twist(arm: Array) -> Array:
-    """Derivative ``(6, 6)`` of the rotation and shift of a point at ``arm (3,)`` from the centre of a twist."""
-    by_twist = np.eye(6)
-    by_twist[3:, :3] = -_cross(arm)
-    return by_twist
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _difference(T_from: Array, T_to: Array) -> Array:
-    """Rotation vector in the world frame and shift ``(6,)`` from one pose to another."""
-    rotation = Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T, assume_valid=True).as_rotvec()
-    return np.append(rotation, T_to[:3, 3] - T_from[:3, 3])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import exp_about, information_at
 from steelnb.core.types import Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.imu_filter import BIAS, NONE, POSE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import BIAS, NONE, POSE, InertialPrediction
 from steelnb.points import VoxelMap
-from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
 from tests.fusion.test_imu_factors import EVERY, SHEET, swaying

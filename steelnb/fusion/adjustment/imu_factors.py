@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import POSE_DOF, moved_poses
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
-from steelnb.fusion.adjustment.drift_factors import POSE_DOF, ChainEquations, chain_equations, moved_poses
+from steelnb.fusion.adjustment.drift_factors import ChainEquations, chain_equations
 from steelnb.settings import ImuSettings
 
 STATE_DOF = 15

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import exp_about
 from steelnb.core.types import Array
 from steelnb.odometry.orb.features import SCALE, Features
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
 from steelnb.registration import Term
-from steelnb.registration.solver import exp_about
 
 ITERATIONS_MAX = 15
 ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4
