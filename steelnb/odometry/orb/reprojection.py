@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.geometry import exp_about
+from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array
 from steelnb.odometry.orb.features import SCALE, Features
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
@@ -86,7 +87,7 @@ def linearise(
     sigma = np.maximum(SIGMA_M, SIGMA_SHARE * depth) / depth**2
     error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
     error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
-    weight = np.where(np.isnan(x), 0.0, 1.0 / (1.0 + (error**2).sum(axis=1) / scale**2) ** 2)
+    weight = np.where(np.isnan(x), 0.0, geman_mcclure((error**2).sum(axis=1), scale)[0])
     # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
     by_shift = -(gradient[:, :, None] * R).sum(axis=3)
     by_turn = np.cross((landmark - centre)[:, None], by_shift)
