@@ -23,16 +23,26 @@ from steelnb.core.geometry import (
 )
 from steelnb.core.types import GRAVITY, Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
-from steelnb.fusion.adjustment.imu_factors import SIGMA_MIN, gaps, integrated, integration_covariances
+from steelnb.fusion.adjustment.imu_factors import (
+    BIAS,
+    FORCE,
+    GYRO,
+    INTEGRATED,
+    POSE,
+    POSITION,
+    ROTATION,
+    SIGMA_MIN,
+    STATE_DOF,
+    VELOCITY,
+    gaps,
+    integrated,
+    integration_covariances,
+)
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 
 NONE = np.zeros((0, 3))
 """No directions."""
-ROTATION, POSITION, VELOCITY, GYRO, FORCE = (slice(k, k + 3) for k in range(0, 15, 3))
-POSE, BIAS, SIZE = slice(0, 6), slice(9, 15), 15
-"""Slices of the errors of a state: rotation (rad), position (m) and velocity (m/s) in the world frame, biases of the
-gyroscope (rad/s) and the accelerometer (m/s²) in the drone frame."""
 VELOCITY_SIGMA_M_S, ROTATION_SIGMA_RAD = 10.0, 0.01
 """Standard deviations without readings: of the velocity, and of the prior's rotation between two scans."""
 
@@ -132,7 +142,7 @@ class InertialPrediction:
         )
 
     def _started(self, prior: Array, stamp_s: float) -> State:
-        variance = np.zeros(SIZE)
+        variance = np.zeros(STATE_DOF)
         variance[POSE] = [TILT_SIGMA_RAD**2] * 2 + [1 / FIXED] * 4
         variance[VELOCITY] = VELOCITY_SIGMA_M_S**2
         variance[GYRO] = max(self.noise.gyro_bias, SIGMA_MIN) ** 2
@@ -154,14 +164,14 @@ class InertialPrediction:
         error = np.append(
             yaw_of(T[:3, :3] @ (turned @ prior[:3, :3]).T), T[:3, 3] - old.T_world_drone[:3, 3] - expected
         )
-        H_old, H_new = np.zeros((2, 4, SIZE))
+        H_old, H_new = np.zeros((2, 4, STATE_DOF))
         H_new[0, 2], H_old[0, 2] = 1.0, -1.0
         H_new[1:, POSITION], H_old[1:, POSITION] = np.eye(3), -np.eye(3)
         H_old[1:3, 2] = expected[1], -expected[0]
         H = np.hstack([H_old, H_new])
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
-        step, P = -(gain @ error)[SIZE:], (joint - gain @ H @ joint)[SIZE:, SIZE:]
+        step, P = -(gain @ error)[STATE_DOF:], (joint - gain @ H @ joint)[STATE_DOF:, STATE_DOF:]
         T_world_drone = moved_poses(T[None], step[None, POSE])[0]
         return State(stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS], 0.5 * (P + P.T))
 
@@ -176,14 +186,13 @@ class InertialPrediction:
         T = np.eye(4)
         T[:3, :3] = R @ read.rotation[0]
         T[:3, 3] = old.T_world_drone[:3, 3] + passed_s * (old.velocity + 0.5 * by_gravity) + shift
-        F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R
         F[POSITION, VELOCITY], F[POSITION, FORCE] = passed_s * np.eye(3), -0.5 * passed_s**2 * R
         force_cross, shift_cross = cross_matrix(by_force), cross_matrix(shift)
         F[VELOCITY, ROTATION], F[POSITION, ROTATION] = -force_cross, -shift_cross
         F[VELOCITY, GYRO], F[POSITION, GYRO] = passed_s / 2 * force_cross @ R, passed_s / 3 * shift_cross @ R
-        order = [0, 1, 2, 6, 7, 8, 3, 4, 5]  # of rotation, velocity and position
-        Q[:9, :9] = integration_covariances(self.noise, np.array([passed_s]))[0][np.ix_(order, order)]
+        Q[np.ix_(INTEGRATED, INTEGRATED)] = integration_covariances(self.noise, np.array([passed_s]))[0]
         walk = np.maximum([self.noise.gyro_walk, self.noise.accelerometer_walk], SIGMA_MIN) ** 2 * passed_s
         Q[BIAS, BIAS] = np.diag(np.repeat(walk, 3))
         return T, old.velocity + by_gravity + by_force, F, Q
@@ -192,7 +201,7 @@ class InertialPrediction:
         self, old: State, prior: Array, expected: Array, passed_s: float
     ) -> tuple[Array, Array, Array, Array]:
         """The same from the prior, if readings are missing. Its shift gets a sigma of 1 m, as it is also measured."""
-        F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
         T = old.T_world_drone.copy()
         T[:3, :3] = T[:3, :3] @ old.prior[:3, :3].T @ prior[:3, :3]
         T[:3, 3] += expected
