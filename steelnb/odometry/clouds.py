@@ -12,7 +12,7 @@ from steelnb.odometry.near_side import NearSide
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import SIGMA_M, range_sigma_m
 from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
@@ -124,7 +124,7 @@ class CloudOdometry(BaseOdometry):
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
         across = (0.5 * SIGMA_M) ** 2
-        extra = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2 - across
+        extra = range_sigma_m(distance) ** 2 - across
         i, j = UPPER
         return (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
 

@@ -122,7 +122,7 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
 
 def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch):
     for name in ("hough/votes.py", "settings/presets/methods.toml", "plots.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
     before = cache.digest_sources(), cache.digest_sources(excluded=())

@@ -8,7 +8,7 @@ from steelnb.core.geometry import exp_about
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array
 from steelnb.odometry.orb.features import SCALE, Features
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 from steelnb.registration import Term
 
 ITERATIONS_MAX = 15
@@ -84,7 +84,7 @@ def linearise(
         f = K[k, k] / (x * sigma_px)
         error[:, k] = (K[k, 2] - features.pixel[:, k]) / sigma_px - f * point[:, k + 1]
         gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
-    sigma = np.maximum(SIGMA_M, SIGMA_SHARE * depth) / depth**2
+    sigma = range_sigma_m(depth) / depth**2
     error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
     error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
     weight = np.where(np.isnan(x), 0.0, geman_mcclure((error**2).sum(axis=1), scale)[0])
