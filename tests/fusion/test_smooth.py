@@ -13,7 +13,7 @@ from steelnb.fusion import smooth
 from steelnb.fusion.adjustment import point_factors, problem, solver, uncertainty
 from steelnb.fusion.sections.shapes import THICKNESS
 from steelnb.metrics import score_trajectory
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 from steelnb.settings import ExperimentSettings
 from tests.fusion.made import made_up
 
@@ -128,5 +128,5 @@ def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     state = problem.start(T, T, bars)
     for _ in range(3):
         state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
-    sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(observed.point, axis=1))
+    sigma_m = range_sigma_m(np.linalg.norm(observed.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import UPRIGHT_DOF, moved_poses
 from steelnb.fusion.adjustment import drift_factors, point_factors, problem
-from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF
 from steelnb.fusion.adjustment.point_factors import FACE_DOF
 from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
@@ -71,7 +71,7 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
     stamp_s = 0.2 * np.arange(n)
 
     def vector(step):
-        T_moved = drift_factors.moved_poses(T, step.reshape(n, 6))
+        T_moved = moved_poses(T, step.reshape(n, 6))
         return drift_factors.prior_equations(T_moved, prior, stamp_s, sigma)[2].ravel()
 
     matrix, beside, _ = drift_factors.prior_equations(T, prior, stamp_s, sigma)

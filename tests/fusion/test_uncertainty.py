@@ -8,6 +8,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import yaw_of
 from steelnb.fusion.adjustment import drift_factors, point_factors, problem, solver, uncertainty
 from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
@@ -85,7 +86,7 @@ def test_many_runs_scatter_as_they_say():
         pose = marginals(state, observed, prior, NONE)[0]
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
-        error[:, 0] = drift_factors.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
+        error[:, 0] = yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
         squared.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pose[1:]), error).mean() / 4)
         scaled.append(error[20] / np.sqrt(np.diag(pose[21])))
     assert 0.8 < np.mean(squared) < 1.25

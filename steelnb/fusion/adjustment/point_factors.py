@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array, IntArray
 from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
@@ -151,7 +152,7 @@ def _gathered(  # type: ignore[no-untyped-def]
             sigma *= ratio
             residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
             bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
-            weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
+            weight = weighted_geman_mcclure(residual * residual, bound, 1.0)[0] / (sigma * sigma)
             # Derivatives at the face: at the measured point, its noise would enter squared and not average out.
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             jacobian[0], jacobian[1], jacobian[2], jacobian[3] = -gu, -gv, -gu * tau, -gv * tau

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import moved_poses, yaw_of
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.adjustment.drift_factors import moved_poses, pose_size, yaw_of
+from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.sections import shapes
 

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF, pose_size
+from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.point_factors import PointEquations, summed
 from steelnb.fusion.adjustment.problem import BAR_DOF, Problem
 from steelnb.fusion.adjustment.solver import Chain, normal_equations

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array
 from steelnb.fusion.sections.histogram import VIEWS, direction_of
 from steelnb.fusion.sections.shapes import ANGLE, TUBE, angle_outline, front_face, nearest_edge
@@ -60,8 +61,8 @@ def profiles(thickness):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def robust(residual, weight):  # type: ignore[no-untyped-def]
     """Cost and weight of a residual, or of an array of them, under Geman-McClure with the scale `DEPTH_SCALE_M`."""
-    square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
-    return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
+    weight, loss = weighted_geman_mcclure(residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M, weight)
+    return loss, weight
 
 
 @njit(cache=True)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry
 from steelnb.odometry.loam.features import Features, loam_features, scan_lines
@@ -46,7 +47,7 @@ class LoamOdometry(CloudOdometry):
         """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, downsampled and without the floor."""
         image, s = scan.points if scan.points.ndim == 3 else scan_lines(scan.points), self.settings
         found = loam_features(image)
-        point = found.point @ self.T_drone_sensor[:3, :3].T + self.T_drone_sensor[:3, 3]
+        point = transform_points(self.T_drone_sensor, found.point)
         inside = (np.abs(point) <= s.preprocess.crop_m).all(axis=1)
         inside &= point @ T_world_drone[2, :3] + T_world_drone[2, 3] >= s.preprocess.floor_m
         self._features = own = Features(point[inside], found.plane[inside], found.rank[inside])
@@ -81,10 +82,10 @@ class LoamOdometry(CloudOdometry):
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the maps at a known pose."""
-        world = points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
+        world = transform_points(T_world_drone, points)
         self.map.insert(world[self._plane == 0])
         self.planes.insert(world[self._plane == 1])
-        self._last = self._features.point @ T_world_drone[:3, :3].T + T_world_drone[:3, 3], self._features.plane
+        self._last = transform_points(T_world_drone, self._features.point), self._features.plane
 
     @property
     def mapped(self) -> bool:

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import exp_about
+from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array
 from steelnb.odometry.orb.features import SCALE, Features
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 from steelnb.registration import Term
-from steelnb.registration.solver import exp_about
 
 ITERATIONS_MAX = 15
 ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4
@@ -83,10 +84,10 @@ def linearise(
         f = K[k, k] / (x * sigma_px)
         error[:, k] = (K[k, 2] - features.pixel[:, k]) / sigma_px - f * point[:, k + 1]
         gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
-    sigma = np.maximum(SIGMA_M, SIGMA_SHARE * depth) / depth**2
+    sigma = range_sigma_m(depth) / depth**2
     error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
     error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
-    weight = np.where(np.isnan(x), 0.0, 1.0 / (1.0 + (error**2).sum(axis=1) / scale**2) ** 2)
+    weight = np.where(np.isnan(x), 0.0, geman_mcclure((error**2).sum(axis=1), scale)[0])
     # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
     by_shift = -(gradient[:, :, None] * R).sum(axis=3)
     by_turn = np.cross((landmark - centre)[:, None], by_shift)
