@@ -72,12 +72,6 @@ def test_every_figure_has_colours_and_is_committed(smoke):
         assert (ROOT / "results" / path.relative_to(smoke)).is_file(), path
 
 
-def test_the_notebook_to_explore_flies_and_corrects(results):
-    table, _ = results("explore")
-    assert len(table) == 1
-    assert (table["ate_rmse_m"] < 0.5 * table["raw_ate_rmse_m"]).all()
-
-
 def test_the_world_notebook_finds_the_drift_of_the_model(results):
     table, metrics = results("world-and-noise")
     assert set(table["noise"]) == {"random-walk", "constant-drift", "yaw-random-walk"}
