@@ -446,3 +446,19 @@ def block_tridiagonal(diagonal, beside):
         result[k * d : (k + 1) * d, (k + 1) * d : (k + 2) * d] = beside[k]
         result[(k + 1) * d : (k + 2) * d, k * d : (k + 1) * d] = beside[k].T
     return result
+
+
+def integrated(at_s, force, rate, stamp_s, bias):
+    """Rotation, velocity and position of readings between stamps, each the mean since the previous reading."""
+    result = []
+    for begin, end, gyro, accelerometer in zip(stamp_s[:-1], stamp_s[1:], bias[:, :3], bias[:, 3:], strict=True):
+        R, v, p = np.eye(3), np.zeros(3), np.zeros(3)
+        for i in range(1, len(at_s)):
+            passed_s = min(at_s[i], end) - max(at_s[i - 1], begin)
+            if passed_s > 0:
+                R = R @ Rotation.from_rotvec(passed_s * (rate[i] - gyro)).as_matrix()
+                f = R @ (force[i] - accelerometer)
+                p = p + passed_s * v + passed_s**2 / 2 * f
+                v = v + passed_s * f
+        result.append((R, v, p))
+    return [np.array(each) for each in zip(*result, strict=True)]

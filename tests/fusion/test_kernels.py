@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core import angle_section
+from steelnb.fusion.adjustment import imu_factors
 from steelnb.fusion.adjustment.point_factors import summed
 from steelnb.fusion.adjustment.solver import Chain
 from steelnb.fusion.point_to_bar import Observations, face_residuals
@@ -148,3 +149,14 @@ def test_the_centroid_is_that_of_two_rectangles_and_grows_with_the_thickness():
         assert angle_section.centroid_m(0.1, 0.1 * thickness) == pytest.approx(-corner[0])
         by_difference = [angle_section.centroid_m(1.0, thickness + s) for s in (1e-6, -1e-6)]
         assert angle_section.centroid_growth(thickness) == pytest.approx(-np.diff(by_difference)[0] / 2e-6, rel=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_readings_are_integrated_reading_by_reading(seed):
+    rng = np.random.default_rng(seed)
+    at_s, stamp_s = np.sort(rng.uniform(0, 2, 200)), np.sort(rng.uniform(-0.1, 2.1, 9))
+    force, rate, bias = rng.normal(size=(200, 3)), rng.normal(size=(200, 3)), 0.1 * rng.normal(size=(8, 6))
+    found = imu_factors.integrated(at_s, force, rate, stamp_s, bias)
+    for each, expected in zip(found, naive.integrated(at_s, force, rate, stamp_s, bias), strict=True):
+        np.testing.assert_allclose(each, expected, atol=1e-9)
