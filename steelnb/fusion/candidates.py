@@ -141,8 +141,9 @@ def _joined(bars: Segments, fate: IntArray) -> Segments:
             continue
         weight = pieces.count / pieces.count.sum()
         mean = weight @ pieces.middle
-        offset, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
-        covariance = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, offset, offset)
+        offset, half_run = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
+        own, between = (np.einsum("k,ki,kj->ij", weight, each, each) for each in (half_run, offset))
+        covariance = own / 3 + between
         value, vector = np.linalg.eigh(covariance)
         axis = vector[:, 2]
         along = (np.concatenate([pieces.start, pieces.end]) - mean) @ axis

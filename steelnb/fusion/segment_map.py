@@ -160,7 +160,7 @@ def _moments(segments: Segments) -> Array:
     """Moments ``(M, 14)`` of uniform bars: number, sum (3), sum of outer products (9), sum of squared distances to the
     axis."""
     count = segments.count.astype(np.float64)
-    middle, half = segments.middle, 0.5 * (segments.end - segments.start)
-    spread = half[:, :, None] * half[:, None, :] / 3.0
+    middle, half_run = segments.middle, 0.5 * (segments.end - segments.start)
+    spread = half_run[:, :, None] * half_run[:, None, :] / 3.0
     outer = count[:, None, None] * (spread + middle[:, :, None] * middle[:, None, :])
     return np.column_stack([count, count[:, None] * middle, outer.reshape(-1, 9), count * segments.radius**2])

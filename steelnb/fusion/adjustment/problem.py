@@ -109,10 +109,10 @@ def start(
     yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
     T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
-    moved = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
+    corrected = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
     fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.rotated(R)
-    return Problem(T_correction @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
+    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:
