@@ -13,7 +13,7 @@ import pandas as pd
 from steelnb.core import rng
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Segments
-from steelnb.hough.alternatives.methods import find_bars
+from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
@@ -94,9 +94,9 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
 
 
 def attempt(method: str, scene: Scene, **options: Any) -> Trial:
-    """Segment a scene by one of `hough.alternatives.methods.METHODS` with its own options, and score the result."""
+    """Segment a scene by one of `hough.alternatives.methods.FINDERS` with its own options, and score the result."""
     begin = time.perf_counter()
-    segments = find_bars(method, scene.points, seed=scene.seed, **options)
+    segments = find_bars_by(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
     members = scene.members
     score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)

@@ -11,15 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from steelnb.core import rng
-from steelnb.core.types import Array
+from steelnb.core.types import Array, Floats
 from steelnb.simulation.members import PLATE
 from steelnb.simulation.raycasting import Hits
 from steelnb.simulation.tower import Tower
-
-Floats = NDArray[np.float32]
 
 SIZE = 1024
 TEXEL_M = 0.004

@@ -17,14 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array, Floats, IntArray
 from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.members import GROUND
 from steelnb.simulation.raycasting import Scene, cast_bundle, rays
-
-Floats = NDArray[np.float32]
 
 _MAGIC = np.array([8, 1, 6, 3, 5, 7, 4, 9, 2])
 MOMENTS = (_MAGIC - 5) / 9

@@ -129,7 +129,7 @@ def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch
     (tmp_path / "hough" / "__pycache__").mkdir()
     (tmp_path / "hough" / "__pycache__" / "votes.nbi").write_text("of Numba")
     assert (cache.digest_sources(), cache.digest_sources(excluded=())) == before
-    for name, counts in (("hough/votes.py", True), ("presets/methods.toml", True), ("plots.py", False)):
+    for name, counts in (("hough/votes.py", True), ("settings/presets/methods.toml", True), ("plots.py", False)):
         (tmp_path / name).write_text("a = 2\n")
         assert (cache.digest_sources() != before[0]) is counts
         assert cache.digest_sources(excluded=()) != before[1]
