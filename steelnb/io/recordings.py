@@ -10,7 +10,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE, TF, Bag, is_bag
+from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE_STAMPED, TF, Bag, is_bag
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.trajectories import interpolate, read_trajectory
 
@@ -124,7 +124,7 @@ def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
     clouds, tf_topics, imu_topics = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
     scan_topic = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
     is_pose_file = poses is not None and poses not in bag.types and Path(poses).is_file()
-    pose_topics = bag.of_type(ODOMETRY, POSE)
+    pose_topics = bag.of_type(ODOMETRY, POSE_STAMPED)
     uses_tf = not poses and not pose_topics and tf_topics
     chosen = [] if is_pose_file or uses_tf else [bag.choose("poses", poses, pose_topics)]
     bag.read(scan_topic, *chosen, *tf_topics, *imu_topics, *([] if clouds else bag.of_type(CAMERA)))

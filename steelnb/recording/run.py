@@ -110,7 +110,7 @@ def run_recording(
     origin = shift_of(flight.prior.position[0])  # voxel numbers and pictures need coordinates near zero
     with new_folder(output, FILES) as folder:
         lowered = replace(flight, prior=flight.prior.moved(-origin)), *_lowered(settings, structure, float(origin[2]))
-        near = correct(*lowered, own, on_progress, on_stage)
+        near = correct_recording(*lowered, own, on_progress, on_stage)
         found = near.moved(origin, flight.prior)
         numbers = evaluate(flight, found.estimate, found.segments, found.structure, known)
         on_stage("drawing and writing")
@@ -145,7 +145,7 @@ def _lowered(
     return settings.override({"preprocess.floor_m": floor_m}), structure.replace(floor_m=structure.floor_m - by_m)
 
 
-def correct(
+def correct_recording(
     flight: Flight,
     settings: ExperimentSettings,
     structure: StructureSettings,

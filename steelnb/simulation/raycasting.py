@@ -36,7 +36,7 @@ def rays(camera: CameraSettings, origin_px: float = 0.5) -> Array:
     return np.asarray(ray / np.linalg.norm(ray, axis=2, keepdims=True))
 
 
-class Scene(NamedTuple):
+class RayScene(NamedTuple):
     """The T triangles of a tower and of the ground under it, in the world frame, metres.
 
     ``mesh``: Open3D's scene of the triangles, enlarged by `MARGIN_M`; ``triangles``: as they are; ``member (T + 1,)``
@@ -48,7 +48,7 @@ class Scene(NamedTuple):
     member: IntArray
 
 
-def make_scene(tower: Tower) -> Scene:
+def make_scene(tower: Tower) -> RayScene:
     """The scene of a tower on the ground at z = 0."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
@@ -57,7 +57,7 @@ def make_scene(tower: Tower) -> Scene:
     mesh = open3d.t.geometry.RaycastingScene(nthreads=1)
     tensor, number = open3d.core.Tensor.from_numpy, np.arange(3 * count, dtype=np.uint32)
     mesh.add_triangles(tensor(_enlarged(corner).reshape(-1, 3).astype(np.float32)), tensor(number.reshape(-1, 3)))
-    return Scene(mesh, make_triangles(corner), np.append(tower.triangle_member, [-1, -1, -1]))
+    return RayScene(mesh, make_triangles(corner), np.append(tower.triangle_member, [-1, -1, -1]))
 
 
 def _enlarged(corner: Array) -> Array:
@@ -70,7 +70,7 @@ def _enlarged(corner: Array) -> Array:
     return np.asarray(centre[:, None] + factor[:, None, None] * (corner - centre[:, None]))
 
 
-def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
+def cast_rays(scene: RayScene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
     """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
     −1 for the ground and for no hit. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
     flat = ray.reshape(-1, 3).astype(np.float32)
@@ -92,7 +92,7 @@ def world_rays(T_world_sensor: Array, ray: np.ndarray) -> np.ndarray:
 class Hits(NamedTuple):
     """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for no hit; ``normal
     (..., 3)`` float32, unit normals of either sign, zero for no hit; ``triangle (...)``, its index, or T for no hit
-    (`Scene`)."""
+    (`RayScene`)."""
 
     range_m: np.ndarray
     member: IntArray
@@ -100,7 +100,7 @@ class Hits(NamedTuple):
     triangle: IntArray
 
 
-def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
+def cast_bundle(scene: RayScene, bundle: np.ndarray) -> Hits:
     """The first hits of rays ``(..., 6)`` float32: origins and unit directions in the world frame.
 
     Embree uses the processor's approximate reciprocal, which differs between vendors. It therefore only proposes
@@ -124,8 +124,8 @@ def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
 @njit(cache=True)
 def resolve_hits(rays, pending, proposed, triangles, member_of, hit):
     """Fill in the `Hits` of ``rays (N, 6)`` with indices ``pending (L,)``. ``proposed (L,)``: the triangle proposed for
-    each, or an index beyond the last for no hit. ``member_of``: of the `Scene`. Returns the indices into ``pending`` of
-    the rays that miss."""
+    each, or an index beyond the last for no hit. ``member_of``: of the `RayScene`. Returns the indices into ``pending``
+    of the rays that miss."""
     corner, plane, begin, touching = triangles
     range_m, member, normal, triangle = hit
     ray = np.empty(6)

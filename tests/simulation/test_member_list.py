@@ -13,7 +13,7 @@ from steelnb.settings import CameraSettings, TofSettings, TowerSettings
 from steelnb.simulation import Camera, build_tower, scan_flight
 from steelnb.simulation.camera import SAMPLES
 from steelnb.simulation.flight import HALF_BOX_M
-from steelnb.simulation.member_list import COLUMNS, find_joints
+from steelnb.simulation.member_list import COLUMNS, joints_of_members
 from steelnb.simulation.members import GROUND, PLATE
 from steelnb.simulation.raycasting import cast_bundle, make_scene
 from steelnb.simulation.tower import half_width
@@ -176,7 +176,7 @@ def test_joints_lie_where_members_end_and_cross_but_not_where_they_pass():
         [(0, 0, 2), (2, 0, 2)], [(1, 0, 1.995), (1, 0, 0)],  # share an end; ends on another
         [(-1, 0.05, 0.5), (1, 0.05, 0.5)],  # passes at 5 cm
     ], dtype=float)  # fmt: skip
-    joints, along = find_joints(ends)
+    joints, along = joints_of_members(ends)
     assert [len(on) for on in along] == [3, 3, 3, 3, 2]
     np.testing.assert_allclose(joints[along[0][1]], (0, 0.005, 1))
     assert along[0][-1] == along[2][0]

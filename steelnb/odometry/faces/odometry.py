@@ -27,7 +27,7 @@ from steelnb.fusion.adjustment.problem import Problem
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces.keyframes import Keyframes
-from steelnb.odometry.faces.scan_to_bars import POINTS_MIN, Fit, Locator, points_in_range
+from steelnb.odometry.faces.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.odometry.imu_filter import InertialPrediction
 from steelnb.odometry.prediction import RegisteredPose
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
@@ -125,7 +125,7 @@ class FaceOdometry(BaseOdometry):
         self.faces.predict(scan.stamp_s)
         s, T_sensor = self.settings.preprocess, self.prediction.pose(prior, scan.stamp_s) @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
-        if len(points) < POINTS_MIN:
+        if len(points) < SCAN_POINTS_MIN:
             return None
         known, size = None, len(self._lag)
         if self.inertial:

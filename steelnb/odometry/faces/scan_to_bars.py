@@ -26,7 +26,7 @@ MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
-MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 4, 10, 100
+MATCHED_BARS_MIN, BAR_POINTS_MIN, SCAN_POINTS_MIN = 4, 10, 100
 """Minimum number of bars, points per bar, and points per scan; below them a registration is rejected."""
 SHARE_MIN = 0.5
 """Minimum share of the points near bars that lie on front faces, both for each bar and for the scan. Points far from

@@ -55,7 +55,7 @@ def solve_pose(
         for term in terms:
             H_term, b_term, _ = term(T, centre)
             H, b = H + H_term, b + b_term
-        error, J, weight = linearise(landmark, features, K, T @ T_drone_camera, centre, scale)
+        error, J, weight = linearised_reprojections(landmark, features, K, T @ T_drone_camera, centre, scale)
         weighted = weight[:, None, None] * J
         H = np.vstack([H[None], (weighted[..., None] * J[:, :, None]).reshape(-1, 6, 6)]).sum(axis=0)
         b = np.vstack([b, (weighted * error[..., None]).reshape(-1, 6)]).sum(axis=0)
@@ -69,7 +69,7 @@ def solve_pose(
     return Solved(T, weight, H, centre) if np.isfinite(T).all() else None
 
 
-def linearise(
+def linearised_reprojections(
     landmark: Array, features: Features, K: Array, T_world_camera: Array, centre: Array, scale: float
 ) -> tuple[Array, Array, Array]:
     """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` with respect to a twist (ω, v) of
