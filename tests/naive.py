@@ -309,7 +309,7 @@ def pair_distance(new, known, settings, gap_max_m):
 
 
 def bar_equations(ends, start, direction, information, centre, scale_m):
-    """Loss, H and b of `odometry.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end."""
+    """Loss, H and b of `odometry.segments.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end."""
     loss, H, b = 0.0, np.zeros((4, 4)), np.zeros(4)
     for both, at, axis, weight in zip(ends, start, direction, information, strict=True):
         projector = np.eye(3) - np.outer(axis, axis)

@@ -85,7 +85,7 @@ def write_overview(root: Path, folder: Path) -> None:
 
 
 def _report_rows(bands: Sequence[pd.DataFrame]) -> list[str]:
-    """The rows of docs/report.md, from tables of `batch.band_table`."""
+    """The rows of docs/report.md, from tables of `notebook.bands.band_table`."""
     head = "| plot | the report: mean / max / end | ours: mean (10 to 90 %) / max / end | below | shape | agrees |"
     rows = [head, "|---|---|---|---|---|---|"]
     for row in itertools.chain.from_iterable(table.itertuples() for table in bands):

@@ -46,7 +46,7 @@ class TowerFlight:
     poses: dict[str, Array]
 
     def toward_sensor_m(self, bars: Segments, member: IntArray) -> Array:
-        """`metrics.reconstruction.toward_sensor_m` of bars from this flight."""
+        """`metrics.structure.toward_sensor_m` of bars from this flight."""
         T_world_sensor = self.poses["true"] @ self.flight.T_drone_sensor
         return toward_sensor_m(bars, member, self.reference.axes, T_world_sensor, self.result.settings.tof)
 

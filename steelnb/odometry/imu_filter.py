@@ -1,9 +1,9 @@
 """Prediction of the pose of a scan from an IMU: an error-state Kalman filter that registrations correct.
 
-Readings since the last scan are integrated from its pose, velocity and biases (`fusion.inertial`). The increment of the
-drifting prior, in position and yaw, is a measurement of the same motion. The predicted pose enters the registration
-with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come from gravity
-over the whole flight, not from the prior. A scan with little information follows the readings.
+Readings since the last scan are integrated from its pose, velocity and biases (`fusion.adjustment.imu_factors`). The
+increment of the drifting prior, in position and yaw, is a measurement of the same motion. The predicted pose enters the
+registration with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come
+from gravity over the whole flight, not from the prior. A scan with little information follows the readings.
 
 Sources: Solà, "Quaternion kinematics for the error-state Kalman filter" (arXiv 1711.02508, 2017), with errors in the
 world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for increments, which depend on two poses.

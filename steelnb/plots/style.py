@@ -72,13 +72,13 @@ CURVES: dict[str, Any] = {
     "x": "time_s", "y": "error_m", "errorbar": None,
     "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
 }  # fmt: skip
-"""How seaborn draws a table of `batch.curves`."""
+"""How seaborn draws a table of `notebook.report.curves`."""
 BANDS: dict[str, Any] = {
     "x": "sample", "y": "error_m", "estimator": "median", "errorbar": ("pi", 80),
     "hue": "curve", "hue_order": ["draws", "draw", "report"], "palette": COLOURS,
     "size": "curve", "sizes": {"draws": 1.6, "draw": 0.7, "report": 2.0},
 }  # fmt: skip
-"""How seaborn draws a table of `batch.draw_programs`."""
+"""How seaborn draws a table of `notebook.bands.draw_programs`."""
 LOOK: Any = {
     "font.size": 11,
     "axes.titlesize": 12,

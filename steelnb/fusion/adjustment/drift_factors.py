@@ -1,4 +1,4 @@
-"""Poses as variables of an adjustment (`fusion.problem`), and the factors of the drifting prior on them.
+"""Poses as variables of an adjustment (`fusion.adjustment.problem`), and the factors of the drifting prior on them.
 
 The step of a pose is that of `core.geometry`, in the world frame, with six numbers or the last four.
 
