@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, Segments, Trajectory
-from steelnb.fusion.adjustment import point_factors, problem, smooth, solver, uncertainty
+from steelnb.fusion import smooth
+from steelnb.fusion.adjustment import point_factors, problem, solver, uncertainty
 from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.sections.shapes import THICKNESS
 from steelnb.metrics import score_trajectory
