@@ -51,10 +51,11 @@ GATE = """
 import ctypes, os, pathlib, sys, time
 from steelnb.core.errors import InputError
 from steelnb.notebook import results
+from steelnb.notebook.progress import Progress
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
 assert "inline" in os.environ["MPLBACKEND"]
-progress = results.Progress(1, "tiny")
+progress = Progress(1, "tiny")
 progress.update(0.5)
 gate = pathlib.Path(f"gate-{trajectory}")
 if gate.exists():

@@ -15,7 +15,7 @@ from steelnb.fusion.sections.histogram import VIEWS
 from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
-from steelnb.simulation.members import PLATE, mesh_members
+from steelnb.simulation.members import ON_PLATE, mesh_members
 from tests import naive
 from tests.fusion.made import around, small_tower
 from tests.lattice import build_tubes
@@ -109,7 +109,7 @@ def decked_tower():
     both = len(tower.vertices) + np.array([[0, 1, 2], [0, 2, 3]])
     return replace(
         tower, vertices=corners, triangles=np.concatenate([tower.triangles, both]),
-        triangle_member=np.concatenate([tower.triangle_member, [PLATE, PLATE]]),
+        triangle_member=np.concatenate([tower.triangle_member, [ON_PLATE, ON_PLATE]]),
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from steelnb.simulation import Camera, build_tower, scan_flight
 from steelnb.simulation.camera import SAMPLES
 from steelnb.simulation.flight import HALF_BOX_M
 from steelnb.simulation.member_list import COLUMNS, joints_of_members
-from steelnb.simulation.members import GROUND, PLATE
+from steelnb.simulation.members import GROUND, ON_PLATE
 from steelnb.simulation.raycasting import cast_bundle, make_scene
 from steelnb.simulation.tower import half_width
 from tests.lattice import pieces_of
@@ -121,12 +121,12 @@ def test_walkways_of_half_a_metre_lie_on_the_arms(tower, scene):
     for z, (_, tip, deck) in ARMS_M.items():
         for x, y in itertools.product((-0.9, -0.4, 0.4, 0.9), (-0.2, 0.0, 0.2)):
             down, member = hit(scene, (x * tip, y, deck + 0.3), (0, 0, -1))
-            assert (down, member) == (pytest.approx(0.3, abs=0.04), PLATE), (x, y, z)
+            assert (down, member) == (pytest.approx(0.3, abs=0.04), ON_PLATE), (x, y, z)
         beside, member = hit(scene, (0.3 * tip, 0.35, deck + 0.1), (0, 0, -1))
-        assert member != PLATE or beside > 1.0, "not the triangle between the chords"
-    assert hit(scene, (2.0, 0.5, 12.2), (0, 0, -1)) == (pytest.approx(0.4, abs=0.06), PLATE)  # a balcony
+        assert member != ON_PLATE or beside > 1.0, "not the triangle between the chords"
+    assert hit(scene, (2.0, 0.5, 12.2), (0, 0, -1)) == (pytest.approx(0.4, abs=0.06), ON_PLATE)  # a balcony
     top = hit(scene, (1.1, 0.2, 16.5), (0, 0, -1)), hit(scene, (0.3, 0.4, 16.5), (0, 0, -1))
-    assert top == ((pytest.approx(0.47, abs=0.06), PLATE),) * 2
+    assert top == ((pytest.approx(0.47, abs=0.06), ON_PLATE),) * 2
 
 
 def test_the_floor_is_a_plate_of_six_metres_and_nothing_lies_beyond(scene):
@@ -188,7 +188,7 @@ def test_plates_of_a_list_return_light_and_are_no_members(tmp_path):
     """A wall of 2 × 2 m before one leg: returns, light between surfaces and grey levels, but of no member."""
     settings = listed(tmp_path, "leg,2,0,0,2,0,3,,,", "plate,1.5,-1,0,1.5,1,0,1.5,-1,2", "triangle,3,0,0,3,1,0,3,0,2")
     tower = build_tower(settings)
-    assert (tower.triangle_member == PLATE).sum() == 3
+    assert (tower.triangle_member == ON_PLATE).sum() == 3
     assert half_width(settings, 1.0) == 0.0
     T = np.eye(4)
     T[2, 3] = 1.0
@@ -202,7 +202,7 @@ def test_plates_of_a_list_return_light_and_are_no_members(tmp_path):
     assert visibility.returns.sum() == 0
     faulty = tof.replace(faults=("multipath",))
     np.testing.assert_allclose(scan_flight(tower, flight, faulty, 1)[0].range_m, plain.range_m, rtol=0.05)
-    member = np.full(len(points), PLATE)
+    member = np.full(len(points), ON_PLATE)
     assert not seen_members(tower.axes, points, member).visibility.returns.any()
     camera = CameraSettings(columns=80, rows=80, fov_horizontal_rad=0.8, fov_vertical_rad=0.8)
     grey = Camera(tower, camera).render(np.tile(T, (SAMPLES, 1, 1)))
