@@ -28,7 +28,7 @@ from steelnb.core.determinism import machine
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap, preprocess_scan, voxel_grid
 from steelnb.points.covariances import NEIGHBOURS, neighbour_covariances, regularised
-from steelnb.registration import align, make_target
+from steelnb.registration import AlignOptions, align, make_target
 from steelnb.settings import ExperimentSettings, PreprocessSettings
 
 ITERATIONS, TURN_RAD, MOVE_M = 50, np.radians(0.1), 1e-3
@@ -64,10 +64,8 @@ def ours(method: str, p: Problem) -> Done:
     goal = make_target(p.target, ERROR[method])
     covariances = regularised(neighbour_covariances(p.source)) if method == "gicp" else None
     prepared = time.process_time()
-    result = align(
-        p.source, goal, ERROR[method], np.eye(6), p.T_init, p.distance_m, covariances, math.inf, ITERATIONS,
-        TURN_RAD, MOVE_M,
-    )  # fmt: skip
+    options = AlignOptions(ERROR[method], np.eye(6), p.distance_m, math.inf, ITERATIONS, TURN_RAD, MOVE_M)
+    result = align(p.source, goal, p.T_init, options, covariances)
     return result.T_target_source, result.iterations, prepared
 
 

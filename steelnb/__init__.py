@@ -11,7 +11,8 @@ from steelnb.core.determinism import pin
 TYPE_CHECKING = False  # checkers assume true; importing `typing` takes 10 ms, in which Ctrl-C prints a traceback
 if TYPE_CHECKING:
     from steelnb.core.errors import InputError, SteelnbError
-    from steelnb.core.types import Estimate, Flight, Lines, OdometryStep, Scan, Segments, Trajectory
+    from steelnb.core.estimates import Estimate, OdometryStep
+    from steelnb.core.types import Flight, Lines, Scan, Segments, Trajectory
     from steelnb.experiment import Result, run
     from steelnb.fusion import SegmentMap
     from steelnb.fusion.adjustment.smooth import smooth
@@ -55,7 +56,8 @@ _MODULES = {
     ),
     "registration": ("RegistrationResult", "register"),
     "settings": ("ExperimentSettings", "OdometrySettings", "StructureSettings"),
-    "core.types": ("Estimate", "Flight", "Lines", "OdometryStep", "Scan", "Segments", "Trajectory"),
+    "core.estimates": ("Estimate", "OdometryStep"),
+    "core.types": ("Flight", "Lines", "Scan", "Segments", "Trajectory"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -6,7 +6,8 @@ from typing import cast
 
 from steelnb.core.cache import cached
 from steelnb.core.errors import InputError
-from steelnb.core.types import Estimate, Flight, Imu, RangeScans, Trajectory
+from steelnb.core.estimates import Estimate
+from steelnb.core.types import Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import Array, Estimate, Flight
+from steelnb.core.estimates import Estimate
+from steelnb.core.types import Array, Flight
 from steelnb.fusion.adjustment.drift_factors import yaw_of
 from steelnb.points import preprocess_scan
 from steelnb.settings import PreprocessSettings

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.types import Array, Estimate, Flight
+from steelnb.core.estimates import Estimate
+from steelnb.core.types import Array, Flight
 from steelnb.metrics.clouds import bend, largest_slip, paired_clouds
 from steelnb.metrics.segments import score_segments
 from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory

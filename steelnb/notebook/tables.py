@@ -31,7 +31,7 @@ def map_kind(settings: ExperimentSettings) -> str:
     forgets), or ``bars``."""
     chosen = settings.odometry
     if isinstance(chosen, RegistrationSettings | LoamSettings):
-        return "re-voxelised" if chosen.map == "re-voxelised" else "weighted"
+        return "re-voxelised" if chosen.registration.map == "re-voxelised" else "weighted"
     return "re-voxelised" if isinstance(chosen, ReportCloudSettings) else "bars"
 
 

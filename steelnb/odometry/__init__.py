@@ -6,8 +6,9 @@ from steelnb.odometry.deepvo.odometry import DeepVoOdometry
 from steelnb.odometry.faces.odometry import FaceOdometry
 from steelnb.odometry.libraries import PeerOdometry
 from steelnb.odometry.loam.odometry import LoamOdometry
-from steelnb.odometry.methods import correct, load_odometry, make_odometry
+from steelnb.odometry.methods import correct, make_odometry
 from steelnb.odometry.orb.odometry import OrbOdometry
+from steelnb.odometry.plugins import load_odometry
 from steelnb.odometry.report.clouds import ReportCloudOdometry
 from steelnb.odometry.report.segments import ReportSegmentOdometry
 from steelnb.odometry.run import run

@@ -8,7 +8,8 @@ import numpy as np
 
 from steelnb.core.checks import checked_cloud, checked_pose
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array, OdometryStep, Scan, Segments
+from steelnb.core.estimates import OdometryStep
+from steelnb.core.types import Array, Scan, Segments
 from steelnb.settings import OdometrySettings
 
 SPACING_M = 0.05

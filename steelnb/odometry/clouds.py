@@ -1,6 +1,7 @@
 """Odometry by clouds: the report's section 3.3, with one loop for all methods."""
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -8,41 +9,77 @@ from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
-from steelnb.registration import FREE, AnyTarget, RegistrationResult, Target, align
+from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
 INLIER_SHARE_MIN = 0.3
 """Minimum share of a scan's points that find a correspondence. LOAM as published has no such bound."""
-POINTS_MIN = {False: 10, True: 100}
-"""Whether the prediction has a stated uncertainty → minimum number of points of a scan. With one, 8 × 8 pixels are too
-few: they sample a surface more coarsely than the map's voxels."""
-NORMALS_MIN = 0.05
-"""Minimum strength of the normals along a direction, relative to the strongest one, for a scan to correct a prediction
-with a stated uncertainty there (`unobserved_shifts`). It is up to 0.02 along a noisy wall, and in front of the report's
-tower at least 0.18, or 0.06 with the report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
 JUMP_MAX_VOXELS = 10
 """Maximum accepted distance of a registration from its prediction, in voxels of the map."""
-ITERATIONS_MAX = {"xyz": 200, "xyz_yaw": 150, "se3": 150}
-"""Degrees of freedom → maximum number of iterations of the solver, as in the report's programs."""
-ITERATIONS_MEASURED = 20
-"""Maximum number of iterations with a ``measured`` map, whose solver extrapolates its steps."""
-EPSILONS = {False: (1e-4, 2e-4), True: (5e-4, 7e-4)}
-"""Whether the map is ``measured`` → rotation epsilon (rad) and translation epsilon (m) of the solver."""
+
+
+class MapStyle(NamedTuple):
+    """How the map is built, and how scans are registered to it.
+
+    ``accumulate``: a voxel's mean is that of all its points (`VoxelMap`). ``covariances`` of GICP: ``neighbours``,
+    those of the nearest neighbours, regularised to planes; ``measured``, those of the points accumulated around each
+    voxel for the target, and of the range noise for the source. ``near_side``: move points by the near-side bias
+    (`steelnb.odometry.near_side`). ``accelerated`` and what follows are the solver's (`AlignOptions`);
+    ``iterations_max`` is by degrees of freedom.
+    """
+
+    accumulate: bool
+    covariances: Literal["neighbours", "measured"]
+    near_side: bool
+    accelerated: bool
+    iterations_max: Mapping[str, int]
+    rotation_epsilon_rad: float
+    translation_epsilon_m: float
+
+
+RE_VOXELISED = MapStyle(
+    accumulate=False, covariances="neighbours", near_side=False, accelerated=False,
+    iterations_max={"xyz": 200, "xyz_yaw": 150, "se3": 150},
+    rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
+)  # fmt: skip
+"""The map of the report's programs, with their maximum numbers of iterations."""
+WEIGHTED = RE_VOXELISED._replace(accumulate=True)
+MEASURED = MapStyle(
+    accumulate=True, covariances="measured", near_side=True, accelerated=True,
+    iterations_max={"xyz": 20, "xyz_yaw": 20, "se3": 20}, rotation_epsilon_rad=5e-4, translation_epsilon_m=7e-4,
+)  # fmt: skip
+"""A model of bars and of the sensor's noise. Extrapolated steps need fewer iterations."""
+MAPS = {"re-voxelised": RE_VOXELISED, "weighted": WEIGHTED, "measured": MEASURED}
+"""The setting ``map`` → its style."""
+
+
+class Evidence(NamedTuple):
+    """What a scan must show to correct its prediction: a minimum number of points, and a minimum strength of the
+    normals along a direction, relative to the strongest one (`unobserved_shifts`), for a correction along it by
+    GICP."""
+
+    points_min: int
+    normals_min: float
+
+
+UNANCHORED = Evidence(points_min=10, normals_min=0.0)
+"""For a prediction without a stated uncertainty."""
+ANCHORED = Evidence(points_min=100, normals_min=0.05)
+"""For a prediction with one. 8 × 8 pixels are too few: they sample a surface more coarsely than the map's voxels. The
+normals' strength is up to 0.02 along a noisy wall, and in front of the report's tower at least 0.18, or 0.06 with the
+report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
 
 
 class CloudOdometry(BaseOdometry):
     """Registers each scan to the map of the scans before it.
 
-    The covariances of GICP are those of the nearest neighbours, regularised to planes. With a ``measured`` map, the
-    target's are those of the points accumulated around each voxel, and the source's follow from the range noise. Then,
-    points are moved by the near-side bias (`near_side`), and the solver extrapolates and stops earlier (`EPSILONS`).
-
-    Settings are of the family of clouds or faces. ``imu``: readings in the drone frame, used up to the current scan if
-    the settings have ``inertial``.
+    The setting ``map`` selects a `MapStyle`, and the prediction an `Evidence`. Settings are of the family of clouds or
+    faces. ``imu``: readings in the drone frame, used up to the current scan if the settings have ``inertial``.
     """
 
     kind: ClassVar[type[OdometrySettings]] = RegistrationSettings
@@ -55,18 +92,26 @@ class CloudOdometry(BaseOdometry):
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
         super().__init__(settings, T_drone_sensor)
-        s = self.settings
-        self.measured = s.map == "measured"
-        iterations_max = ITERATIONS_MEASURED if self.measured else ITERATIONS_MAX[s.dof]
-        self.stop = iterations_max, *EPSILONS[self.measured]
-        self.map = VoxelMap(s.map_voxel_m, s.map != "re-voxelised")
+        s = self.settings.registration
+        self.style = style = MAPS[s.map]
+        self.map = VoxelMap(s.map_voxel_m, style.accumulate)
         self.prediction = make_prediction(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.free = FREE["se3" if self.prediction.tilted else s.dof]
+        self.evidence = ANCHORED if self.prediction.known else UNANCHORED
+        self.options = AlignOptions(
+            s.error, FREE["se3" if self.prediction.tilted else s.dof], s.max_correspondence_m, s.robust_scale or np.inf,
+            style.iterations_max[s.dof], style.rotation_epsilon_rad, style.translation_epsilon_m, style.accelerated,
+            self.evidence.normals_min if s.error == "gicp" else 0.0,
+        )  # fmt: skip
+        self.sigma_filter_px = s.sigma_filter_px
         self.near_side = NearSide()
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        return self.corrected(scan, prior, watch)
+
+    def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+        """What `update` does with a checked scan; also for an odometry that falls back on this one."""
         T_init = self.prediction.pose(prior, scan.stamp_s)
-        if self.measured:
+        if self.style.near_side:
             self.near_side.update(scan.points)
         points = self.preprocessed(scan, T_init)
         watch.lap("preprocess")
@@ -78,7 +123,7 @@ class CloudOdometry(BaseOdometry):
         if result and not reason:
             T_world_drone, unobserved = result.T_target_source, len(result.unobserved)
             arm = T_world_drone[:3, 3] - result.centre
-            self.prediction.correct(T_world_drone, prior, result.unobserved, result.H, arm)
+            self.prediction.correct(RegisteredPose(T_world_drone, result.unobserved, result.H, arm))
         else:
             self.prediction.lose()
         if reason in ("", "first scan") and len(points):
@@ -89,10 +134,10 @@ class CloudOdometry(BaseOdometry):
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
         near-side shift. ``T_world_drone (4, 4)`` is an estimate, to cut off the floor."""
-        if self.settings.sigma_filter_px:
-            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.settings.sigma_filter_px), scan.fault)
+        if self.sigma_filter_px:
+            scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.sigma_filter_px), scan.fault)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
-        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.measured else points
+        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.style.near_side else points
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
         """The part of the map that a scan may see, None if empty, and the covariances of the scan's points."""
@@ -100,9 +145,9 @@ class CloudOdometry(BaseOdometry):
         if not len(chosen):
             return None, None
         tree = build_kdtree(self.map.means(chosen))
-        if self.settings.error != "gicp":
+        if self.options.error != "gicp":
             return Target(tree), None
-        if not self.measured:
+        if self.style.covariances == "neighbours":
             return Target.with_planes(tree), regularised(neighbour_covariances(points))
         shapes = VoxelShapes(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
         return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
@@ -113,7 +158,7 @@ class CloudOdometry(BaseOdometry):
             return np.zeros(0, dtype=np.int64)
         world = points @ T_init[:3, :3].T + T_init[:3, 3]
         low, high = world.min(axis=0), world.max(axis=0)
-        reach_m = float((high - low).max() / 2 + 2 * self.settings.max_correspondence_m)
+        reach_m = float((high - low).max() / 2 + 2 * self.options.max_correspondence_m)
         return voxels.near((low + high) / 2, reach_m)
 
     def _ray_covariances(self, points: Array) -> Array:
@@ -131,24 +176,19 @@ class CloudOdometry(BaseOdometry):
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
     ) -> tuple[RegistrationResult | None, str]:
         """The registration of a scan, and the reason if it is not used."""
-        s, known = self.settings, self.prediction.known
-        if len(points) < POINTS_MIN[known]:
+        if len(points) < self.evidence.points_min:
             return None, "too few points"
         if not self.mapped:
             return None, "first scan"
         if target is None:
             return None, "no map in sight"
-        result = align(
-            points, target, s.error, self.free, T_init, s.max_correspondence_m, covariance,
-            s.robust_scale or np.inf, *self.stop, self.measured,
-            self.prediction.terms(T_init, points), NORMALS_MIN if known and s.error == "gicp" else 0.0,
-        )  # fmt: skip
+        result = align(points, target, T_init, self.options, covariance, self.prediction.terms(T_init, points))
         jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
         if result.inliers < self.inliers_min * len(points):
             return result, "too little overlap"
         if result.reason in ("singular", "too few pairs") or not np.isfinite(result.T_target_source).all():
             return result, result.reason
-        return result, f"jump of {jump_m:.2f} m" if jump_m > JUMP_MAX_VOXELS * s.map_voxel_m else ""
+        return result, f"jump of {jump_m:.2f} m" if jump_m > JUMP_MAX_VOXELS * self.settings.map_voxel_m else ""
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""

@@ -5,7 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
-from steelnb.odometry.imu_filter import NONE, InertialPrediction
+from steelnb.odometry.imu_filter import InertialPrediction
+from steelnb.odometry.prediction import Prediction, RegisteredPose
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
 
@@ -16,18 +17,17 @@ PRIOR_SIGMA = 0.05, 0.02
 the development seeds 11 and 12."""
 
 
-class Prediction:
+class DriftPrediction:
     """Alpha-beta filter of the correction of a drifting prior, with alpha = 1 and beta = `DRIFT_GAIN`.
 
     The correction turns the drone about itself and then moves it, both in the world frame. With a ``prior_sigma``
     (metres and radians), the filter estimates the drift rate and predicts with it; otherwise it predicts the last
     correction. A solver that starts behind the drift also stops slightly behind it, in every scan. The map retains
     these errors, so they accumulate under a constant drift. After a scan that was not registered, the rate is not used.
+    Along unobserved directions, the rate is unknown.
 
     If ``tilt_sigma_rad`` is above 0, the prior's roll and pitch have errors: a Gauss-Markov process with that standard
-    deviation and the correlation time `fusion.poses.TILT_S`. Their correction decays and has no rate.
-
-    `pose` may be called repeatedly; `correct` or `lose` ends the scan.
+    deviation and the correlation time `drift_factors.TILT_S`. Their correction decays and has no rate.
     """
 
     def __init__(self, prior_sigma: tuple[float, float] | None, tilt_sigma_rad: float = 0.0) -> None:
@@ -41,6 +41,7 @@ class Prediction:
         self.offset_rate, self.turn_rate = np.zeros(3), np.zeros(3)
         self._followed = False
         self._last_s = self._current_s = np.nan  # stamps of the last scan and of the predicted one
+        self._prior = self._pose = np.eye(4)  # at the last scan
 
     def pose(self, prior: Array, stamp_s: float) -> Array:
         """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior``. The information about
@@ -57,6 +58,7 @@ class Prediction:
             self.information[[0, 1], [0, 1]] = 1.0 / float(self.tilt_sigma_rad**2 * changed)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = turn @ prior[:3, :3], prior[:3, 3] + offset
+        self._prior, self._pose = prior, T.copy()
         return T
 
     def terms(self, T_predicted: Array, points: Array) -> list[Term]:
@@ -64,11 +66,9 @@ class Prediction:
         frame. Empty if the prediction has no stated uncertainty."""
         return [prior_term(self.information, T_predicted, points)] if self.known else []
 
-    def correct(
-        self, T_world_drone: Array, prior: Array, unobserved: Array = NONE, H: Array = NONE, arm: Array = NONE
-    ) -> None:
-        """Update with the pose of a registered scan. ``unobserved (u, 3)``: unit vectors along which the pose is the
-        predicted one, so the drift rate is unknown. Only `InertialPrediction` uses ``H`` and ``arm``."""
+    def correct(self, registered: RegisteredPose) -> None:
+        """Update with the pose of a registered scan."""
+        T_world_drone, prior, unobserved = registered.T_world_drone, self._prior, registered.unobserved
         turn, offset = T_world_drone[:3, :3] @ prior[:3, :3].T, T_world_drone[:3, 3] - prior[:3, 3]
         if self._followed:  # a jump after a gap is not a rate
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
@@ -78,21 +78,22 @@ class Prediction:
                 self.turn_rate[:2] = 0.0
         self.offset_rate = self.offset_rate - unobserved.T @ (unobserved @ self.offset_rate)
         self.turn, self.offset, self._followed, self._last_s = turn, offset, True, self._current_s
+        self._pose = T_world_drone
 
     def lose(self) -> None:
         """Update with a scan that was not registered."""
         self._followed, self._last_s = False, self._current_s
 
-    def adjust(self, T_correction: Array, T_world_drone: Array, prior: Array, variance: Array) -> None:
-        """Continue from an adjusted pose ``T_correction @ T_world_drone``, without a change of the drift rate."""
+    def adjust(self, T_correction: Array, variance: Array) -> None:
+        """Continue from an adjusted pose, without a change of the drift rate; this filter has no variance."""
         self.lose()
-        self.correct(T_correction @ T_world_drone, prior)
+        self.correct(RegisteredPose(T_correction @ self._pose))
 
 
 def make_prediction(
     prior_sigma: tuple[float, float] | None, tilt_sigma_rad: float, noise: ImuSettings | None, imu: Imu | None
-) -> Prediction | InertialPrediction:
+) -> Prediction:
     """Prediction from the readings of an ``imu`` if its ``noise`` is known, else from the drifting prior."""
     if noise is not None and imu is not None:
         return InertialPrediction(imu, noise)
-    return Prediction(prior_sigma, tilt_sigma_rad)
+    return DriftPrediction(prior_sigma, tilt_sigma_rad)

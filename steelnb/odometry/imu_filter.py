@@ -24,11 +24,10 @@ from steelnb.fusion.adjustment.drift_factors import (
     yaw_of,
 )
 from steelnb.fusion.adjustment.imu_factors import SIGMA_MIN, gaps, integrated, integration_covariances
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 
-NONE = np.zeros((0, 3))
-"""No directions."""
 ROTATION, POSITION, VELOCITY, GYRO, FORCE = (slice(k, k + 3) for k in range(0, 15, 3))
 POSE, BIAS, SIZE = slice(0, 6), slice(9, 15), 15
 """Slices of the errors of a state: rotation (rad), position (m) and velocity (m/s) in the world frame, biases of the
@@ -50,10 +49,7 @@ class State(NamedTuple):
 
 
 class InertialPrediction:
-    """Predicts the pose of each scan from the readings of an ``imu``; ``noise`` is that of its data sheet.
-
-    It has the same methods as `prediction.Prediction`.
-    """
+    """Predicts the pose of each scan from the readings of an ``imu``; ``noise`` is that of its data sheet."""
 
     known = tilted = True
 
@@ -86,23 +82,19 @@ class InertialPrediction:
 
         return [cost]
 
-    def correct(self, T_world_drone: Array, prior: Array, unobserved: Array, H: Array, arm: Array) -> None:
-        """Update with the maximum a posteriori pose of a registered scan.
-
-        ``H (6, 6)`` is the joint information of prediction and registration about rotation and shift of a point;
-        ``arm (3,)`` is the vector from there to the drone. Along the unit vectors ``unobserved (u, 3)``, the pose is
-        the prediction's.
-        """
+    def correct(self, registered: RegisteredPose) -> None:
+        """Update with the maximum a posteriori pose of a registered scan."""
+        T_world_drone, unobserved, H, arm = registered
         observed, predicted = np.eye(6), self.information
         observed[3:, 3:] -= unobserved.T @ unobserved
-        registered = observed @ (information_at(H, arm) - predicted) @ observed
+        added = observed @ (information_at(H, arm) - predicted) @ observed
         self.lose()
         assert self.state is not None
         P = self.state.covariance
         before = P[POSE, POSE]
         gain = np.linalg.solve(before, P[POSE]).T  # of all errors, from those of the pose
         step = gain @ _difference(self.state.T_world_drone, T_world_drone)
-        P = P + gain @ (np.linalg.inv(predicted + registered) - before) @ gain.T
+        P = P + gain @ (np.linalg.inv(predicted + added) - before) @ gain.T
         self.state = self.state._replace(
             T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
             bias=self.state.bias + step[BIAS], covariance=0.5 * (P + P.T),
@@ -119,7 +111,7 @@ class InertialPrediction:
         """Update with a scan that was not registered: continue from its prediction."""
         self.state = self.predicted
 
-    def adjust(self, T_correction: Array, T_world_drone: Array, prior: Array, variance: Array) -> None:
+    def adjust(self, T_correction: Array, variance: Array) -> None:
         """Move the state by ``T_correction (4, 4)``, world frame, and add a ``variance (6,)`` of rotation and position
         of the drone."""
         assert self.state is not None

@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+from steelnb.core.estimates import Estimate, OdometryStep
+from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.odometry.base import Odometry
 
 OnStep = Callable[[int, Scan, OdometryStep], None]

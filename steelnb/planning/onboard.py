@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from steelnb.core.types import Array, Imu, OdometryStep, Scan
+from steelnb.core.estimates import OdometryStep
+from steelnb.core.types import Array, Imu, Scan
 from steelnb.odometry import make_odometry
 from steelnb.planning.planner import Decision, Planner
 from steelnb.points import preprocess_scan

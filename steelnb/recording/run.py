@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import odometry
 from steelnb.core.errors import InputError
+from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.files import new_folder
-from steelnb.core.types import Estimate, Flight, OdometryStep, Scan, Segments, Trajectory
+from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure

@@ -2,10 +2,10 @@
 
 from steelnb.registration.icp import register
 from steelnb.registration.pcl import Aligned, gicp_as_pcl, icp_as_pcl
-from steelnb.registration.solver import FREE, RegistrationResult, Term, align, prior_term
+from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, Term, align, prior_term
 from steelnb.registration.target import AnyTarget, Target, make_target
 
 __all__ = [
-    "FREE", "Aligned", "AnyTarget", "RegistrationResult", "Target", "Term", "align", "gicp_as_pcl",
-    "icp_as_pcl", "make_target", "prior_term", "register",
+    "FREE", "AlignOptions", "Aligned", "AnyTarget", "RegistrationResult", "Target", "Term", "align",
+    "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration.solver import FREE, RegistrationResult, align, pairs_needed
+from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import finite, make_target
 
 METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
@@ -74,7 +74,7 @@ def register(
         if len(cloud) < points_min:
             raise InputError(f"{name}: {len(cloud)} finite points, expected at least {points_min}")
     covariance = regularised(neighbour_covariances(points)) if error == "gicp" else None
-    return align(
-        points, make_target(there, error), error, free, T, max_correspondence_m, covariance, robust_scale,
-        iterations_max, rotation_epsilon_rad, translation_epsilon_m,
-    )  # fmt: skip
+    options = AlignOptions(
+        error, free, max_correspondence_m, robust_scale, iterations_max, rotation_epsilon_rad, translation_epsilon_m
+    )
+    return align(points, make_target(there, error), T, options, covariance)

@@ -60,36 +60,44 @@ class Normal(NamedTuple):
     inliers: int
 
 
-def align(
-    source: Array,
-    target: AnyTarget,
-    error: str,
-    free: Array,
-    T_init: Array,
-    max_correspondence_m: float,
-    source_covariance: Array | None = None,
-    robust_scale: float = math.inf,
-    iterations_max: int = 50,
-    rotation_epsilon_rad: float = math.radians(0.1),
-    translation_epsilon_m: float = 1e-3,
-    accelerated: bool = False,
-    terms: Sequence[Term] = (),
-    normals_min: float = 0.0,
-) -> RegistrationResult:
-    """Register ``source (N, 3)`` to a target from ``T_init`` by Gauss–Newton. Its arguments are not checked.
+@dataclass(frozen=True)
+class AlignOptions:
+    """What to minimise, along which directions, and when to stop. The values are not checked.
 
     Parameters
     ----------
     error: ``point``, ``plane`` or ``gicp``.
     free: columns ``(6, k)`` that span the free twists about the mean of the source, such as those of `FREE`.
     max_correspondence_m: maximum distance of a pair, metres.
-    source_covariance: ``(N, 6)`` upper triangles in m², for ``gicp``.
     robust_scale: scale of the Geman-McClure weights, in metres, for ``gicp`` in standard deviations.
     rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration, as in small_gicp.
     accelerated: extrapolate steps that shrink at a constant rate (`_extrapolated`).
-    terms: additional costs.
     normals_min: if above 0, ``gicp`` leaves out translations that the surfaces do not determine
         (`degeneracy.unobserved_shifts`).
+    """
+
+    error: str
+    free: Array
+    max_correspondence_m: float
+    robust_scale: float = math.inf
+    iterations_max: int = 50
+    rotation_epsilon_rad: float = math.radians(0.1)
+    translation_epsilon_m: float = 1e-3
+    accelerated: bool = False
+    normals_min: float = 0.0
+
+
+def align(
+    source: Array,
+    target: AnyTarget,
+    T_init: Array,
+    options: AlignOptions,
+    source_covariance: Array | None = None,
+    terms: Sequence[Term] = (),
+) -> RegistrationResult:
+    """Register ``source (N, 3)`` to a target from ``T_init`` by Gauss–Newton. Its arguments are not checked.
+
+    ``source_covariance (N, 6)``: upper triangles in m², for the error ``gicp``; ``terms``: additional costs.
 
     A step that raises the loss of the same pairs is rejected, and the next one is damped (Levenberg–Marquardt).
     """
@@ -97,8 +105,8 @@ def align(
     covariance = np.ascontiguousarray(np.zeros((0, 6)) if source_covariance is None else source_covariance)
     mean, length_m = mean_and_length(source)
     metric = np.array([length_m] * 3 + [1.0] * 3)
-    limit, inliers_min = float(max_correspondence_m), pairs_needed(error, free)
-    search, basis = target.search(source, limit), scaled_basis(free, metric)
+    error, free, limit = options.error, options.free, float(options.max_correspondence_m)
+    search, basis, inliers_min = target.search(source, limit), scaled_basis(free, metric), pairs_needed(error, free)
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
     reason, damping, previous_step, unobserved = "iterations exhausted", 0.0, None, np.zeros((0, 3))
@@ -108,17 +116,17 @@ def align(
         H, b, centre = np.zeros((6, 6)), np.zeros(6), T[:3, :3] @ mean + T[:3, 3]
         loss, inliers = kernels.linearise(
             ERRORS[error], source, covariance, target.point, target.normal, target.covariance, match, T, R, centre,
-            limit, float(robust_scale), H, b,
+            limit, float(options.robust_scale), H, b,
         )  # fmt: skip
         for term in terms:
             H_term, b_term, loss_term = term(T, centre)
             H, b, loss = H + H_term, b + b_term, loss + loss_term
         return Normal(H, b, centre, loss, inliers)
 
-    for iterations in range(1, iterations_max + 1):
+    for iterations in range(1, options.iterations_max + 1):
         match = search(T)
-        if iterations == 1 and normals_min > 0:
-            unobserved = unobserved_shifts(target.covariance, match, normals_min)
+        if iterations == 1 and options.normals_min > 0:
+            unobserved = unobserved_shifts(target.covariance, match, options.normals_min)
             basis = scaled_basis(without_shifts(free, unobserved), metric)
         here = linearise(T, match, T[:3, :3], limit)
         if here.inliers < inliers_min:
@@ -134,10 +142,11 @@ def align(
         if step is None:
             reason = "singular"
             break
-        if accelerated:
+        if options.accelerated:
             step, previous_step = _extrapolated(step, previous_step, metric)
         T = exp_about(here.centre, step) @ T
-        if np.linalg.norm(step[:3]) < rotation_epsilon_rad and np.linalg.norm(step[3:]) < translation_epsilon_m:
+        turn_rad, move_m = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        if turn_rad < options.rotation_epsilon_rad and move_m < options.translation_epsilon_m:
             reason = "converged"
             break
     here = linearise(T, match, T[:3, :3], limit)

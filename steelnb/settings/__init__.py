@@ -8,36 +8,26 @@ from typing import get_args
 
 from steelnb.settings.base import Settings, parse_parameter
 from steelnb.settings.experiment import ExperimentSettings
+from steelnb.settings.flight import FlightSettings, TrajectoryName
+from steelnb.settings.noise import REPORT_NOISE, Noise
 from steelnb.settings.odometry import (
     CloudSettings,
     DeepVoSettings,
     FaceSettings,
-    FusionSettings,
-    HoughSettings,
     LibrarySettings,
     LoamSettings,
     OdometrySettings,
     OrbSettings,
-    PreprocessSettings,
     RegistrationSettings,
     ReportCloudSettings,
     ReportSegmentSettings,
     SegmentSettings,
-    StructureSettings,
 )
 from steelnb.settings.presets import METHODS, SENSORS, read_tables
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.settings.world import (
-    REPORT_NOISE,
-    CameraSettings,
-    FlightSettings,
-    ImuSettings,
-    Noise,
-    TofFault,
-    TofSettings,
-    TowerSettings,
-    TrajectoryName,
-)
+from steelnb.settings.sensors import CameraSettings, ImuSettings, TofFault, TofSettings
+from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
+from steelnb.settings.tower import TowerSettings
 
 TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
 

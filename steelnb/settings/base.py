@@ -56,7 +56,7 @@ class Settings(BaseModel):
         inner: dict[str, dict[str, Any]] = {}
         for path, value in overrides.items():
             name, _, rest = path.partition(".")
-            if rest and isinstance(getattr(self, name, None), Settings):
+            if rest and name in type(self).model_fields and isinstance(getattr(self, name), Settings):
                 inner.setdefault(name, {})[rest] = value
             else:
                 changes[path] = as_tuples(value)

@@ -6,9 +6,12 @@ from pydantic import model_validator
 
 from steelnb.core import rng
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
+from steelnb.settings.flight import FlightSettings, TrajectoryName
+from steelnb.settings.noise import Noise
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.report_plots import STEP_S, ReportPlot
-from steelnb.settings.world import FlightSettings, ImuSettings, Noise, TofSettings, TowerSettings, TrajectoryName
+from steelnb.settings.sensors import ImuSettings, TofSettings
+from steelnb.settings.tower import TowerSettings
 
 
 class ExperimentSettings(Settings):

@@ -1,59 +1,23 @@
-"""Settings of the estimators, one class per family of methods, and of the reconstruction. Lengths in metres, angles in
-radians."""
+"""Settings of the odometries, one class per family of methods. Lengths in metres, angles in radians."""
 
+from abc import abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
 from steelnb.core.errors import InputError
 from steelnb.settings.base import (
-    Finite,
     NotNegative,
     OrNone,
     Positive,
-    Probability,
     Settings,
     quoted,
 )
 from steelnb.settings.presets import method_preset, sensor_preset
-from steelnb.settings.world import ImuSettings
+from steelnb.settings.sensors import ImuSettings
+from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings
 
 SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
-
-
-class PreprocessSettings(Settings):
-    """Pass-through box of ±``crop_m`` in the drone frame, floor in the world frame, voxel grid."""
-
-    crop_m: Positive = 6.0
-    floor_m: Finite = 0.3
-    voxel_leaf_m: Positive = 0.05
-
-
-class HoughSettings(Settings):
-    """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments.
-
-    ``dx_m`` is the cell width of the transform and the maximum root mean square radius of a segment. ``granularity`` is
-    how often the icosahedron of directions is subdivided. With ``skip_weak``, a line with too few points is dropped and
-    the search goes on; in the original, such a line ends the search.
-    """
-
-    dx_m: Positive = 0.07
-    min_votes: Annotated[int, Field(ge=2)] = 20
-    max_lines: Annotated[int, Field(ge=1)] = 40
-    granularity: Annotated[int, Field(ge=0, le=6)] = 4
-    gap_max_m: Positive = 0.25
-    pca_ratio_min: Probability = 0.98
-    density_min_per_m: NotNegative = 0.0
-    length_min_m: NotNegative = 0.0
-    skip_weak: bool = False
-
-
-class FusionSettings(Settings):
-    """Gates of a segment and a mapped bar: angle, and perpendicular distance, plus both radii if ``add_radii``."""
-
-    angle_max_rad: Positive = 0.13962634015954636  # 8 degrees
-    distance_max_m: Positive = 0.15
-    add_radii: bool = False
 
 
 def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
@@ -121,6 +85,11 @@ class MapSettings(OdometrySettings):
     max_correspondence_m: Positive = 0.3
     map_voxel_m: Positive = 0.1
 
+    @property
+    @abstractmethod
+    def registration(self) -> "RegistrationSettings":
+        """All settings of the registration, with those that a family fixes."""
+
 
 class RegistrationSettings(MapSettings):
     """Registration of each scan to a voxel map.
@@ -143,6 +112,11 @@ class RegistrationSettings(MapSettings):
     tilt_sigma_rad: NotNegative = 0.0
     inertial: Inertial = None
 
+    @property
+    def registration(self) -> "RegistrationSettings":
+        """These settings: none is fixed."""
+        return self
+
 
 class CloudSettings(RegistrationSettings):
     """Odometry by clouds (`steelnb.odometry.clouds`)."""
@@ -157,18 +131,18 @@ class FaceSettings(RegistrationSettings):
 
 
 class LoamSettings(MapSettings):
-    """LOAM (`steelnb.odometry.loam`). The other settings of `RegistrationSettings` are fixed."""
+    """LOAM (`steelnb.odometry.loam`). The other settings of a registration are fixed."""
 
     family: ClassVar[str] = "loam"
 
-    error: ClassVar[Literal["gicp"]] = "gicp"
-    dof: ClassVar[Literal["se3"]] = "se3"
-    robust_scale: ClassVar[float] = 5.0
-    map: ClassVar[Literal["weighted"]] = "weighted"
-    sigma_filter_px: ClassVar[int] = 0
-    prior_sigma: ClassVar[None] = None
-    tilt_sigma_rad: ClassVar[float] = 0.0
-    inertial: ClassVar[None] = None
+    @property
+    def registration(self) -> RegistrationSettings:
+        """Features are matched like distributions, as `steelnb.odometry.loam.target` makes covariances of them."""
+        return RegistrationSettings(
+            method=self.method, preprocess=self.preprocess, smooth=self.smooth,
+            max_correspondence_m=self.max_correspondence_m, map_voxel_m=self.map_voxel_m,
+            error="gicp", dof="se3", robust_scale=5.0, map="weighted",
+        )  # fmt: skip
 
 
 class OrbSettings(OdometrySettings):
@@ -230,21 +204,3 @@ Family = (
 )  # fmt: skip
 FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Family)}
 """Family → its settings."""
-
-
-THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
-"""Bounds of the thickness of angle sections, a share of their flanges."""
-
-
-class StructureSettings(Settings):
-    """The final reconstruction (`steelnb.fusion.reconstruct`).
-
-    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: first adjust poses
-    and bars together, if the poses were corrected but not smoothed. ``thickness``: that of angle sections, a share of
-    their flanges, by default a usual one; an adjustment estimates it anew.
-    """
-
-    floor_m: Finite = 0.2
-    range_max_m: Positive = 6.0
-    adjust: bool = False
-    thickness: Annotated[float, Field(ge=THICKNESS_MIN, le=THICKNESS_MAX)] | None = None

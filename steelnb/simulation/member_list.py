@@ -22,7 +22,7 @@ from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
 from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
-from steelnb.settings.world import Kind
+from steelnb.settings.tower import Kind
 from steelnb.simulation.members import Member, make_member, unit
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]

@@ -110,7 +110,8 @@ def test_a_scan_that_cannot_be_registered_keeps_the_prior_and_stays_out_of_the_m
 def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
     # Without prediction, every frame starts and ends slightly behind, and the map accumulates that.
     _, flight, truth = world
-    monkeypatch.setattr(clouds, "ITERATIONS_MEASURED", 3)
+    hasty = clouds.MEASURED._replace(iterations_max={"xyz_yaw": 3})
+    monkeypatch.setitem(clouds.MAPS, "measured", hasty)
     odometry, _, error = run.__wrapped__("best")
     monkeypatch.setattr(drift_filter, "DRIFT_GAIN", 0.0)
     behind = run.__wrapped__("best")[2]

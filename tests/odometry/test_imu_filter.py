@@ -11,7 +11,8 @@ from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.imu_filter import BIAS, NONE, POSE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import BIAS, POSE, InertialPrediction, information_at
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.points import VoxelMap
 from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
@@ -56,7 +57,7 @@ def flown(imu, true, stamp_s, prior, rng=None, registered=lambda k: True):
         # The most likely pose, as found by a registration with the filter's term.
         before = np.linalg.inv(ahead.covariance[POSE, POSE])
         step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
-        prediction.correct(exp_about(T_init[:3, 3], step) @ T_init, prior[k], NONE, before + TOLD, np.zeros(3))
+        prediction.correct(RegisteredPose(exp_about(T_init[:3, 3], step) @ T_init, H=before + TOLD))
     return prediction, found
 
 
@@ -113,9 +114,7 @@ def test_a_shift_that_a_scan_does_not_observe_stays_as_unsure_as_it_was():
     prediction.pose(true[5], stamp_s[5])
     before = prediction.predicted.covariance
     along = np.array([[0.6, 0.8, 0.0]])
-    prediction.correct(
-        prediction.predicted.T_world_drone, true[5], along, prediction.information + TOLD, np.zeros(3)
-    )  # fmt: skip
+    prediction.correct(RegisteredPose(prediction.predicted.T_world_drone, along, prediction.information + TOLD))
     after = prediction.state.covariance
     pose = np.linalg.inv(after[POSE, POSE]) - np.linalg.inv(before[POSE, POSE])
     u = np.append(np.zeros(3), along)
@@ -166,9 +165,9 @@ def test_bars_correct_a_pose_that_clouds_have_led_astray_while_the_filter_was_su
     located, begin, end, error_m = estimator._located, 33, 45, []
     for k in range(end + 3):
         if k == begin:  # from here on, only clouds are registered, to a map that lies 8 cm higher
-            elsewhere = VoxelMap(estimator.map.voxel_m, estimator.map.accumulate)
+            elsewhere = VoxelMap(estimator.clouds.map.voxel_m, estimator.clouds.map.accumulate)
             elsewhere.insert(estimator.map_points() + np.array([0.0, 0.0, 0.08]))
-            estimator.map = elsewhere
+            estimator.clouds.map = elsewhere
         estimator._located = (lambda *_: None) if begin <= k < end else located
         estimator.update(flight.scans[k], flight.prior.T_world_drone[k])
         state = estimator.prediction.state

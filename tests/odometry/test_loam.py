@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,7 +51,7 @@ def test_a_wall_constrains_only_the_direction_of_its_normal():
     prior[:, 2, 3] = 3.0
     prior[:, :3, 3] += np.arange(6)[:, None] * [0.02, 0.01, 0.0]
     odometry = LoamOdometry()
-    odometry.free = FREE["xyz"]
+    odometry.options = replace(odometry.options, free=FREE["xyz"])
     for T in prior:
         depth = 2.0 + noise.normal(0, 0.002, (40, 60, 1))  # the drone stands still, and the prior drifts
         found = odometry.update(depth * ray, T).T_world_drone

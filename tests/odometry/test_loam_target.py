@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.odometry.loam.target import FeatureTarget
-from steelnb.registration import FREE, align
+from steelnb.registration import FREE, AlignOptions, align
 from tests.naive import full
 
 NONE = np.zeros((0, 3))
@@ -53,7 +53,7 @@ def test_lines_of_different_directions_determine_the_pose(dof):
     source = (points_on(LINES)[::2] - T[:3, 3]) @ T[:3, :3]
     target = FeatureTarget.of(points_on(LINES), NONE, np.zeros(len(source), dtype=np.int64), 0.02)
     zero = np.zeros((len(source), 6))
-    found = align(source, target, "gicp", FREE[dof], np.eye(4), 0.3, zero, 5.0)
+    found = align(source, target, np.eye(4), AlignOptions("gicp", FREE[dof], 0.3, robust_scale=5.0), zero)
     assert found.converged
     np.testing.assert_allclose(found.T_target_source, T, atol=2e-3)
 

@@ -8,8 +8,9 @@ from steelnb import experiment, fusion
 from steelnb.fusion.adjustment.drift_factors import TILT_S, tilt_of
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct, methods
-from steelnb.odometry.drift_filter import Prediction
+from steelnb.odometry.drift_filter import DriftPrediction
 from steelnb.odometry.faces import odometry as faces
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.settings import ExperimentSettings, OdometrySettings
 
 SIGMA_RAD = 0.0175
@@ -69,13 +70,13 @@ def nees(smooth, truth) -> np.ndarray:
 
 
 def test_what_no_scan_tells_of_the_tilt_fades_and_the_yaw_stays():
-    prediction, prior = Prediction((0.05, 0.02), SIGMA_RAD), np.eye(4)
+    prediction, prior = DriftPrediction((0.05, 0.02), SIGMA_RAD), np.eye(4)
     prior[:3, :3] = Rotation.from_euler("zyx", [0.4, 0.02, -0.01]).as_matrix()
     pose = prior.copy()
     tilt = Rotation.from_rotvec([0.03, -0.02, 0.0]).as_matrix()
     pose[:3, :3] = tilt @ Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix() @ prior[:3, :3]
     prediction.pose(prior, 0.0)
-    prediction.correct(pose, prior)
+    prediction.correct(RegisteredPose(pose))
     later = prediction.pose(prior, TILT_S)[:3, :3] @ prior[:3, :3].T
     np.testing.assert_allclose(tilt_of(later.T), -np.exp(-1) * np.array([0.03, -0.02]), atol=2e-5)
     assert np.arctan2(later[1, 0], later[0, 0]) == pytest.approx(0.7, abs=1e-3)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration import Target, align, make_target, prior_term, register, solver
+from steelnb.registration import AlignOptions, Target, align, make_target, prior_term, register, solver
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration import target as target_module
 from tests import naive
@@ -89,7 +90,7 @@ def test_cached_pairs_equal_those_of_a_new_search(monkeypatch):
 
     correspond = target_module.correspond_points
     monkeypatch.setattr(target_module, "correspond_points", checked)
-    result = align(source, target, "point", np.eye(6), np.eye(4), limit)
+    result = align(source, target, np.eye(4), AlignOptions("point", np.eye(6), limit))
     assert result.iterations > 8
     assert searches[0] == 500
     assert 0 < min(searches) < 50  # most searches were saved
@@ -113,7 +114,8 @@ def test_a_step_that_raises_the_loss_of_the_same_pairs_is_rejected(monkeypatch):
 
     def converged():
         starts = [motion(40, 0.5, seed=k) for k in range(40)]
-        return sum(align(here, target, "plane", np.eye(6), T, 3.0, iterations_max=80).converged for T in starts)
+        options = AlignOptions("plane", np.eye(6), 3.0, iterations_max=80)
+        return sum(align(here, target, T, options).converged for T in starts)
 
     def worse(linearise, source, target, limit, T, now, T_best, best, match):
         answer = really_worse(linearise, source, target, limit, T, now, T_best, best, match)
@@ -146,7 +148,7 @@ def test_directions_that_a_floor_does_not_constrain_keep_the_start_or_follow_a_p
     start[:3, 3] = [0.02, -0.03, 0.05]
     information = np.diag([0.3**-2.0] * 3 + [0.8**-2.0] * 3)  # a pair has a standard deviation of 1 m
     terms = [prior_term(information, start, floor)] if known else []
-    result = align(floor, make_target(floor, "plane"), "plane", np.eye(6), start, 2.0, terms=terms)
+    result = align(floor, make_target(floor, "plane"), start, AlignOptions("plane", np.eye(6), 2.0), terms=terms)
     before, after = (transformed(floor.mean(axis=0)[None], T)[0] for T in (start, result.T_target_source))
     np.testing.assert_allclose(after[:2], before[:2], atol=2e-3 if known else 1e-6)
     assert abs(after[2]) < (2e-3 if known else 1e-6) < (0.5 if known else 0.04) < abs(before[2])
@@ -157,7 +159,7 @@ def test_zero_covariances_are_singular():
     points = corner(200, 1)
     target = make_target(points, "point")
     flat = Target(target.tree, target.normal, np.zeros((200, 6)))
-    result = align(points, flat, "gicp", np.eye(6), np.eye(4), 1.0, np.zeros((200, 6)))
+    result = align(points, flat, np.eye(4), AlignOptions("gicp", np.eye(6), 1.0), np.zeros((200, 6)))
     assert (result.converged, result.reason) == (False, "singular")
     np.testing.assert_array_equal(result.T_target_source, np.eye(4))
 
@@ -165,10 +167,9 @@ def test_zero_covariances_are_singular():
 @pytest.mark.parametrize("error", ["point", "plane"])
 def test_extrapolation_finds_the_same_pose_in_fewer_iterations(error):
     source, target = corner(3000, 1), make_target(corner(3000, 2), error)
+    plain = AlignOptions(error, np.eye(6), 0.5, SCALE[error], 200, 1e-7, 1e-7)
     ends = [
-        align(source, target, error, np.eye(6), motion(4, 0.15), 0.5, None, SCALE[error], 200, 1e-7,
-              1e-7, accelerated=accelerated)
-        for accelerated in (False, True)
+        align(source, target, motion(4, 0.15), options) for options in (plain, replace(plain, accelerated=True))
     ]  # fmt: skip
     assert all(end.converged for end in ends)
     assert ends[1].iterations < ends[0].iterations

@@ -16,7 +16,7 @@ from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
 from steelnb.fusion.point_to_bar import Observations
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.sections.shapes import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
-from steelnb.settings.odometry import THICKNESS_MAX, THICKNESS_MIN
+from steelnb.settings.stages import THICKNESS_MAX, THICKNESS_MIN
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond their sum is down-weighted (Geman-McClure)."""

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import Estimate, Flight, Trajectory
+from steelnb.core.estimates import Estimate
+from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.adjustment import uncertainty
 from steelnb.fusion.adjustment.drift_factors import TILT_SIGMA_RAD
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu

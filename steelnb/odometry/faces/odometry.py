@@ -26,11 +26,12 @@ from steelnb.fusion.adjustment.drift_factors import (
     pose_step,
 )
 from steelnb.fusion.adjustment.problem import Problem
-from steelnb.odometry.base import Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces.keyframes import Keyframes
 from steelnb.odometry.faces.scan_to_bars import POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.odometry.imu_filter import NONE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import InertialPrediction, information_at
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 
 KEYFRAME_S = 1.0
@@ -48,11 +49,11 @@ GATE = {4: 18.5, 6: 22.5}
 quantile of chi-squared. A larger distance means that wrongly fitted bars led the registration astray."""
 
 
-class FaceOdometry(CloudOdometry):
+class FaceOdometry(BaseOdometry):
     """Corrects a drifting pose by the front faces of bars, with odometry by clouds as the fallback.
 
     After an adjustment, the output pose catches up gradually, by at most `DRIFT_SIGMA` per scan, so it never jumps.
-    Adjustments also use the readings of an ``imu``.
+    Adjustments also use the readings of an ``imu``. The fallback has the same settings and shares its prediction.
     """
 
     kind, method = FaceSettings, "faces"
@@ -62,7 +63,9 @@ class FaceOdometry(CloudOdometry):
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
-        super().__init__(settings, T_drone_sensor, imu)
+        super().__init__(settings, T_drone_sensor)
+        self.clouds = CloudOdometry(self.settings, self.T_drone_sensor, imu)
+        self.prediction = self.clouds.prediction
         self.T_sensor_drone = np.linalg.inv(self.T_drone_sensor)
         self.inertial = self.prediction if isinstance(self.prediction, InertialPrediction) else None
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
@@ -88,11 +91,11 @@ class FaceOdometry(CloudOdometry):
         fit = self._located(scan, prior)
         if fit is None:
             self._drift = self._drift + drift_variance(passed_s if self.faces else 0.0)
-            T_world_drone, reason, matches, unobserved = super()._update(scan, prior, watch)
+            T_world_drone, reason, matches, unobserved = self.clouds.corrected(scan, prior, watch)
         else:
             T_world_drone, reason, matches, unobserved = fit.T_world_sensor @ self.T_sensor_drone, "", fit.bars, 0
             arm = fit.T_world_sensor[:3, :3] @ self.T_sensor_drone[:3, 3]
-            self.prediction.correct(T_world_drone, prior, NONE, fit.information, arm)
+            self.prediction.correct(RegisteredPose(T_world_drone, H=fit.information, arm=arm))
             self._drift = np.zeros(UPRIGHT_DOF)
             watch.lap("register")
         output = self._output_pose(T_world_drone)
@@ -100,9 +103,13 @@ class FaceOdometry(CloudOdometry):
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
             watch.lap("map")
         if scan.stamp_s >= self._adopt_s - 1e-6:
-            self._adopt(T_world_drone, output, prior)
+            self._adopt(T_world_drone, output)
             watch.lap("refit")
         return output, reason, matches, unobserved
+
+    def map_points(self) -> Array:
+        """The map of the odometry by clouds, ``(N, 3)`` in the world frame."""
+        return self.clouds.map_points()
 
     def map_segments(self) -> Segments:
         """The bars of the last adjustment that have a section and are no plates; none before the first one."""
@@ -145,9 +152,9 @@ class FaceOdometry(CloudOdometry):
             self._start_adjustment()
         if mapped:
             return
-        cloud = self.preprocessed(scan, T_world_drone)
+        cloud = self.clouds.preprocessed(scan, T_world_drone)
         if len(cloud):
-            self.insert(cloud, T_world_drone)
+            self.clouds.insert(cloud, T_world_drone)
 
     def _insert_waiting(self, T_correction: Array) -> None:
         """Add the keyframes taken during an adjustment, moved by its ``T_correction (4, 4)``, world frame."""
@@ -166,7 +173,7 @@ class FaceOdometry(CloudOdometry):
         self._adjustment = pool.submit(self.keyframes.adjust)
         pool.shutdown(wait=False)
 
-    def _adopt(self, T_world_drone: Array, output: Array, prior: Array) -> None:
+    def _adopt(self, T_world_drone: Array, output: Array) -> None:
         """Continue from the result of the adjustment, at the current scan."""
         assert self._adjustment is not None
         state = self._adjustment.result()
@@ -179,7 +186,7 @@ class FaceOdometry(CloudOdometry):
         ratio = self.faces.ratio if self.faces else state.sigma_ratio
         self.faces = Locator(state.bars.take(state.bars.has_section), self._stamp_s, ratio, self.tilt_sigma_rad)
         self.faces.variance = REFITTED_SIGMA[-len(self._lag) :] ** 2
-        self.prediction.adjust(T_correction, T_world_drone, prior, REFITTED_SIGMA**2)
+        self.prediction.adjust(T_correction, REFITTED_SIGMA**2)
         self._lag = pose_step(T_correction @ T_world_drone, output, len(self._lag))
 
     def _output_pose(self, T_world_drone: Array) -> Array:

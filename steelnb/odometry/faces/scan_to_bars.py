@@ -1,4 +1,4 @@
-"""Registration of one scan to known bars: the problem of `fusion.problem` with one pose and almost fixed bars.
+"""Registration of one scan to known bars: `fusion.adjustment.problem` with one pose and almost fixed bars.
 
 Gauss-Newton estimates position and yaw, and also roll and pitch if those of the prior have errors. The predicted pose
 is a factor with its information.
@@ -41,7 +41,7 @@ RATIO_BOUNDS = (1.0, 6.0)
 
 class Fit(NamedTuple):
     """A registration: the pose of the sensor; ``information (D, D)`` and ``variance (D,)`` of a step from it
-    (`fusion.poses`), D = 4 or 6; number of matched ``bars``; ``ratio``: range noise as a multiple of that in
+    (`drift_factors`), D = 4 or 6; number of matched ``bars``; ``ratio``: range noise as a multiple of that in
     `points.ranges`; ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array

@@ -1,5 +1,7 @@
 """LOAM on range images: odometry by edge and plane features."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from steelnb.core.types import Array, IntArray, Scan
@@ -33,7 +35,7 @@ class LoamOdometry(CloudOdometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings, T_drone_sensor)
-        self.stop = ITERATIONS_MAX, *self.stop[1:]
+        self.options = replace(self.options, iterations_max=ITERATIONS_MAX)
         self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` holds the edges
         none = np.zeros(0, dtype=np.int64)
         self._features = Features(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
@@ -72,13 +74,10 @@ class LoamOdometry(CloudOdometry):
             return T_init
         edges, planes = (last[last_plane == kind] for kind in (0, 1))
         target = FeatureTarget.of(edges, planes, own.plane[sharp], SIGMA_M)
-        s, zero = self.settings, np.zeros((int(sharp.sum()), 6))
-        result = align(
-            own.point[sharp], target, s.error, self.free, T_init, s.max_correspondence_m, zero,
-            s.robust_scale or np.inf, *self.stop,
-        )  # fmt: skip
+        result = align(own.point[sharp], target, T_init, self.options, np.zeros((int(sharp.sum()), 6)))
         jump_m = np.linalg.norm(result.T_target_source[:3, 3] - T_init[:3, 3])
-        return result.T_target_source if result.converged and jump_m <= JUMP_MAX_VOXELS * s.map_voxel_m else T_init
+        jump_max_m = JUMP_MAX_VOXELS * self.settings.map_voxel_m
+        return result.T_target_source if result.converged and jump_m <= jump_max_m else T_init
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the maps at a known pose."""

@@ -14,10 +14,10 @@ from steelnb.core.images import CameraImages, GreyImage, unproject
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import PRIOR_SIGMA, make_prediction
-from steelnb.odometry.imu_filter import NONE
 from steelnb.odometry.orb.features import Features, features_with_depth, match
 from steelnb.odometry.orb.landmarks import Expected, LandmarkMap
 from steelnb.odometry.orb.reprojection import solve_pose
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.registration import FREE
 from steelnb.settings import OdometrySettings, OrbSettings
 
@@ -114,7 +114,8 @@ class OrbOdometry(BaseOdometry):
         if reason:
             self.prediction.lose()
         else:
-            self.prediction.correct(T_world_drone, prior, NONE, tracked.H, T_world_drone[:3, 3] - tracked.centre)
+            arm = T_world_drone[:3, 3] - tracked.centre
+            self.prediction.correct(RegisteredPose(T_world_drone, H=tracked.H, arm=arm))
             inlier, landmark = tracked.inlier, tracked.expected.number
             observed = features.take(tracked.found[inlier])
             points = self._world(observed, T_world_drone)

@@ -17,7 +17,7 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import FREE, Aligned, Target, align, gicp_as_pcl, icp_as_pcl
+from steelnb.registration import FREE, Aligned, AlignOptions, Target, align, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
@@ -112,10 +112,11 @@ class ReportCloudOdometry(BaseOdometry):
             else:
                 target, covariance = Target.with_planes(tree), regularised(covariance)
         if "solver" in self.switched:
-            result = align(
-                points, target, t.error, FREE["se3"], np.eye(4), t.max_correspondence_m, covariance,
-                iterations_max=t.iterations_max, rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
+            options = AlignOptions(
+                t.error, FREE["se3"], t.max_correspondence_m, iterations_max=t.iterations_max,
+                rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
             )  # fmt: skip
+            result = align(points, target, np.eye(4), options, covariance)
             solved = result.reason not in ("singular", "too few pairs")
             return Aligned(result.T_target_source, solved, result.iterations, result.inliers)
         if covariance is not None:

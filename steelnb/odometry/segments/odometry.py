@@ -13,8 +13,9 @@ from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion import SegmentMap
 from steelnb.hough import detect_segments_with
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.drift_filter import PRIOR_SIGMA, Prediction
+from steelnb.odometry.drift_filter import PRIOR_SIGMA, DriftPrediction
 from steelnb.odometry.near_side import NearSide
+from steelnb.odometry.prediction import RegisteredPose
 from steelnb.odometry.segments.corrections import CORRECTIONS, shifted
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
@@ -39,7 +40,7 @@ class SegmentOdometry(BaseOdometry):
         super().__init__(settings, T_drone_sensor)
         self.with_yaw = self.settings.method == "least_squares_yaw"
         self.map = SegmentMap(self.settings.fusion)
-        self.prediction = Prediction(PRIOR_SIGMA if self.with_yaw else None)
+        self.prediction = DriftPrediction(PRIOR_SIGMA if self.with_yaw else None)
         self.near_side = NearSide()
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
@@ -58,7 +59,7 @@ class SegmentOdometry(BaseOdometry):
         T_world_drone[:3, :3] = Rotation.from_euler("z", state[0]).as_matrix() @ T_world_drone[:3, :3]
         T_world_drone[:3, 3] += state[1:]
         if matches:
-            self.prediction.correct(T_world_drone, prior)
+            self.prediction.correct(RegisteredPose(T_world_drone))
         else:
             self.prediction.lose()
         watch.lap("match")

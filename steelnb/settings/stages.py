@@ -1,0 +1,60 @@
+"""Settings of the stages that several methods share, and of the final reconstruction. Lengths in metres, angles in
+radians."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings
+
+THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
+"""Bounds of the thickness of angle sections, a share of their flanges."""
+
+
+class PreprocessSettings(Settings):
+    """Pass-through box of ±``crop_m`` in the drone frame, floor in the world frame, voxel grid."""
+
+    crop_m: Positive = 6.0
+    floor_m: Finite = 0.3
+    voxel_leaf_m: Positive = 0.05
+
+
+class HoughSettings(Settings):
+    """Iterative 3D Hough transform (Dalitz et al. 2017) and the sorting of its lines into segments.
+
+    ``dx_m`` is the cell width of the transform and the maximum root mean square radius of a segment. ``granularity`` is
+    how often the icosahedron of directions is subdivided. With ``skip_weak``, a line with too few points is dropped and
+    the search goes on; in the original, such a line ends the search.
+    """
+
+    dx_m: Positive = 0.07
+    min_votes: Annotated[int, Field(ge=2)] = 20
+    max_lines: Annotated[int, Field(ge=1)] = 40
+    granularity: Annotated[int, Field(ge=0, le=6)] = 4
+    gap_max_m: Positive = 0.25
+    pca_ratio_min: Probability = 0.98
+    density_min_per_m: NotNegative = 0.0
+    length_min_m: NotNegative = 0.0
+    skip_weak: bool = False
+
+
+class FusionSettings(Settings):
+    """Gates of a segment and a mapped bar: angle, and perpendicular distance, plus both radii if ``add_radii``."""
+
+    angle_max_rad: Positive = 0.13962634015954636  # 8 degrees
+    distance_max_m: Positive = 0.15
+    add_radii: bool = False
+
+
+class StructureSettings(Settings):
+    """The final reconstruction (`steelnb.fusion.reconstruct`).
+
+    Points below ``floor_m`` or farther from the sensor than ``range_max_m`` are ignored. ``adjust``: first adjust poses
+    and bars together, if the poses were corrected but not smoothed. ``thickness``: that of angle sections, a share of
+    their flanges, by default a usual one; an adjustment estimates it anew.
+    """
+
+    floor_m: Finite = 0.2
+    range_max_m: Positive = 6.0
+    adjust: bool = False
+    thickness: Annotated[float, Field(ge=THICKNESS_MIN, le=THICKNESS_MAX)] | None = None
