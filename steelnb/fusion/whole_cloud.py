@@ -1,7 +1,7 @@
 """The bars of a merged cloud, without scans and poses: surfaces are left out, lines on ridges of the rest are bars."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,10 +24,8 @@ from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, w
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.surfaces import Surface, Surfaces
 
-DENSE_M = 0.02
-"""Spacing up to which a cloud is dense: lengths are those of `fusion.candidates`. They grow with a wider spacing."""
-CELL = 2.5
-"""Cells in which surfaces are sought, in voxels."""
+CELL, CELL_VOXELS = 2.5, 1.5
+"""Edge of the cells in which surfaces are sought, in multiples of the default voxel, and its minimum in voxels."""
 RISE_M = 0.2
 """See `merge_pieces`."""
 FREE_MIN = 0.6
@@ -35,7 +33,7 @@ FREE_MIN = 0.6
 SLICE_M, REACH = 0.1, 3.0
 """Slices in which the freedom is measured, and how many half-widths around the axis."""
 SURE_M = 0.8
-"""A bar that is shorter than this needs a bar at each end: beyond what a flight has seen, halves of members lie askew."""
+"""A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
 HALF_WIDTH_SHARE = 0.9
 """Share of a bar's points within half of its width of its axis."""
 
@@ -45,8 +43,8 @@ class CloudBars:
     """The bars of a cloud, strongest first, and what is none.
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1; ``width_m (B,)``; ``surfaces``, largest
-    first; ``surface (N,)``: number of the surface of each point of the cloud, or −1; ``scale``: lengths of the search
-    as multiples of those for a dense cloud.
+    first; ``surface (N,)``: number of the surface of each point of the cloud, or −1; ``tube_m``: radius of the tube in
+    which bars were sought: thinner members look alike.
     """
 
     bars: Segments
@@ -54,29 +52,33 @@ class CloudBars:
     width_m: Array
     surfaces: list[Surface]
     surface: IntArray
-    scale: float
+    tube_m: float
 
-    @property
-    def tube_m(self) -> float:
-        """Radius of the tube that holds the points of a bar, metres: thinner members look alike."""
-        return TUBE_M * self.scale
+    def take(self, index: IntArray) -> "CloudBars":
+        """The same with some bars, in this order."""
+        return replace(self, bars=self.bars.take(index), freedom=self.freedom[index], width_m=self.width_m[index])
 
 
-def bars_of_cloud(points: Array, spacing_m: float, min_votes: int = MIN_VOTES) -> CloudBars:
-    """Find the bars of a cloud ``(N, 3)``, metres, z up, finite, with a median distance ``spacing_m`` of neighbours.
+def bars_of_cloud(
+    points: Array, tube_m: float = TUBE_M, voxel_m: float | None = None, min_votes: int = MIN_VOTES
+) -> CloudBars:
+    """Find the bars of a cloud ``(N, 3)``, metres, z up, finite.
 
-    Points are accumulated in voxels, and only voxels on ridges of their weight remain: range noise spreads the rest.
-    `Surfaces` of these are left out. Lines through what remains are split at bends and merged (`fusion.candidates`).
-    A bar stands free (`freedom_of`), and if it is short, its ends meet other bars. ``min_votes``: minimum number of
-    ridge voxels of a bar.
+    Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
+    of their weight remain: range noise spreads the rest. `Surfaces` of these are left out. Lines through what remains
+    are split at bends and merged (`fusion.candidates`). A bar stands free (`freedom_of`), and if it is short, its ends
+    meet other bars.
+
+    ``tube_m``: radius of the tube that holds a bar's points; all lengths of `fusion.candidates` grow with it.
+    ``min_votes``: minimum number of ridge voxels of a bar.
     """
-    scale = max(1.0, spacing_m / DENSE_M)
-    voxel_m, tube_m = scale * VOXEL_M, scale * TUBE_M
+    scale = tube_m / TUBE_M
+    voxel_m = voxel_m or scale * VOXEL_M
     voxels = VoxelMap(voxel_m)
     voxels.insert(points)
     ridge = ridge_points(voxels, scale * RIDGE_RADIUS_M, RIDGE_SHARE, scale * CONTRACT_M)
     ridge = voxel_grid(ridge, tube_m / math.sqrt(3))
-    surfaces = Surfaces.found_in(ridge, CELL * voxel_m)
+    surfaces = Surfaces.found_in(ridge, max(CELL * scale * VOXEL_M, CELL_VOXELS * voxel_m))
     free = ridge[surfaces.label_of(ridge) < 0]
     label = surfaces.label_of(points)
     bars = Segments.empty()
@@ -86,7 +88,7 @@ def bars_of_cloud(points: Array, spacing_m: float, min_votes: int = MIN_VOTES) -
     width_m = widths_of(points[label < 0], bars, tube_m)
     freedom = freedom_of(ridge, bars, width_m, tube_m)
     sure = (freedom >= FREE_MIN) & (is_held(bars, scale * REACH_M, tube_m) | (bars.length >= scale * SURE_M))
-    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, scale)
+    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, tube_m)
 
 
 def widths_of(points: Array, bars: Segments, tube_m: float) -> Array:

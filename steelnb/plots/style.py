@@ -59,7 +59,8 @@ COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHOD_LOOKS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
     "draws": BLUE, "draw": INDIGO, "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY,
-    "points": "#c8c8c8", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
+    "points": "#c8c8c8", "surface": "#E8D5B5", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY,
+    "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in (METHOD_LOOKS | DETECTORS).items()} | {
@@ -72,13 +73,13 @@ CURVES: dict[str, Any] = {
     "x": "time_s", "y": "error_m", "errorbar": None,
     "hue": "curve", "style": "curve", "palette": COLOURS, "dashes": DASHES,
 }  # fmt: skip
-"""How seaborn draws a table of `batch.curves`."""
+"""How seaborn draws a table of `notebook.report.curves`."""
 BANDS: dict[str, Any] = {
     "x": "sample", "y": "error_m", "estimator": "median", "errorbar": ("pi", 80),
     "hue": "curve", "hue_order": ["draws", "draw", "report"], "palette": COLOURS,
     "size": "curve", "sizes": {"draws": 1.6, "draw": 0.7, "report": 2.0},
 }  # fmt: skip
-"""How seaborn draws a table of `batch.draw_programs`."""
+"""How seaborn draws a table of `notebook.bands.draw_programs`."""
 LOOK: Any = {
     "font.size": 11,
     "axes.titlesize": 12,

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -20,7 +19,7 @@ DISC = 3.5
 COVERED_MIN = 0.7
 """Minimum share of the disc that is covered. Bars that meet at a joint of a lattice cover less than half of it."""
 NEAR, ASIDE_MAX = 1.2, 0.3
-"""Maximum distance, in cells, of the points of a surface from it, and maximum share of points around that are farther."""
+"""Maximum distance, in cells, of the points of a surface from it, and maximum share of those around that are farther."""
 BAND = 1.5
 """Points within this many cells of a surface belong to it; range noise spreads them."""
 TURN_MAX_RAD = math.radians(15)
@@ -32,8 +31,8 @@ LEVEL_RAD = math.radians(30)
 
 @dataclass(frozen=True)
 class Surface:
-    """A connected surface: mean of its cells ``centre (3,)``, metres, unit ``normal (3,)``, ``area_m2``, root mean square
-    distance of its cells from their plane ``rms_m``, and its number of ``points`` in the cloud."""
+    """A connected surface: mean of its cells ``centre (3,)``, metres, unit ``normal (3,)``, its area in this
+    plane ``area_m2``, root mean square distance of its cells from their plane ``rms_m``, and its number of ``points`` in the cloud."""
 
     centre: Array
     normal: Array
@@ -49,8 +48,8 @@ class Surface:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """The cells of all surfaces: means ``point (C, 3)``, unit ``normal (C, 3)`` and number of the surface ``label (C,)``,
-    largest first. Metres."""
+    """The cells of all surfaces: means ``point (C, 3)``, metres, unit ``normal (C, 3)`` and number of the surface
+    ``label (C,)``, largest first."""
 
     cell_m: float
     point: Array
@@ -63,7 +62,7 @@ class Surfaces:
         is below a cell.
 
         A cell lies on a surface if the points around it cover `COVERED_MIN` of a disc of `DISC` cells, and few are
-        farther from its plane. Cells with similar normals are connected, and at least `CELLS_MIN` of them are a surface.
+        farther from its plane. Cells with similar normals are connected; `CELLS_MIN` of them or more are a surface.
         """
         voxels = VoxelMap(cell_m)
         voxels.insert(points)
@@ -106,7 +105,8 @@ class Surfaces:
             cells = self.point[self.label == k]
             centre = cells.mean(axis=0)
             value, vector = np.linalg.eigh((cells - centre).T @ (cells - centre) / len(cells))
-            area_m2 = len(cells) * self.cell_m**2
+            seen = np.floor((cells - centre) @ vector[:, 1:] / self.cell_m).astype(np.int64)
+            area_m2 = len(np.unique(seen, axis=0)) * self.cell_m**2
             found.append(Surface(centre, vector[:, 0], area_m2, math.sqrt(max(value[0], 0.0)), int(count[k])))
         return found
 
@@ -161,8 +161,8 @@ def _local_planes(centre, mean, cell, around, key, slot):  # type: ignore[no-unt
             if abs(x * nx + y * ny + z * nz) <= NEAR * cell:
                 near += 1
                 # Cells of the disc, seen along the normal: 8 x 8 of them.
-                i = int(math.floor((x * ux + y * uy + z * uz) / cell)) + 4
-                j = int(math.floor((x * vx + y * vy + z * vz) / cell)) + 4
+                i = math.floor((x * ux + y * uy + z * uz) / cell) + 4
+                j = math.floor((x * vx + y * vy + z * vz) / cell) + 4
                 if 0 <= i < 8 and 0 <= j < 8:
                     is_covered[8 * i + j] = True
         point[n, 0], point[n, 1], point[n, 2] = sx, sy, sz
