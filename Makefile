@@ -48,7 +48,7 @@ study: $(READY)  ## run what is missing of notebooks/study.toml and write result
 
 test: $(READY) lint  ## run linters, type checks, import contracts and all tests, with the notebooks at the smoke budget, on two workers
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
-	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration -m kernels -W ignore::RuntimeWarning
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration tests/fusion/test_kernels.py -m kernels -W ignore::RuntimeWarning
 
 # 25 minutes on two cores; needs Debian's package qemu-user.
 bits: $(READY)  ## compute digests of short flights as other processors would, and report whether they agree

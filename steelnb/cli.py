@@ -3,8 +3,6 @@
 import signal
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +11,7 @@ import typer
 import steelnb
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.files import check_folder
+from steelnb.core.terminal import progress, warn
 
 EXIT_CODES = """\b
 Exit codes:
@@ -116,11 +115,12 @@ def run(
 
     Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
     """
-    with _progress() as (on_stage, on_share):
+    with progress() as (on_stage, on_share):
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
-        from steelnb.recording.run import opened_lines, run_recording
+        from steelnb.recording.run import run_recording
         from steelnb.recording.settings import Scene, recording_settings, settings_line, voxel_warning
+        from steelnb.recording.summary import opened_lines
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
         options["overrides"] |= {"smooth": True} if smooth else {}
@@ -137,7 +137,7 @@ def run(
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
         report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)
     print("\n".join(report.summary))
-    _warn(*voxel_warning(settings, scene), *report.warnings)
+    warn(*voxel_warning(settings, scene), *report.warnings)
 
 
 @app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")
@@ -157,7 +157,7 @@ def record(
 
     Writes sensor data and drifting poses to FILE, and the truth to NAME.truth.tum beside it.
     """
-    with _progress() as (on_stage, on_share):
+    with progress() as (on_stage, on_share):
         from steelnb import experiment
         from steelnb.io import write_flight
         from steelnb.io.bag_writer import check_target
@@ -193,7 +193,7 @@ def segment(
     force: Force = False,
 ) -> None:
     """Find the bars of a structure in a point cloud. Ground, walls and other surfaces are left out."""
-    with _progress() as (on_stage, _):
+    with progress() as (on_stage, _):
         from steelnb.recording.segment_cloud import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
@@ -201,7 +201,7 @@ def segment(
         on_stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene)
     print("\n".join(result.summary))
-    _warn(*result.warnings)
+    warn(*result.warnings)
 
 
 @app.command()
@@ -223,27 +223,6 @@ def study(
         print(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", file=sys.stderr)
     print(f"{output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
     return int(len(failed) > 0)
-
-
-def _warn(*messages: str) -> None:
-    for message in messages:
-        print("steelnb: warning:", message, file=sys.stderr)
-
-
-@contextmanager
-def _progress() -> Iterator[tuple[Callable[[str], None], Callable[[float], None]]]:
-    """A tqdm progress bar, on a terminal only. Yields two functions: one starts a stage by its name, the other sets the
-    completed share of that stage, 0 to 1."""
-    from tqdm import tqdm
-
-    bar_format = "{desc}: {percentage:3.0f}% {elapsed}<{remaining}"
-    with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=bar_format) as bar:
-
-        def on_stage(name: str) -> None:
-            bar.set_description(name, refresh=False)
-            bar.reset(total=1.0)
-
-        yield on_stage, lambda share: bar.update(share - bar.n)
 
 
 def _overrides(changed: list[str] | None) -> dict[str, Any]:

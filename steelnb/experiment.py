@@ -29,7 +29,7 @@ from steelnb.simulation import (
 from steelnb.simulation.noise import drifting
 from steelnb.simulation.tof import add_noise, noise_free
 
-Progress = Callable[[float], None]
+OnProgress = Callable[[float], None]
 BROKEN_OFF_DRAW = 1_000_000
 """Added to the draw of the sensor's noise for a flight that was broken off."""
 
@@ -43,13 +43,13 @@ class Result(Estimate):
     metrics: dict[str, float]
 
 
-def run(settings: ExperimentSettings, on_progress: Progress | None = None) -> Result:
+def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> Result:
     """Simulate a flight, let its pose drift, correct it scan by scan, and compare with the truth."""
     flight, truth = simulate(settings)
     return estimate(settings, flight, truth, on_progress)
 
 
-def simulate(settings: ExperimentSettings, on_progress: Progress | None = None) -> tuple[Flight, Truth]:
+def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> tuple[Flight, Truth]:
     """Simulate a flight as an estimator sees it, and return the truth separately. Raises `CollisionError`.
 
     The pilot of a planned flight sees no more than that: drifting poses, scans, and the estimate of the settings'
@@ -103,7 +103,9 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
     return replace(flight, prior=prior, images=images)
 
 
-def estimate(settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: Progress | None = None) -> Result:
+def estimate(
+    settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: OnProgress | None = None
+) -> Result:
     """Run the odometry on a flight, then score the estimate. The odometry does not see the truth."""
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
     before = broken_off(settings)

@@ -309,7 +309,7 @@ def pair_distance(new, known, settings, gap_max_m):
 
 
 def bar_equations(ends, start, direction, information, centre, scale_m):
-    """Loss, H and b of `odometry.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end."""
+    """Loss, H and b of `odometry.segments.corrections.bar_equations` for ends (P, 2, 3) beside bars, end by end."""
     loss, H, b = 0.0, np.zeros((4, 4)), np.zeros(4)
     for both, at, axis, weight in zip(ends, start, direction, information, strict=True):
         projector = np.eye(3) - np.outer(axis, axis)
@@ -321,3 +321,144 @@ def bar_equations(ends, start, direction, information, centre, scale_m):
             H += weight * robust**2 * J.T @ projector @ J
             b += weight * robust**2 * J.T @ across
     return loss, H, b
+
+
+def ridge_points(mean, weight, voxel_m, radius_m, share_min, contract_m):
+    """The rule of `fusion.ridges.ridge_points`: all voxels beside all others."""
+    cube = np.floor(mean / voxel_m).astype(int)
+    apart = np.linalg.norm(cube[:, None] - cube[None], axis=2) * voxel_m
+    most = np.where(apart <= radius_m + 1e-9, weight, 0.0).max(axis=1)
+    stay = (weight > 0) & (most * share_min <= weight)
+    near = (np.linalg.norm(mean[:, None] - mean[None], axis=2) <= contract_m) & stay
+    share = (near * weight)[stay]
+    return share @ mean / share.sum(axis=1, keepdims=True)
+
+
+def world_points(points, T, range_max_m, floor_m):
+    """Points in the world, weights 1/range² and indices of those within range and above the floor."""
+    world, distance = points @ T[:3, :3].T + T[:3, 3], np.linalg.norm(points, axis=1)
+    index = np.flatnonzero((distance > 0) & (distance <= range_max_m) & (world[:, 2] >= floor_m))
+    return world[index], 1 / distance[index] ** 2, index
+
+
+def nearest_bars(points, bars, reach_m, margin_m):
+    """The bar nearest to each point, −1 if it is beyond the reach or another one is nearly as near."""
+    result = []
+    for point in points:
+        along = np.clip(((point - bars.start) * bars.direction).sum(axis=1), 0, bars.length)
+        distance = np.linalg.norm(point - bars.start - along[:, None] * bars.direction, axis=1)
+        nearest, second = sorted([*distance, np.inf])[:2]
+        result.append(distance.argmin() if nearest <= reach_m and second - nearest >= margin_m else -1)
+    return np.array(result)
+
+
+def in_bar_frame(point, T, start, direction, across):
+    """A point of a scan in the frame of a bar, and the vector from it to the sensor in the same frame."""
+    frame, world = np.vstack([across, direction]), T[:3, :3] @ point + T[:3, 3]
+    return frame @ (world - start), frame @ (T[:3, 3] - world)
+
+
+def angle_outline(turn, flange, thickness):
+    """Corners (6, 2) of an angle about its centroid, from its two rectangles."""
+    f, t = flange, thickness * flange
+    corners = np.array([(0, 0), (f, 0), (f, t), (t, t), (t, f), (0, f)])
+    centroid = np.average([(f / 2, t / 2), (t / 2, (f + t) / 2)], axis=0, weights=[f * t, (f - t) * t])
+    return (corners - centroid) @ Rotation.from_rotvec([0, 0, turn]).as_matrix()[:2, :2].T
+
+
+def front_face(kind, turn, flange, thickness, towards, beside):
+    """Height and slope of an angle, tube or plate of 1 m towards a viewer; −inf where there is none."""
+    left = np.array([-towards[1], towards[0]])
+    if kind == "tube":
+        if abs(beside) >= 0.999 * flange / 2:
+            return -np.inf, 0.0
+        height = np.sqrt(flange**2 / 4 - beside**2)
+        return height, -beside / height
+    if kind == "angle":
+        outline = angle_outline(turn, flange, thickness)
+        edges = [(outline[k - 1], outline[k]) for k in range(6)]
+    else:
+        half = 0.5 * np.array([-np.sin(turn), np.cos(turn)])
+        edges = [(-half, half)] if half @ left > 0 else []
+    found = [(-np.inf, 0.0)]
+    for a, b in edges:
+        if min(a @ left, b @ left) <= beside < max(a @ left, b @ left):
+            slope = (b - a) @ towards / ((b - a) @ left)
+            found.append((a @ towards + slope * (beside - a @ left), slope))
+    return max(found)
+
+
+def face_residual(place, ray, length, face, sigma_m):
+    """Residual along the line of sight across a bar, and its standard deviation; NaN where no face is measured.
+
+    ``place`` and ``ray`` as of `in_bar_frame`; ``face(towards, beside)``: height and slope; ``sigma_m(range)``."""
+    distance, range_m = np.linalg.norm(ray[:2]), np.linalg.norm(ray)
+    towards = ray[:2] / distance
+    height, slope = face(towards, place[1] * towards[0] - place[0] * towards[1])
+    grazing = distance**2 < 0.1 * range_m**2 or abs(slope) > 2
+    if not 0 <= place[2] <= length or grazing or height == -np.inf:
+        return np.nan, np.nan
+    residual = place[:2] @ towards - height
+    return residual, sigma_m(range_m * (1 + residual / distance)) * distance / range_m
+
+
+def section_histogram(points, T, bar, bars, across, margin_m, shape, cell_m):
+    """The histograms of `sections.histogram.accumulate`, point by point."""
+    parts, views, cells, _ = shape
+    result = np.zeros((len(bars), *shape))
+    for point, b in zip(points, bar, strict=True):
+        place, ray = in_bar_frame(point, T, bars.start[b], bars.direction[b], across[b])
+        edge = min(margin_m, bars.length[b] / 3)
+        square = ray[:2] @ ray[:2]
+        towards = ray[:2] / np.sqrt(square)
+        cell = int(np.floor((towards[0] * place[1] - towards[1] * place[0]) / cell_m)) + cells // 2
+        if not edge <= place[2] <= bars.length[b] - edge or square < 0.1 * ray @ ray or not 0 <= cell < cells:
+            continue
+        view = int(np.degrees(np.arctan2(ray[1], ray[0]) + np.pi) // (360 / views)) % views
+        part = min(parts - 1, int(parts * place[2] / bars.length[b]))
+        result[b, part, view, cell] += 1, 1 / square, place[0] / square, place[1] / square
+    return result
+
+
+def section_cells(histogram, length):
+    """Cells of a bar with at least three points: means, weight, direction, position along, number of the direction."""
+    parts, views = histogram.shape[:2]
+    result = []
+    for part, view, cell in np.argwhere(histogram[..., 0] >= 3):
+        _, weight, u, v = histogram[part, view, cell]
+        angle = (view + 0.5) * 2 * np.pi / views - np.pi
+        along = ((part + 0.5) / parts - 0.5) * length
+        result.append((u / weight, v / weight, weight, np.cos(angle), np.sin(angle), along, view))
+    return np.array(result).reshape(-1, 7)
+
+
+def group_sums(values, group, count):
+    return np.array([values[group == g].sum(axis=0) for g in range(count)])
+
+
+def block_tridiagonal(diagonal, beside):
+    """A dense symmetric matrix from its blocks on the diagonal and above it."""
+    n, d = diagonal.shape[:2]
+    result = np.zeros((n * d, n * d))
+    for k in range(n):
+        result[k * d : (k + 1) * d, k * d : (k + 1) * d] = diagonal[k]
+    for k in range(n - 1):
+        result[k * d : (k + 1) * d, (k + 1) * d : (k + 2) * d] = beside[k]
+        result[(k + 1) * d : (k + 2) * d, k * d : (k + 1) * d] = beside[k].T
+    return result
+
+
+def integrated(at_s, force, rate, stamp_s, bias):
+    """Rotation, velocity and position of readings between stamps, each the mean since the previous reading."""
+    result = []
+    for begin, end, gyro, accelerometer in zip(stamp_s[:-1], stamp_s[1:], bias[:, :3], bias[:, 3:], strict=True):
+        R, v, p = np.eye(3), np.zeros(3), np.zeros(3)
+        for i in range(1, len(at_s)):
+            passed_s = min(at_s[i], end) - max(at_s[i - 1], begin)
+            if passed_s > 0:
+                R = R @ Rotation.from_rotvec(passed_s * (rate[i] - gyro)).as_matrix()
+                f = R @ (force[i] - accelerometer)
+                p = p + passed_s * v + passed_s**2 / 2 * f
+                v = v + passed_s * f
+        result.append((R, v, p))
+    return [np.array(each) for each in zip(*result, strict=True)]

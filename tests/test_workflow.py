@@ -50,7 +50,7 @@ results_dir = ""  # empty: show only
 GATE = """
 import ctypes, os, pathlib, sys, time
 from steelnb.core.errors import InputError
-from steelnb import results
+from steelnb.notebook import results
 assert sys.executable == os.environ.get("STEELNB_TEST_PYTHON", sys.executable)
 assert os.environ["NUMBA_NUM_THREADS"] == os.environ["OMP_NUM_THREADS"] == "1"
 assert "inline" in os.environ["MPLBACKEND"]
@@ -203,8 +203,6 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
     ("call", "words"),
     [
         ("-p trajectry=loops", ["pair", "trajectry", "did you mean 'trajectory'", "count"]),
-        ("-p count=1.5", ["count = 1.5", "integer"]),
-        ("-p tof.rate_hz=0", ["rate_hz = 0", "greater than 0"]),
         ("-p value", ["NAME=VALUE"]),
         ("singel", ["'singel', did you mean 'single'?", "'pair', 'single'"]),
         ("--budget huge", ["BUDGET = 'huge'", "'full', 'smoke'"]),
@@ -217,8 +215,6 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
         (('title = "Two parts"\n', ""), ["title"]),
         (("smoke = {}", "smoke = {}\nspeed = 1"), ["speed = 1"]),
         (('["zigzag", "loops"]', '["loops", "loops"]'), ["distinct"]),
-        (('["zigzag", "loops"]', '["zigzag", "spiral"]'), ["'spiral'"]),
-        (("value = 3.0", "valeu = 3.0"), ["did you mean 'value'"]),
         (("tiny.ipynb", "none.ipynb"), ["none.ipynb"]),
     ],
 )
@@ -304,7 +300,6 @@ def test_a_stopped_run_leaves_nothing_and_the_next_one_resumes(
         assert run.stderr is not None
         assert next(line for line in run.stderr if line.startswith("pair/zigzag: done"))
         assert wait_until(asleep.exists, 60)
-        time.sleep(2)  # until pytask has noted it
         run.send_signal(number)
         errors = run.communicate(timeout=60)[1]
         assert wait_until(lambda: not marked(mark), 5), marked(mark)

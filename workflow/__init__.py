@@ -1,4 +1,4 @@
-"""Run notebooks into results/<id>/, with pytask (only what is out of date, two at once) and papermill."""
+"""Run notebooks into results/<id>/ with papermill: only what is out of date, two at once."""
 
 import sys
 

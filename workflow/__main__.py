@@ -18,6 +18,8 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.notebook.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
+from workflow.run_notebooks import cache_folder, run
+from workflow.write_results import write
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
 Ids = Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Experiments. Default: all but those apart.")]
@@ -34,8 +36,6 @@ def reproduce(
     jobs: Jobs = 2,
 ) -> int:
     """Run the notebooks that are not up to date, and write metrics, tables and figures to <output>/<id>/."""
-    from workflow.task_notebooks import cache_folder, write
-
     root, given = find_root(), parse_parameters(parameters)
     parts = make_parts(root, ids or [], budget, given)
     folder, full = (output or root / BUDGETS[budget]).resolve(), (root / BUDGETS["full"]).resolve()
@@ -49,13 +49,10 @@ def reproduce(
 @app.command()
 def check(ids: Ids = None, jobs: Jobs = 2) -> int:
     """Run the notebooks from scratch in .cache/check/, and compare metrics and tables with the last commit."""
-    from workflow.task_notebooks import write
-
     root = find_root()
     parts, cache = make_parts(root, ids or [], "full"), root / ".cache" / "check"
-    names = [
-        f"{id}/{name}" for id in dict.fromkeys(part.id for part in parts) for name in ("metrics.json", "table.csv")
-    ]
+    ids = list(dict.fromkeys(part.id for part in parts))
+    names = [f"{id}/{name}" for id in ids for name in ("metrics.json", "table.csv")]
     before = {name: committed(root, f"results/{name}") for name in names}
     shutil.rmtree(cache, ignore_errors=True)
     if code := write(parts, cache / "results", cache, cache / "arrays", "full", jobs):
@@ -82,7 +79,7 @@ def committed(root: Path, path: str) -> str:
 
 @app.command()
 def digests(
-    write: Annotated[bool, typer.Option("--write", help="Rewrite tests/digests.json.")] = False,
+    rewrite: Annotated[bool, typer.Option("--write", help="Rewrite tests/digests.json.")] = False,
     short: Annotated[bool, typer.Option("--short", help="Print the set that `bits` emulates.")] = False,
     full: Annotated[bool, typer.Option("--full", help="Print the whole set.")] = False,
 ) -> int:
@@ -94,7 +91,7 @@ def digests(
     if short or full:
         print(json.dumps(found))
         return 0
-    if write:
+    if rewrite:
         of.write(root, found)
         return 0
     old = of.read(root)
@@ -120,7 +117,6 @@ def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
     The executed notebooks and Plotly's script go to docs/notebooks/ and docs/_static/, where Sphinx reads them.
     """
     from workflow.pages import write_pages
-    from workflow.task_notebooks import cache_folder, run
 
     root = find_root()
     parts = first_parts(make_parts(root, [*read_experiments(root)], budget))

@@ -110,10 +110,7 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
 
 def first_parts(parts: Sequence[Part]) -> list[Part]:
     """The first part of each notebook: the others run the same cells."""
-    first: dict[Path, Part] = {}
-    for part in parts:
-        first.setdefault(part.notebook, part)
-    return [*first.values()]
+    return list({part.notebook: part for part in reversed(parts)}.values())
 
 
 def _combine(

@@ -11,7 +11,7 @@ import plotly.io
 from plotly.offline import get_plotlyjs
 
 from workflow.experiments import Part
-from workflow.task_notebooks import EXECUTED, part_folder
+from workflow.run_notebooks import EXECUTED, part_folder
 
 PLOTLY, WIDGET = "application/vnd.plotly.v1+json", "application/vnd.jupyter.widget-view+json"
 ELSEWHERE = re.compile(r"\[([^]]*)\]\((?!https?:|#|[\w.-]+\.ipynb)[^)\s]+\)")

@@ -15,6 +15,7 @@ from steelnb.core.images import CameraImages
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

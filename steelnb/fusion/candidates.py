@@ -112,6 +112,9 @@ def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = m
     metres over its length. The rise distinguishes it from a brace at an acute angle to its chord: a line through the
     points of a tube rises by at most its radius, a brace of 1 m at 12° by 0.2 m. By default, both are dropped.
 
+    The two other merges are given something else. `hough.segments_kernels.merge` has the points of the pieces, and
+    requires both ends near the axis. `SegmentMap` has moments of many scans, and merges whatever it would associate.
+
     The widths ``width_m (B,)``, NaN if unknown, widen the bounds, since points of an angle section lie up to 0.8
     flanges from its centroid, and the middles of its faces half a flange apart.
     """
@@ -138,8 +141,9 @@ def _joined(bars: Segments, fate: IntArray) -> Segments:
             continue
         weight = pieces.count / pieces.count.sum()
         mean = weight @ pieces.middle
-        offset, half = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
-        covariance = np.einsum("k,ki,kj->ij", weight, half, half) / 3 + np.einsum("k,ki,kj->ij", weight, offset, offset)
+        offset, half_run = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
+        own, between = (np.einsum("k,ki,kj->ij", weight, each, each) for each in (half_run, offset))
+        covariance = own / 3 + between
         value, vector = np.linalg.eigh(covariance)
         axis = vector[:, 2]
         along = (np.concatenate([pieces.start, pieces.end]) - mean) @ axis

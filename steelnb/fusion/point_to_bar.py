@@ -184,7 +184,7 @@ def _label(start, end, reach, margin, voxel):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def face_residuals(points, bar, T, start, direction, length, across, corner):  # type: ignore[no-untyped-def]
+def face_residuals(points, bar, T, start, direction, length, across, kind, corner):  # type: ignore[no-untyped-def]
     """`sections.face_distance` of the points ``(N, 3)`` of a scan, sensor frame, and their bars ``(N,)``, −1 for none.
 
     Returns the residual, NaN if there is no face, its standard deviation and the distance to the sensor across the bar,
@@ -199,7 +199,7 @@ def face_residuals(points, bar, T, start, direction, length, across, corner):  #
         x, y, z, cx, cy, cz = shapes.sighting(T, points[i], start[b])
         u, v, t = shapes.in_frame(direction[b], across[b], x, y, z)
         p, q, w = shapes.in_frame(direction[b], across[b], cx, cy, cz)
-        residual[i], sigma[i], distance[i] = shapes.face_distance(u, v, t, p, q, w, corner[b], length[b])[:3]
+        residual[i], sigma[i], distance[i] = shapes.face_distance(u, v, t, p, q, w, kind[b], corner[b], length[b])[:3]
         place[i, 0], place[i, 1], place[i, 2] = start[b, 0] + x, start[b, 1] + y, start[b, 2] + z
         ray[i, 0], ray[i, 1], ray[i, 2] = cx, cy, cz
     return residual, sigma, distance, place, ray

@@ -24,10 +24,10 @@ def ridge_points(
     if hidden is not None:
         weight[hidden] = 0.0
     table = hash_table(key, len(key))
-    stay = _ridge(key, weight, _around(radius_m, voxel_m), share_min, *table)
-    remaining = np.where(stay, weight, 0.0)
+    is_ridge = _ridge(key, weight, _around(radius_m, voxel_m), share_min, *table)
+    remaining = np.where(is_ridge, weight, 0.0)
     around = _around(contract_m + math.sqrt(3) * voxel_m, voxel_m)
-    return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[stay])
+    return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
 
 
 def _around(radius_m: float, voxel_m: float) -> IntArray:
@@ -43,15 +43,15 @@ def _around(radius_m: float, voxel_m: float) -> IntArray:
 @njit(cache=True, nogil=True)
 def _ridge(centre, weight, around, share_min, key, slot):  # type: ignore[no-untyped-def]
     """Mask of the voxels that are kept."""
-    stay = weight > 0.0
+    is_ridge = weight > 0.0
     for n in range(len(centre)):
         bound = weight[n] / share_min
         for k in range(len(around)):
-            if not stay[n]:
+            if not is_ridge[n]:
                 break
             other = find(centre[n] + around[k], key, slot)
-            stay[n] = other < 0 or weight[other] <= bound
-    return stay
+            is_ridge[n] = other < 0 or weight[other] <= bound
+    return is_ridge
 
 
 @njit(cache=True, nogil=True)

@@ -1,5 +1,4 @@
-"""The map of segment odometry: the segments of all scans so far, associated and merged by their moments; and the
-report's incremental reconstruction, which ties the bars of the map at joints."""
+"""The map of segment odometry: the segments of all scans so far, associated and merged by their moments."""
 
 import math
 
@@ -8,13 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.joints import find_joints
-from steelnb.fusion.structure import Structure
 from steelnb.settings import FusionSettings
 
-SIGHTINGS_MIN, FORGET_FRAMES = 5, 50
-"""A bar counts from its fifth sighting on, after a second of flight. One with fewer is dropped after ten seconds out of
-sight."""
 GAP_MAX_M = 0.2
 """Maximum gap along the axis between a segment and its bar."""
 
@@ -78,6 +72,10 @@ class SegmentMap:
     uniform bar of its points. Moments add exactly, so the axis of a merged bar does not depend on the order.
     ``settings`` are the gates of `associate`; ``segments``: the B bars, metres; ``sightings (B,)``: number of segments
     merged into each.
+
+    Two bars are merged if one would be associated with the other as a new segment. The final reconstruction instead
+    has all bars at once, knows their widths, and distinguishes pieces from copies (`candidates.merge_pieces`); a scan's
+    points are merged before they are segments (`hough.segments_kernels.merge`).
     """
 
     def __init__(self, settings: FusionSettings | None = None) -> None:
@@ -158,26 +156,11 @@ class SegmentMap:
         self.segments = self.segments.take(keep)
 
 
-def structure_of(bars: SegmentMap) -> Structure:
-    """The bars of a map with at least `SIGHTINGS_MIN` sightings, tied at joints (`find_joints`). An empty structure
-    states the reason.
-
-    The axis of a bar runs through the middle of its points, so on the near side of its section; its width is NaN.
-    ``sigma_m``: spread of the points over the root of the sightings, since errors within one sighting are correlated.
-    """
-    chosen = bars.sightings >= SIGHTINGS_MIN
-    segments, sightings = bars.segments.take(chosen), bars.sightings[chosen]
-    if not len(segments):
-        return Structure.empty(f"none of {len(bars)} bars was seen {SIGHTINGS_MIN} times")
-    joint, tie, led = find_joints(segments, 2 * segments.radius)
-    return Structure(led, np.full(len(led), np.nan), sightings, segments.radius / np.sqrt(sightings), joint, tie)
-
-
 def _moments(segments: Segments) -> Array:
     """Moments ``(M, 14)`` of uniform bars: number, sum (3), sum of outer products (9), sum of squared distances to the
     axis."""
     count = segments.count.astype(np.float64)
-    middle, half = segments.middle, 0.5 * (segments.end - segments.start)
-    spread = half[:, :, None] * half[:, None, :] / 3.0
+    middle, half_run = segments.middle, 0.5 * (segments.end - segments.start)
+    spread = half_run[:, :, None] * half_run[:, None, :] / 3.0
     outer = count[:, None, None] * (spread + middle[:, :, None] * middle[:, None, :])
     return np.column_stack([count, count[:, None] * middle, outer.reshape(-1, 9), count * segments.radius**2])

@@ -20,7 +20,7 @@ from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io.trajectories import pose_matrices, trajectory_of
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-IMU, ODOMETRY, POSE = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+IMU, ODOMETRY, POSE_STAMPED = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FLOATS = {7: "f4", 8: "f8"}
 """Accepted PointField datatypes of coordinates."""
@@ -112,7 +112,7 @@ class Bag:
                     self.frame_of[f"tf {parent} → {child}"] = child
                     self._rows[f"tf {parent} → {child}"].extend((_stamp_s(each), *pose))
             return
-        if kind != POSE:  # a PoseStamped names only the world frame
+        if kind != POSE_STAMPED:  # a PoseStamped names only the world frame
             self.frame_of[topic] = getattr(message, "child_frame_id", message.header.frame_id).lstrip("/")
         if kind == CAMERA:
             self._cameras[topic] = np.array(getattr(message, "k", getattr(message, "K", None))).reshape(3, 3)
@@ -120,8 +120,8 @@ class Bag:
         self._rows[topic].append(_stamp_s(message))
         if kind == IMU:
             self._rows[topic].extend(_numbers(message.linear_acceleration, message.angular_velocity))
-        elif kind in (ODOMETRY, POSE):
-            pose = message.pose if kind == POSE else message.pose.pose
+        elif kind in (ODOMETRY, POSE_STAMPED):
+            pose = message.pose if kind == POSE_STAMPED else message.pose.pose
             self._rows[topic].extend(_numbers(pose.position, pose.orientation))
 
     def stamp_s(self, scans: str) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE, TF, Bag, is_bag
+from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE_STAMPED, TF, Bag, is_bag
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.trajectories import interpolate, read_trajectory
 
@@ -124,7 +124,7 @@ def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
     clouds, tf_topics, imu_topics = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
     scan_topic = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
     is_pose_file = poses is not None and poses not in bag.types and Path(poses).is_file()
-    pose_topics = bag.of_type(ODOMETRY, POSE)
+    pose_topics = bag.of_type(ODOMETRY, POSE_STAMPED)
     uses_tf = not poses and not pose_topics and tf_topics
     chosen = [] if is_pose_file or uses_tf else [bag.choose("poses", poses, pose_topics)]
     bag.read(scan_topic, *chosen, *tf_topics, *imu_topics, *([] if clouds else bag.of_type(CAMERA)))
@@ -140,34 +140,56 @@ def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
 
 
 def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
-    """Open a folder of clouds, sorted by the numbers in their names, 9 before 10.
+    """Open a folder of clouds with a trajectory."""
+    skipped = Counter[str]()
+    files = _cloud_files(path / scans if scans else path)
+    trajectory = _trajectory_file(path, poses)
+    prior = read_trajectory(trajectory, skipped)
+    stamp_s = _stamps_in_names(files)
+    if stamp_s is None:
+        stamp_s = prior.stamp_s
+        if len(prior) != len(files):
+            raise InputError(
+                f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}; "
+                "expected one pose per cloud, or stamps in the names"
+            )
+    facts = {"scans": f"{len(files)} files", "poses": trajectory.name, "mount": "identity assumed"}
+    walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
+    return stamp_s, walk, prior, np.eye(4), facts, None, skipped
 
-    Stamps are read from the names, as seconds with a decimal point or as whole nanoseconds. If the names have none, the
-    clouds have the stamps of the poses, so their numbers must agree.
-    """
-    folder, skipped = path / scans if scans else path, Counter[str]()
-    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in READERS and file.suffix.lower() != ".txt"]
+
+def _cloud_files(folder: Path) -> list[Path]:
+    """The clouds in a folder, sorted by the numbers in their names, 9 before 10. Raises `InputError`."""
+    suffixes = {*READERS} - {".txt"}
+    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in suffixes]
     if not files:
         raise InputError(f"{folder}: no clouds in it; expected files with suffix {', '.join(READERS)}")
-    files.sort(key=lambda file: ([float(number) for number in re.findall(r"\d+(?:\.\d+)?", file.stem)], file.stem))
+    return sorted(files, key=lambda file: ([float(number) for number in _numbers(file)], file.stem))
+
+
+def _trajectory_file(path: Path, poses: str | None) -> Path:
+    """The file of the drone's poses: the one of this name, or the only one in the folder. Raises `InputError`."""
+    if poses:
+        return _named_file(path, poses)
     trajectories = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
-    found = [_named_file(path, poses)] if poses else [file for file in trajectories if file.name not in TRUE]
+    found = [file for file in trajectories if file.name not in TRUE]
     if len(found) != 1:
         listed = ", ".join(file.name for file in found) or "no trajectory"
         raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of one")
-    prior = read_trajectory(found[0], skipped)
-    stamps_in_names = [(re.findall(r"\d+(?:\.\d+)?", file.stem) or [""])[-1] for file in files]
-    stamp_s = prior.stamp_s
-    if all("." in text or len(text) >= 16 for text in stamps_in_names):
-        stamp_s = np.array([float(text) if "." in text else int(text) / 10**9 for text in stamps_in_names])
-    elif len(prior) != len(files):
-        raise InputError(
-            f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {found[0].name}; "
-            "expected one pose per cloud, or stamps in the names"
-        )
-    facts = {"scans": f"{len(files)} files", "poses": found[0].name, "mount": "identity assumed"}
-    walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
-    return stamp_s, walk, prior, np.eye(4), facts, None, skipped
+    return found[0]
+
+
+def _stamps_in_names(files: Sequence[Path]) -> Array | None:
+    """Stamps ``(K,)`` from the last numbers in the names, as seconds with a decimal point or as whole nanoseconds, or
+    None if any name has none."""
+    numbers = [(_numbers(file) or [""])[-1] for file in files]
+    if not all("." in number or len(number) >= 16 for number in numbers):
+        return None
+    return np.array([float(number) if "." in number else int(number) / 10**9 for number in numbers])
+
+
+def _numbers(file: Path) -> list[str]:
+    return re.findall(r"\d+(?:\.\d+)?", file.stem)
 
 
 def _named_file(path: Path, name: str) -> Path:

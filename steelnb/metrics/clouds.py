@@ -5,8 +5,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.estimates import Estimate
+from steelnb.core.geometry import transform_points, yaw_of
 from steelnb.core.types import Array, Flight
-from steelnb.fusion.adjustment.drift_factors import yaw_of
 from steelnb.points import preprocess_scan
 from steelnb.settings import PreprocessSettings
 from steelnb.simulation import Truth
@@ -56,7 +56,7 @@ def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
     T = np.eye(4)
     T[:3, :3] = Rotation.align_vectors(target - target_mean, source - source_mean)[0].as_matrix()
     T[:3, 3] = target_mean - T[:3, :3] @ source_mean
-    residual = source @ T[:3, :3].T + T[:3, 3] - target
+    residual = transform_points(T, source) - target
     return T, float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 

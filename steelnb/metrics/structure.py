@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from steelnb.core.angle_section import centroid_m
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import nearest_point
 from steelnb.fusion.structure import Structure
@@ -55,10 +56,7 @@ def reference(tower: Tower, visibility: Visibility) -> Reference:
     for m, member in enumerate(tower.members):
         if member.section == "round":
             continue
-        flange, thickness = member.section_m
-        # Distance of the centroid of an angle (rectangles b × t and (b − t) × t) from the outer faces.
-        centroid_m = (flange**2 + flange * thickness - thickness**2) / (2 * (2 * flange - thickness))
-        shift[m] = centroid_m * (np.array(member.flange_a) + np.array(member.flange_b))
+        shift[m] = centroid_m(*member.section_m) * (np.array(member.flange_a) + np.array(member.flange_b))
     axes = tower.axes + shift[:, None]
     along = tuple(member.joints for member in tower.members)
     observed = visibility.observed()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from steelnb.core.geometry import inverse_poses
 from steelnb.core.types import Array, Trajectory
 
 GRACE_S = 2.0
@@ -30,18 +31,10 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float
     frames = max(1, round(RPE_S / float(np.median(np.diff(estimate.stamp_s)))))
     if len(estimate) > frames:
         P, Q = estimate.T_world_drone, truth.at(estimate.stamp_s).T_world_drone
-        estimated_motion, true_motion = (inverse(T[:-frames]) @ T[frames:] for T in (P, Q))
-        rpe_m = np.linalg.norm((inverse(true_motion) @ estimated_motion)[:, :3, 3], axis=1)
+        estimated_motion, true_motion = (inverse_poses(T[:-frames]) @ T[frames:] for T in (P, Q))
+        rpe_m = np.linalg.norm((inverse_poses(true_motion) @ estimated_motion)[:, :3, 3], axis=1)
         result["rpe_rmse_m"] = np.sqrt((rpe_m**2).mean())
     return {name: float(value) for name, value in result.items()}
-
-
-def inverse(T: Array) -> Array:
-    """Inverses of transforms ``(N, 4, 4)``."""
-    result = np.tile(np.eye(4), (len(T), 1, 1))
-    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
-    result[:, :3, 3:] = -result[:, :3, :3] @ T[:, :3, 3:]
-    return result
 
 
 def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Flight
 from steelnb.simulation.truth import SLICE_M, Truth
 
@@ -18,7 +19,7 @@ def sight(flight: Flight, truth: Truth, floor_m: float) -> tuple[Array, Array]:
     seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
     T_world_sensor = truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor
     for scan, T in zip(flight.scans, T_world_sensor, strict=True):
-        points = scan.points.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
+        points = transform_points(T, scan.points.reshape(-1, 3))
         points = points[points[:, 2] > floor_m]  # a pixel without a return is NaN
         near = tree.query(points[::EVERY], distance_upper_bound=STEEL_M)[1]
         seen[near[near < tree.n]] = True

@@ -23,7 +23,7 @@ BAND_COLUMNS = (
 
 
 def draw_programs(
-    cases: Sequence[ExperimentSettings], count: int, on_progress: experiment.Progress | None = None, jobs: int = 1
+    cases: Sequence[ExperimentSettings], count: int, on_progress: experiment.OnProgress | None = None, jobs: int = 1
 ) -> pd.DataFrame:
     """Errors over time of ``count`` draws of the sensor's noise of each case, with the same drift and flight, beside
     the report's curve: long form with the columns of `case_of`, ``plot``, ``curve``, ``draw``, ``sample``, ``time_s``

@@ -103,14 +103,14 @@ def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
         limits = dict(zip(("threshold", "threshold_to"), claim.threshold, strict=False))
         named = {"name": name, "claim": claim.claim, "section": claim.section, "measure": claim.measure, **limits}
         try:
-            cells = cells_of(claim, good)
+            cells = claim_cells(claim, good)
         except InputError as fault:
             cells = [{"cell": str(fault).partition(";")[0], "n_seeds": 0, "verdict": NOT_RUN}]
         rows += [{**named, **cell} for cell in cells]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def cells_of(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
+def claim_cells(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
     """The cells of one claim, as the rows of `judge`. A cell needs at least two seeds with a number, for a correlation
     four. Raises `InputError` if no cell has them."""
     chosen, rows = {**USUAL, **claim.where, **claim.a}, []

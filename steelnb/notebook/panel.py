@@ -27,7 +27,7 @@ POINTS_MAX = 20_000
 
 
 @dataclass(frozen=True)
-class View:
+class ShownFlight:
     """A corrected flight: its ``paths`` as `figure_scene` takes them, the ``cloud (N, 3)`` of its preprocessed scans at
     the corrected poses, metres, at most `POINTS_MAX` points, and the bars of the map."""
 
@@ -79,7 +79,7 @@ class Panel:
             control.description, control.layout.width = f"{name} ×" if name == "level" else name, "21em"
             control.observe(self._follow, "value")
         self.status = widgets.HTML()
-        self.view: View | None = None
+        self.view: ShownFlight | None = None
         self._flights = Flights()
         self._picture: Any = None
 
@@ -87,7 +87,7 @@ class Panel:
         """The settings of a flight with ``level`` times the drift of a noise. Raises `InputError`."""
         return ExperimentSettings.preset(noise=at_level(noise, level), **more, **self._fixed)
 
-    def show(self) -> View:
+    def show(self) -> ShownFlight:
         """Display the controls and the scene below the current cell: first the drifting flight, then the corrected one,
         which is returned. Raises `CollisionError`."""
         import ipywidgets as widgets
@@ -103,7 +103,7 @@ class Panel:
         except SteelnbError as fault:
             self.status.value = str(fault)
 
-    def _fly(self) -> View:
+    def _fly(self) -> ShownFlight:
         began = time.perf_counter()
         settings = self.settings(**{name: control.value for name, control in self.controls.items()})
         self._tell("flying", 0)
@@ -116,7 +116,7 @@ class Panel:
         if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
             segments = segment_structure(result.points, default_dx(result.points))
         cloud = plots.thinned(paired_clouds(flight, result, truth, settings.odometry.preprocess, 1)[0], POINTS_MAX)
-        self.view = View(result, paths | {"corrected": result.corrected}, cloud, segments)
+        self.view = ShownFlight(result, paths | {"corrected": result.corrected}, cloud, segments)
         method, numbers = settings.odometry.method, result.metrics
         self._draw(figure_scene(self.view.paths, cloud, segments, truth.tower.axes, method))
         errors = [f"{numbers[name]:.3f} m" for name in ("raw_ate_rmse_m", "ate_rmse_m")]

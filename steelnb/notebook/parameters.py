@@ -2,7 +2,6 @@
 runs, whether the workflow, papermill alone or a reader set them."""
 
 import ast
-import inspect
 import itertools
 import sys
 from collections.abc import Collection, Iterable, Mapping
@@ -14,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.settings import ExperimentSettings, Settings
 from steelnb.settings.base import Finite, SeedOrReport, guess, quoted
 
-PRESET_ARGUMENTS = tuple(inspect.signature(ExperimentSettings.preset).parameters)
+PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides"
 FOLDER = "results_dir"
 """The parameter that every notebook has, and that the workflow sets."""
 INJECTED = "# Parameters\n"

@@ -32,7 +32,7 @@ class Flights:
         self._flown: tuple[Flight, Truth] | None = None
 
     def __call__(
-        self, settings: ExperimentSettings, on_progress: experiment.Progress | None = None
+        self, settings: ExperimentSettings, on_progress: experiment.OnProgress | None = None
     ) -> tuple[Flight, Truth]:
         """The flight of the settings with their drift, and the truth. Raises `CollisionError`."""
         world = experiment.world(settings)
@@ -43,12 +43,12 @@ class Flights:
         return experiment.redrift(settings, flight, truth), truth
 
 
-Task = Callable[[ExperimentSettings, Flights, experiment.Progress | None], T]
+Task = Callable[[ExperimentSettings, Flights, experiment.OnProgress | None], T]
 """What is made of one run: settings, the flights, and who is told about the progress → a result or a row."""
 
 
 def result_of(
-    settings: ExperimentSettings, flights: Flights, on_progress: experiment.Progress | None = None
+    settings: ExperimentSettings, flights: Flights, on_progress: experiment.OnProgress | None = None
 ) -> experiment.Result:
     """The result of a run: the task of `run_all` if no other is given."""
     return experiment.estimate(settings, *flights(settings), on_progress)
@@ -56,7 +56,7 @@ def result_of(
 
 def run_all(
     cases: Iterable[ExperimentSettings],
-    on_progress: experiment.Progress | None = None,
+    on_progress: experiment.OnProgress | None = None,
     task: Task[Any] = result_of,
     jobs: int | None = 1,
     timed: bool = False,
@@ -94,7 +94,7 @@ def run_all(
 
 
 def _in_one_world(
-    cases: Sequence[ExperimentSettings], task: Task[T], timed: bool, sources: str, tell: experiment.Progress | None
+    cases: Sequence[ExperimentSettings], task: Task[T], timed: bool, sources: str, tell: experiment.OnProgress | None
 ) -> list[T]:
     """Results of the task for cases in one world. ``sources``: of the process that started this one."""
     if sources != SOURCES:
@@ -106,7 +106,7 @@ def _in_one_world(
     return found
 
 
-def _told(tell: experiment.Progress, done: int, share: float) -> None:
+def _told(tell: experiment.OnProgress, done: int, share: float) -> None:
     tell(done + share)
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from steelnb.core import rng
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Segments
-from steelnb.hough.alternatives.methods import find_bars
+from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
@@ -33,7 +33,7 @@ Options = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class FrameScene:
     """A cloud ``points (N, 3)`` in the world frame, the members seen in it, and the conditions it was made under.
 
     ``noise_m`` is the range noise, ``clutter`` the share of points that are not on the tower, ``kept`` the share of the
@@ -54,7 +54,7 @@ class Trial:
     """The segments of one method in one scene, their score and the seconds they took."""
 
     method: str
-    scene: Scene
+    scene: FrameScene
     segments: Segments
     score: SegmentScore
     seconds: float
@@ -69,7 +69,7 @@ class Scenes:
 
     def frames(
         self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
-    ) -> list[Scene]:
+    ) -> list[FrameScene]:
         """Views from random places on the zigzag and the loops, alternating."""
         self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)
         scenes = []
@@ -82,7 +82,7 @@ class Scenes:
             chosen = rng.stream(seed, "kept", k).random(len(view.points)) < kept
             members = seen_members(self.tower.axes, view.surface[chosen], view.member[chosen])
             points = _with_clutter(view.points[chosen], clutter, seed, k)
-            scenes.append(Scene(seed, noise_m, clutter, kept, points, members, view.across))
+            scenes.append(FrameScene(seed, noise_m, clutter, kept, points, members, view.across))
         return scenes
 
 
@@ -93,17 +93,17 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
     return np.concatenate([points, random.uniform(points.min(axis=0), points.max(axis=0), (more, 3))])
 
 
-def attempt(method: str, scene: Scene, **options: Any) -> Trial:
-    """Segment a scene by one of `hough.alternatives.methods.METHODS` with its own options, and score the result."""
+def attempt(method: str, scene: FrameScene, **options: Any) -> Trial:
+    """Segment a scene by one of `hough.alternatives.methods.FINDERS` with its own options, and score the result."""
     begin = time.perf_counter()
-    segments = find_bars(method, scene.points, seed=scene.seed, **options)
+    segments = find_bars_by(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin
     members = scene.members
     score = score_segments(segments, members.axes, members.observed(), ANGLE_MAX_RAD, seen=members.seen)
     return Trial(method, scene, segments, score, seconds)
 
 
-def warm_up(scene: Scene, methods: Iterable[str], options: Options) -> None:
+def warm_up(scene: FrameScene, methods: Iterable[str], options: Options) -> None:
     """Run each method once on part of a scene, so that measured times include no compilation or import."""
     few = replace(scene, points=scene.points[:: max(1, len(scene.points) // 1000)])
     for method in methods:

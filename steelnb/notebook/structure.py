@@ -12,8 +12,9 @@ import pandas as pd
 from steelnb import experiment
 from steelnb.core.types import Array, Flight, IntArray, Segments
 from steelnb.fusion.candidates import find_bars
-from steelnb.fusion.reconstruct import MappedScans, reconstruct
-from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
+from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
+from steelnb.fusion.mapped_scans import MappedScans
+from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
@@ -45,7 +46,7 @@ class TowerFlight:
     poses: dict[str, Array]
 
     def toward_sensor_m(self, bars: Segments, member: IntArray) -> Array:
-        """`metrics.reconstruction.toward_sensor_m` of bars from this flight."""
+        """`metrics.structure.toward_sensor_m` of bars from this flight."""
         T_world_sensor = self.poses["true"] @ self.flight.T_drone_sensor
         return toward_sensor_m(bars, member, self.reference.axes, T_world_sensor, self.result.settings.tof)
 

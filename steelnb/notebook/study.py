@@ -164,7 +164,7 @@ def _show(bar: tqdm, share: float) -> None:
 
 
 def _cached_row(
-    folder: str, settings: ExperimentSettings, flights: Flights, on_progress: experiment.Progress | None
+    folder: str, settings: ExperimentSettings, flights: Flights, on_progress: experiment.OnProgress | None
 ) -> dict[str, Any]:
     """The task of a study: the row of a run, from the cache in ``folder`` or made anew."""
     key = "row", ROW_SOURCES, settings.model_dump_json(), experiment.world(settings)

@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
@@ -13,7 +14,7 @@ from steelnb.odometry.prediction import RegisteredPose
 from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import SIGMA_M, range_sigma_m
 from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, align
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
@@ -156,7 +157,7 @@ class CloudOdometry(BaseOdometry):
         """Slots of the voxels near the points ``(N, 3)``, drone frame, of a scan."""
         if not len(points) or not len(voxels):
             return np.zeros(0, dtype=np.int64)
-        world = points @ T_init[:3, :3].T + T_init[:3, 3]
+        world = transform_points(T_init, points)
         low, high = world.min(axis=0), world.max(axis=0)
         reach_m = float((high - low).max() / 2 + 2 * self.options.max_correspondence_m)
         return voxels.near((low + high) / 2, reach_m)
@@ -168,7 +169,7 @@ class CloudOdometry(BaseOdometry):
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
         across = (0.5 * SIGMA_M) ** 2
-        extra = np.maximum(SIGMA_M, SIGMA_SHARE * distance) ** 2 - across
+        extra = range_sigma_m(distance) ** 2 - across
         i, j = UPPER
         return (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
 
@@ -192,7 +193,7 @@ class CloudOdometry(BaseOdometry):
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the map at a known pose."""
-        self.map.insert(points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3])
+        self.map.insert(transform_points(T_world_drone, points))
 
     @property
     def mapped(self) -> bool:

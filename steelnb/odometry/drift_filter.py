@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import rotation_between
 from steelnb.core.types import Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.imu_filter import InertialPrediction
@@ -72,7 +73,7 @@ class DriftPrediction:
         turn, offset = T_world_drone[:3, :3] @ prior[:3, :3].T, T_world_drone[:3, 3] - prior[:3, 3]
         if self._followed:  # a jump after a gap is not a rate
             self.offset_rate = self.offset_rate + self.gain * (offset - self.offset - self.offset_rate)
-            turned = Rotation.from_matrix(turn @ self.turn.T, assume_valid=True).as_rotvec()
+            turned = rotation_between(self.turn, turn)
             self.turn_rate = self.turn_rate + self.gain * (turned - self.turn_rate)
             if self.tilted:
                 self.turn_rate[:2] = 0.0

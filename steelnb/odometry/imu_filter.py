@@ -1,9 +1,9 @@
 """Prediction of the pose of a scan from an IMU: an error-state Kalman filter that registrations correct.
 
-Readings since the last scan are integrated from its pose, velocity and biases (`fusion.inertial`). The increment of the
-drifting prior, in position and yaw, is a measurement of the same motion. The predicted pose enters the registration
-with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come from gravity
-over the whole flight, not from the prior. A scan with little information follows the readings.
+Readings since the last scan are integrated from its pose, velocity and biases (`fusion.adjustment.imu_factors`). The
+increment of the drifting prior, in position and yaw, is a measurement of the same motion. The predicted pose enters the
+registration with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come
+from gravity over the whole flight, not from the prior. A scan with little information follows the readings.
 
 Sources: Solà, "Quaternion kinematics for the error-state Kalman filter" (arXiv 1711.02508, 2017), with errors in the
 world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for increments, which depend on two poses.
@@ -12,26 +12,36 @@ world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for incr
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import GRAVITY, Array, Imu
-from steelnb.fusion.adjustment.drift_factors import (
-    DRIFT_PERIOD_S,
-    FIXED,
-    TILT_SIGMA_RAD,
-    drift_variance,
+from steelnb.core.geometry import (
+    cross_matrix,
+    information_at,
     moved_poses,
+    pose_difference,
+    twist_jacobian,
     yaw_of,
 )
-from steelnb.fusion.adjustment.imu_factors import SIGMA_MIN, gaps, integrated, integration_covariances
+from steelnb.core.types import GRAVITY, Array, Imu
+from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
+from steelnb.fusion.adjustment.imu_factors import (
+    BIAS,
+    FORCE,
+    GYRO,
+    INTEGRATED,
+    POSE,
+    POSITION,
+    ROTATION,
+    SIGMA_MIN,
+    STATE_DOF,
+    VELOCITY,
+    gaps,
+    integrated,
+    integration_covariances,
+)
 from steelnb.odometry.prediction import RegisteredPose
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 
-ROTATION, POSITION, VELOCITY, GYRO, FORCE = (slice(k, k + 3) for k in range(0, 15, 3))
-POSE, BIAS, SIZE = slice(0, 6), slice(9, 15), 15
-"""Slices of the errors of a state: rotation (rad), position (m) and velocity (m/s) in the world frame, biases of the
-gyroscope (rad/s) and the accelerometer (m/s²) in the drone frame."""
 VELOCITY_SIGMA_M_S, ROTATION_SIGMA_RAD = 10.0, 0.01
 """Standard deviations without readings: of the velocity, and of the prior's rotation between two scans."""
 
@@ -76,7 +86,7 @@ class InertialPrediction:
         information = self.information
 
         def cost(T: Array, centre: Array) -> tuple[Array, Array, float]:
-            error, by_twist = _difference(T_predicted, T), _by_twist(T[:3, 3] - centre)
+            error, by_twist = pose_difference(T_predicted, T), twist_jacobian(T[:3, 3] - centre)
             weighted = information @ error
             return by_twist.T @ information @ by_twist, by_twist.T @ weighted, 0.5 * float(error @ weighted)
 
@@ -93,7 +103,7 @@ class InertialPrediction:
         P = self.state.covariance
         before = P[POSE, POSE]
         gain = np.linalg.solve(before, P[POSE]).T  # of all errors, from those of the pose
-        step = gain @ _difference(self.state.T_world_drone, T_world_drone)
+        step = gain @ pose_difference(self.state.T_world_drone, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + added) - before) @ gain.T
         self.state = self.state._replace(
             T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
@@ -124,7 +134,7 @@ class InertialPrediction:
         )
 
     def _started(self, prior: Array, stamp_s: float) -> State:
-        variance = np.zeros(SIZE)
+        variance = np.zeros(STATE_DOF)
         variance[POSE] = [TILT_SIGMA_RAD**2] * 2 + [1 / FIXED] * 4
         variance[VELOCITY] = VELOCITY_SIGMA_M_S**2
         variance[GYRO] = max(self.noise.gyro_bias, SIGMA_MIN) ** 2
@@ -146,14 +156,14 @@ class InertialPrediction:
         error = np.append(
             yaw_of(T[:3, :3] @ (turned @ prior[:3, :3]).T), T[:3, 3] - old.T_world_drone[:3, 3] - expected
         )
-        H_old, H_new = np.zeros((2, 4, SIZE))
+        H_old, H_new = np.zeros((2, 4, STATE_DOF))
         H_new[0, 2], H_old[0, 2] = 1.0, -1.0
         H_new[1:, POSITION], H_old[1:, POSITION] = np.eye(3), -np.eye(3)
         H_old[1:3, 2] = expected[1], -expected[0]
         H = np.hstack([H_old, H_new])
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
-        step, P = -(gain @ error)[SIZE:], (joint - gain @ H @ joint)[SIZE:, SIZE:]
+        step, P = -(gain @ error)[STATE_DOF:], (joint - gain @ H @ joint)[STATE_DOF:, STATE_DOF:]
         T_world_drone = moved_poses(T[None], step[None, POSE])[0]
         return State(stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS], 0.5 * (P + P.T))
 
@@ -168,13 +178,13 @@ class InertialPrediction:
         T = np.eye(4)
         T[:3, :3] = R @ read.rotation[0]
         T[:3, 3] = old.T_world_drone[:3, 3] + passed_s * (old.velocity + 0.5 * by_gravity) + shift
-        F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R
         F[POSITION, VELOCITY], F[POSITION, FORCE] = passed_s * np.eye(3), -0.5 * passed_s**2 * R
-        F[VELOCITY, ROTATION], F[POSITION, ROTATION] = -_cross(by_force), -_cross(shift)
-        F[VELOCITY, GYRO], F[POSITION, GYRO] = passed_s / 2 * _cross(by_force) @ R, passed_s / 3 * _cross(shift) @ R
-        order = [0, 1, 2, 6, 7, 8, 3, 4, 5]  # of rotation, velocity and position
-        Q[:9, :9] = integration_covariances(self.noise, np.array([passed_s]))[0][np.ix_(order, order)]
+        force_cross, shift_cross = cross_matrix(by_force), cross_matrix(shift)
+        F[VELOCITY, ROTATION], F[POSITION, ROTATION] = -force_cross, -shift_cross
+        F[VELOCITY, GYRO], F[POSITION, GYRO] = passed_s / 2 * force_cross @ R, passed_s / 3 * shift_cross @ R
+        Q[np.ix_(INTEGRATED, INTEGRATED)] = integration_covariances(self.noise, np.array([passed_s]))[0]
         walk = np.maximum([self.noise.gyro_walk, self.noise.accelerometer_walk], SIGMA_MIN) ** 2 * passed_s
         Q[BIAS, BIAS] = np.diag(np.repeat(walk, 3))
         return T, old.velocity + by_gravity + by_force, F, Q
@@ -183,7 +193,7 @@ class InertialPrediction:
         self, old: State, prior: Array, expected: Array, passed_s: float
     ) -> tuple[Array, Array, Array, Array]:
         """The same from the prior, if readings are missing. Its shift gets a sigma of 1 m, as it is also measured."""
-        F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
         T = old.T_world_drone.copy()
         T[:3, :3] = T[:3, :3] @ old.prior[:3, :3].T @ prior[:3, :3]
         T[:3, 3] += expected
@@ -191,27 +201,3 @@ class InertialPrediction:
         Q[ROTATION, ROTATION], Q[POSITION, POSITION] = ROTATION_SIGMA_RAD**2 * np.eye(3), np.eye(3)
         Q[VELOCITY, VELOCITY] = VELOCITY_SIGMA_M_S**2 * np.eye(3)
         return T, expected / passed_s, F, Q
-
-
-def information_at(information: Array, arm: Array) -> Array:
-    """Convert information ``(6, 6)`` about the rotation and the shift of one point to that of another point, which is
-    offset from it by ``arm (3,)``."""
-    by_twist = _by_twist(-arm)
-    return np.asarray(by_twist.T @ information @ by_twist)
-
-
-def _by_twist(arm: Array) -> Array:
-    """Derivative ``(6, 6)`` of the rotation and shift of a point at ``arm (3,)`` from the centre of a twist."""
-    by_twist = np.eye(6)
-    by_twist[3:, :3] = -_cross(arm)
-    return by_twist
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _difference(T_from: Array, T_to: Array) -> Array:
-    """Rotation vector in the world frame and shift ``(6,)`` from one pose to another."""
-    rotation = Rotation.from_matrix(T_to[:3, :3] @ T_from[:3, :3].T, assume_valid=True).as_rotvec()
-    return np.append(rotation, T_to[:3, 3] - T_from[:3, 3])

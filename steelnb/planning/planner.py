@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import transform_points, yaw_of
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.adjustment.drift_factors import yaw_of
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.settings import FlightSettings
 
@@ -73,7 +73,7 @@ class Planner:
         """Add a scan: preprocessed points ``(N, 3)`` in the drone frame, the corrected pose, and the ``bars`` mapped so
         far, world frame."""
         self._scans += 1
-        world = points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
+        world = transform_points(T_world_drone, points)
         self._last_scan, self.bars = voxel_grid(world, VOXEL_M) if len(world) else world, bars
         if len(self._last_scan) >= SIGHT_MIN:
             self.map.insert(world)

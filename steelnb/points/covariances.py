@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from steelnb.core.types import Array, IntArray
-from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within
+from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within_radius
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
@@ -130,7 +130,7 @@ def _covariances_of_leaf(tree, node, k_most, result, scratch):
         leaf_radius2 = max(leaf_radius2, dx * dx + dy * dy + dz * dz)
     nearest_k(tree, cx, cy, cz, k_most, np.inf, found, nearest, node_of, node_distance)
     limit = (math.sqrt(nearest[k_most - 1]) + 2.0 * math.sqrt(leaf_radius2)) ** 2 * (1.0 + 1e-12)
-    count = within(tree, cx, cy, cz, limit, xs, ys, zs, node_of, node_distance)
+    count = within_radius(tree, cx, cy, cz, limit, xs, ys, zs, node_of, node_distance)
     bound = nearest[k_most - 1]
     for i in range(first, last):
         x, y, z = point[i, 0], point[i, 1], point[i, 2]

@@ -160,7 +160,7 @@ def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, node_dista
 
 
 @njit(cache=True)
-def within(tree, x, y, z, limit, found_x, found_y, found_z, node_of, node_distance):
+def within_radius(tree, x, y, z, limit, found_x, found_y, found_z, node_of, node_distance):
     """Write the coordinates of all points within √limit to ``found_x``, ``found_y``, ``found_z (N + 1,)``.
 
     Returns their number. ``node_of (64,)`` and ``node_distance (64, 4)`` are buffers.

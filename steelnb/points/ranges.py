@@ -1,7 +1,10 @@
 """Range noise, and the sigma filter that reduces it."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 from steelnb.core.checks import checked_cloud
 from steelnb.core.types import Array
@@ -14,10 +17,10 @@ GATE_SIGMAS = 4.0
 standard deviation of the difference is √2 times as large."""
 
 
-@njit(cache=True)
-def range_sigma_m(range_m):  # type: ignore[no-untyped-def]
-    """Standard deviation of a range, metres."""
-    return max(SIGMA_M, SIGMA_SHARE * range_m)
+@register_jitable
+def range_sigma_m(range_m: Any) -> Any:
+    """Standard deviation of a range, or of an array of them, metres; NaN without a range."""
+    return np.maximum(SIGMA_M, SIGMA_SHARE * range_m)
 
 
 @njit(cache=True)

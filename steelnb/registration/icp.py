@@ -12,7 +12,7 @@ from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import finite, make_target
 
-METHODS = {"icp": "point", "plane": "plane", "gicp": "gicp"}
+ERROR_OF = {"icp": "point", "plane": "plane", "gicp": "gicp"}
 """Method → error."""
 NEIGHBOURS_MIN = 4
 """Minimum number of points to estimate covariances from."""
@@ -54,7 +54,7 @@ def register(
     >>> found.converged, found.T_target_source[:3, 3].round(4).tolist()
     (True, [0.02, 0.01, 0.03])
     """
-    for name, chosen, known in (("method", method, METHODS), ("dof", dof, FREE)):
+    for name, chosen, known in (("method", method, ERROR_OF), ("dof", dof, FREE)):
         if chosen not in known:
             raise InputError(f"{name} = {chosen!r}: expected one of {', '.join(map(repr, known))}")
     for name, value in (
@@ -65,7 +65,7 @@ def register(
             raise InputError(f"{name} = {value!r}: expected a positive finite number")
     if iterations_max < 1:
         raise InputError(f"iterations_max = {iterations_max}: expected at least 1")
-    error, free = METHODS[method], FREE[dof]
+    error, free = ERROR_OF[method], FREE[dof]
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     points = finite(source, "source")
     there = finite(target.means() if isinstance(target, VoxelMap) else target, "target")

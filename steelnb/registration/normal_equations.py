@@ -8,14 +8,9 @@ conditioned at any distance from the origin, and v is the translation of the sca
 import numpy as np
 from numba import njit
 
+from steelnb.core.robust import geman_mcclure
+
 POINT, PLANE, GICP = 0, 1, 2
-
-
-@njit(cache=True, error_model="numpy")
-def robust_weight(squared, scale):
-    """Geman-McClure (weight, loss) of a squared residual; an infinite scale gives plain least squares."""
-    u = squared / (scale * scale)
-    return 1.0 / ((1.0 + u) * (1.0 + u)), 0.5 * squared / (1.0 + u)
 
 
 @njit(cache=True, error_model="numpy")
@@ -86,7 +81,7 @@ def linearise(
         gy = m01 * ex + m11 * ey + m12 * ez
         gz = m02 * ex + m12 * ey + m22 * ez
         squared = ex * gx + ey * gy + ez * gz
-        w, pair_loss = robust_weight(squared, scale)
+        w, pair_loss = geman_mcclure(squared, scale)
         loss += pair_loss
         m00, m01, m02, m11, m12, m22 = w * m00, w * m01, w * m02, w * m11, w * m12, w * m22
         gx, gy, gz = w * gx, w * gy, w * gz

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
-from steelnb.registration.pcl_bfgs import euler_pose, metrics, minimise
+from steelnb.registration.pcl_bfgs import euler_pose, minimise, pair_metrics
 from steelnb.registration.target import Target
 
 PAIRS_MIN = {"point": 3, "gicp": 4}
@@ -54,7 +55,7 @@ def icp_as_pcl(
         inliers = int(np.count_nonzero(paired))
         if inliers < PAIRS_MIN["point"]:
             return Aligned(T, False, iteration - 1, inliers)
-        source_points, target_points = source[paired] @ T[:3, :3].T + T[:3, 3], target.point[match[paired]]
+        source_points, target_points = transform_points(T, source[paired]), target.point[match[paired]]
         step = least_squares_motion(source_points, target_points)
         T = step @ T
         mse_m2 = float(((source_points - target_points) ** 2).sum() / inliers)
@@ -89,7 +90,7 @@ def gicp_as_pcl(
         if len(chosen) < PAIRS_MIN["gicp"]:
             return Aligned(T, False, iteration - 1, len(chosen))
         match = match[chosen]
-        metric = metrics(covariance[chosen], target.covariance[match], T[:3, :3])
+        metric = pair_metrics(covariance[chosen], target.covariance[match], T[:3, :3])
         minimise(x, source[chosen].astype(np.float32), target.point[match].astype(np.float32), metric)
         T_previous, T = T, euler_pose(x)
         change = np.abs(T - T_previous)

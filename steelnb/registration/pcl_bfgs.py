@@ -36,7 +36,7 @@ def euler_pose(x):
     return T
 
 
-def metrics(source_covariance, target_covariance, R):
+def pair_metrics(source_covariance, target_covariance, R):
     """Metric (C_target + R C_source Rᵀ)⁻¹ of each pair: ``(P, 6)``, upper triangles xx xy xz yy yz zz."""
     inverse = np.linalg.inv(target_covariance[:, FULL] + R @ source_covariance[:, FULL] @ R.T)
     return np.ascontiguousarray(inverse[:, *UPPER])

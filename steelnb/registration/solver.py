@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import exp_about, rotation_between, transform_points
 from steelnb.core.types import Array, IntArray
 from steelnb.registration import normal_equations as kernels
 from steelnb.registration.degeneracy import unobserved_shifts, without_shifts
@@ -162,7 +162,7 @@ def prior_term(information: Array, T_init: Array, source: Array) -> Term:
     mean, _ = mean_and_length(source)
 
     def term(T: Array, centre: Array) -> tuple[Array, Array, float]:
-        rotation = Rotation.from_matrix(T[:3, :3] @ T_init[:3, :3].T, assume_valid=True).as_rotvec()
+        rotation = rotation_between(T_init[:3, :3], T[:3, :3])
         residual = np.append(rotation, centre - T_init[:3, :3] @ mean - T_init[:3, 3])
         return information, information @ residual, 0.5 * float(residual @ information @ residual)
 
@@ -190,14 +190,6 @@ def pairs_needed(error: str, free: Array) -> int:
     return free.shape[1] if error == "plane" else min(1 + int(np.linalg.matrix_rank(free[:3])), 3)
 
 
-def exp_about(centre: Array, xi: Array) -> Array:
-    """Rigid motion ``(4, 4)`` of a twist ``(ω, v)``: rotate by ω about ``centre (3,)``, then translate by v."""
-    motion = np.eye(4)
-    motion[:3, :3] = Rotation.from_rotvec(xi[:3]).as_matrix()
-    motion[:3, 3] = centre - motion[:3, :3] @ centre + xi[3:]
-    return motion
-
-
 def worse(
     linearise: Callable[..., Normal], source: Array, target: AnyTarget, limit: float, T: Array, here: Normal,
     T_best: Array, best: Normal, match: IntArray,
@@ -209,8 +201,7 @@ def worse(
     rose = here.loss > best.loss and here.loss * best.inliers > best.loss * here.inliers
     if not rose and here.inliers >= 0.9 * best.inliers:
         return False
-    transformed = source @ T_best[:3, :3].T + T_best[:3, 3]
-    near = ((transformed - target.point[match]) ** 2).sum(axis=1) <= limit**2
+    near = ((transform_points(T_best, source) - target.point[match]) ** 2).sum(axis=1) <= limit**2
     return linearise(T, np.where(near, match, -1), T_best[:3, :3], math.inf).loss > best.loss * (1 + 1e-9)
 
 

@@ -26,7 +26,7 @@ def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
     return imu
 
 
-Inertial = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
+InertialNoise = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
 """Errors of the IMU, None to use no IMU. Its readings predict the pose of each scan
 (`steelnb.odometry.imu_filter`) and take part in smoothing."""
 
@@ -110,7 +110,7 @@ class RegistrationSettings(MapSettings):
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
     tilt_sigma_rad: NotNegative = 0.0
-    inertial: Inertial = None
+    inertial: InertialNoise = None
 
     @property
     def registration(self) -> "RegistrationSettings":
@@ -149,7 +149,7 @@ class OrbSettings(OdometrySettings):
     """Visual odometry by ORB features (`steelnb.odometry.orb`)."""
 
     family: ClassVar[str] = "orb"
-    inertial: Inertial = None
+    inertial: InertialNoise = None
 
 
 class DeepVoSettings(OdometrySettings):

@@ -15,7 +15,7 @@ from steelnb.settings.base import as_tuples
 from steelnb.settings.presets import PRESETS, read_toml
 
 STEP_S = 0.008
-"""The original's simulator step."""
+"""Step of the simulation, as in the original."""
 SENSOR_STEPS = 26
 """The original's sensor takes a scan every 26 steps."""
 NOISES = {"3.2": "constant-drift", "3.3": "constant-drift", "3.5": "random-walk", "3.6": "constant-drift"}

@@ -12,8 +12,8 @@ from steelnb.settings.presets import preset_table
 Level = tuple[NotNegative, Positive]
 Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
 """Kind of a member. ``secondary``: redundant members, webs of the arms, railings."""
-Sections = dict[Kind, tuple[Positive, Positive]]
-USUAL_SECTIONS: Sections = {
+SectionSizes = dict[Kind, tuple[Positive, Positive]]
+USUAL_SECTIONS: SectionSizes = {
     "leg": (0.120, 0.010), "ring": (0.070, 0.006), "bracing": (0.070, 0.006), "arm": (0.060, 0.005),
     "secondary": (0.040, 0.004),
 }  # fmt: skip
@@ -38,7 +38,7 @@ class TowerSettings(Settings):
     profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
     arm_depth_m: ClassVar[float] = 0.7
-    sections_m: Annotated[Sections, BeforeValidator(_with_usual)] = USUAL_SECTIONS
+    sections_m: Annotated[SectionSizes, BeforeValidator(_with_usual)] = USUAL_SECTIONS
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

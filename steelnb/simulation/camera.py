@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from steelnb.core import rng
 from steelnb.core.images import CameraImages, GreyImage
-from steelnb.core.types import Array, IntArray, Trajectory
+from steelnb.core.types import Array, Floats, IntArray, Trajectory
 from steelnb.settings import CameraSettings
-from steelnb.simulation.camera_texture import Floats, make_texture, shade
+from steelnb.simulation.camera_texture import make_texture, shade
 from steelnb.simulation.members import GROUND
 from steelnb.simulation.raycasting import Hits, cast_bundle, make_scene, rays, world_rays
 from steelnb.simulation.tower import Tower

@@ -11,15 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from steelnb.core import rng
-from steelnb.core.types import Array
-from steelnb.simulation.members import PLATE
+from steelnb.core.types import Array, Floats
+from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.raycasting import Hits
 from steelnb.simulation.tower import Tower
-
-Floats = NDArray[np.float32]
 
 SIZE = 1024
 TEXEL_M = 0.004
@@ -94,12 +91,12 @@ def _shade(pyramid, frame, origin, tile_offset, grey, bundle, range_m, member, n
         m = member[n]
         if m < 0:
             first, second = _projection_axes(normal[n])
-            texel_m = TEXEL_M if m == PLATE else GROUND_TEXEL_M
+            texel_m = TEXEL_M if m == ON_PLATE else GROUND_TEXEL_M
             u = (bundle[n, first] + range_m[n] * bundle[n, 3 + first]) / texel_m
             v = (bundle[n, second] + range_m[n] * bundle[n, 3 + second]) / texel_m
             value = _sample_tile(pyramid, u, v, patch_m / texel_m)
             base, contrast = GROUND_GREY, GROUND_CONTRAST
-            if m == PLATE:
+            if m == ON_PLATE:
                 base, contrast = 0.5 * (STEEL[0] + STEEL[1]), STEEL_CONTRAST
         else:
             surface, most = 0, 0.0

@@ -15,10 +15,10 @@ from steelnb.core import rng
 from steelnb.core.errors import CollisionError
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import FlightSettings
+from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation.paths import heading, minimum_jerk, setpoints
 from steelnb.simulation.tower import Tower
 
-STEP_S = 0.008
 COMMAND_S = 0.1
 """Interval between the commands of a pilot."""
 MASS_KG = 0.275
@@ -44,7 +44,7 @@ Pilot = Callable[[Trajectory, Imu], Command | None]
 """Called every `COMMAND_S` with the true poses and exact IMU readings since its last call; the last sample of that
 call is repeated. A pilot may use them only to simulate its sensors. Returning None ends the flight."""
 Vector = Sequence[float]
-Reference = Callable[[int, Vector, Vector], Any]
+_Reference = Callable[[int, Vector, Vector], Any]
 """Step number, position and quaternion → reference position, velocity, acceleration and heading; or None to end the
 flight."""
 STILL = (0.0, 0.0, 0.0)
@@ -110,7 +110,7 @@ def _flown(state: Array, imu: Array, first: int = 0) -> tuple[Trajectory, Imu]:
     return Trajectory(stamp, T_world_drone), Imu(stamp, imu[:, :3].copy(), imu[:, 3:].copy())
 
 
-def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> Reference:
+def _as_commanded(pilot: Pilot, yaw: float, state: Array, imu: Array) -> _Reference:
     """Reference for a pilot's velocity commands: the position is not controlled, and the heading is ``yaw`` plus the
     integral of the commanded rates."""
     command, last_call = Command(), 0

@@ -43,7 +43,7 @@ def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]
     Joints are the ends of members and the points where they meet. Raises `InputError`.
     """
     kinds, ends, plates, widths = read_members(settings.members or "")
-    joints, joints_of = find_joints(ends)
+    joints, joints_of = joints_of_members(ends)
     middle, members = (ends.min(axis=(0, 1)) + ends.max(axis=(0, 1))) / 2, []
     for kind, (start, end), own, width in zip(kinds, ends - middle, joints_of, widths, strict=True):
         axis = unit(end - start)
@@ -119,7 +119,7 @@ def _width(path: Path, line: int, row: list[str], own: list[str]) -> float | Non
     return width
 
 
-def find_joints(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
+def joints_of_members(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
     """Joints ``(J, 3)`` of members with ``ends (M, 2, 3)``, and for each member the indices of its joints from end to
     end.
 

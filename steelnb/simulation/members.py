@@ -10,7 +10,7 @@ from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.tower import Kind
 
-GROUND, PLATE = -1, -2
+GROUND, ON_PLATE = -1, -2
 """Used in place of a member's index: the ground, and a steel plate, which is not a bar."""
 SIDES_THIN, SIDES, THIN_M = 8, 16, 0.08
 """Sides of round rods thinner than `THIN_M`, and of the others; surfaces are within 5.4 and 1.3 % of the circle's

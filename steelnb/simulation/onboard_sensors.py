@@ -6,7 +6,8 @@ import numpy as np
 
 from steelnb.core.types import Array, Imu, Scan, Trajectory
 from steelnb.settings import ExperimentSettings
-from steelnb.simulation.flight import STEP_S, Command, Pilot
+from steelnb.settings.report_plots import STEP_S
+from steelnb.simulation.flight import Command, Pilot
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
 from steelnb.simulation.noise import drift_errors, drifted
 from steelnb.simulation.tof import TofCamera, scan_steps

@@ -13,11 +13,10 @@ from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import CameraSettings
 from steelnb.simulation.tower import Tower
+from steelnb.simulation.triangles import TOUCH_M, Triangles, contains, make_triangles, ray_distance
 
 STEPS_PER_M = 65536.0
 """Ranges are rounded to this resolution."""
-TOUCH_M = 1e-5
-"""Tolerance within which surfaces touch and a ray hits an edge; float32 cannot resolve smaller distances."""
 MARGIN_M = 2e-5
 """Embree's triangles are enlarged by this margin on each side."""
 RESTART_M = np.float32(4e-6)
@@ -37,23 +36,19 @@ def rays(camera: CameraSettings, origin_px: float = 0.5) -> Array:
     return np.asarray(ray / np.linalg.norm(ray, axis=2, keepdims=True))
 
 
-class Scene(NamedTuple):
+class RayScene(NamedTuple):
     """The T triangles of a tower and of the ground under it, in the world frame, metres.
 
-    ``mesh``: Open3D's scene of the triangles, enlarged by `MARGIN_M`; ``member (T + 1,)`` of each triangle, −1 for the
-    ground and, as the last entry, for no hit; ``corner (T, 3, 3)``; ``plane (T, 4)``: unit normal n and offset d of
-    n · x = d. ``touching[begin[t] : begin[t + 1]]``: triangles that touch, cross or overlap triangle t, descending.
+    ``mesh``: Open3D's scene of the triangles, enlarged by `MARGIN_M`; ``triangles``: as they are; ``member (T + 1,)``
+    of each triangle, −1 for the ground and, as the last entry, for no hit.
     """
 
     mesh: Any
+    triangles: Triangles
     member: IntArray
-    corner: Array
-    plane: Array
-    begin: IntArray
-    touching: IntArray
 
 
-def make_scene(tower: Tower) -> Scene:
+def make_scene(tower: Tower) -> RayScene:
     """The scene of a tower on the ground at z = 0."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
@@ -62,14 +57,7 @@ def make_scene(tower: Tower) -> Scene:
     mesh = open3d.t.geometry.RaycastingScene(nthreads=1)
     tensor, number = open3d.core.Tensor.from_numpy, np.arange(3 * count, dtype=np.uint32)
     mesh.add_triangles(tensor(_enlarged(corner).reshape(-1, 3).astype(np.float32)), tensor(number.reshape(-1, 3)))
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    plane = np.column_stack([normal, (normal * corner[:, 0]).sum(axis=1)])
-    one, other = _touching_pairs(corner, plane).T
-    one, other = np.append(one, other), np.append(other, one)
-    order = np.lexsort((-other, one))
-    begin = np.searchsorted(one[order], np.arange(count + 1))
-    return Scene(mesh, np.append(tower.triangle_member, [-1, -1, -1]), corner, plane, begin, other[order])
+    return RayScene(mesh, make_triangles(corner), np.append(tower.triangle_member, [-1, -1, -1]))
 
 
 def _enlarged(corner: Array) -> Array:
@@ -82,59 +70,7 @@ def _enlarged(corner: Array) -> Array:
     return np.asarray(centre[:, None] + factor[:, None, None] * (corner - centre[:, None]))
 
 
-@njit(cache=True)
-def _touching_pairs(corner, plane):
-    """Pairs ``(P, 2)`` of triangles that touch, cross or overlap. Coplanar ones count if their boxes overlap."""
-    count, size = len(corner), 0
-    low, high = np.empty((count, 3)), np.empty((count, 3))
-    for i in range(count):
-        for k in range(3):
-            low[i, k] = min(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) - TOUCH_M
-            high[i, k] = max(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) + TOUCH_M
-    pair = np.empty((1024, 2), np.int64)
-    along_x = np.argsort(low[:, 0])  # a triangle can only touch those that begin before it ends
-    for place in range(count):
-        i = along_x[place]
-        for later in range(place + 1, count):
-            j = along_x[later]
-            if low[j, 0] > high[i, 0]:
-                break
-            if (
-                low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
-                and low[i, 2] <= high[j, 2] and low[j, 2] <= high[i, 2]
-                and (_edge_meets(corner, plane, i, j) or _edge_meets(corner, plane, j, i))
-            ):  # fmt: skip
-                if size == len(pair):
-                    pair = np.concatenate((pair, np.empty_like(pair)))
-                pair[size, 0], pair[size, 1] = i, j
-                size += 1
-    return pair[:size].copy()
-
-
-@njit(cache=True)
-def _edge_meets(corner, plane, i, j):
-    """Whether an edge of triangle ``i`` meets triangle ``j``, or the two are coplanar."""
-    flat = True
-    for k in range(3):
-        a, b = corner[i, k], corner[i, (k + 1) % 3]
-        from_a, from_b = _signed_distance(plane[j], a), _signed_distance(plane[j], b)
-        flat = flat and abs(from_a) <= TOUCH_M
-        if abs(from_a) > TOUCH_M and from_a * from_b > 0.0 and abs(from_b) > TOUCH_M:
-            continue
-        share = 0.0 if abs(from_a) <= TOUCH_M else min(max(from_a / (from_a - from_b), 0.0), 1.0)
-        point = a + share * (b - a)
-        if _contains(corner, plane, j, point[0], point[1], point[2]):
-            return True
-    return flat
-
-
-@njit(cache=True)
-def _signed_distance(plane, point):
-    """Signed distance of a point to a plane."""
-    return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3]
-
-
-def cast_rays(scene: Scene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
+def cast_rays(scene: RayScene, T_world_sensor: Array, ray: Array) -> tuple[np.ndarray, IntArray]:
     """Exact ranges ``(K, H, W)`` float32 in metres from K poses ``(K, 4, 4)``, infinite for no hit, and the member hit,
     −1 for the ground and for no hit. ``ray (H, W, 3)``: unit vectors in the sensor frame."""
     flat = ray.reshape(-1, 3).astype(np.float32)
@@ -156,7 +92,7 @@ def world_rays(T_world_sensor: Array, ray: np.ndarray) -> np.ndarray:
 class Hits(NamedTuple):
     """``range_m (...)`` float32, infinite for no hit; ``member (...)``, −1 for the ground and for no hit; ``normal
     (..., 3)`` float32, unit normals of either sign, zero for no hit; ``triangle (...)``, its index, or T for no hit
-    (`Scene`)."""
+    (`RayScene`)."""
 
     range_m: np.ndarray
     member: IntArray
@@ -164,7 +100,7 @@ class Hits(NamedTuple):
     triangle: IntArray
 
 
-def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
+def cast_bundle(scene: RayScene, bundle: np.ndarray) -> Hits:
     """The first hits of rays ``(..., 6)`` float32: origins and unit directions in the world frame.
 
     Embree uses the processor's approximate reciprocal, which differs between vendors. It therefore only proposes
@@ -179,18 +115,19 @@ def cast_bundle(scene: Scene, bundle: np.ndarray) -> Hits:
     pending, onward = np.arange(len(ray)), ray
     while len(pending):
         proposed = scene.mesh.cast_rays(tensor(onward), nthreads=1)
-        missed = _resolve_hits(ray, pending, proposed["primitive_ids"].numpy(), *scene[1:], *hit)
+        missed = resolve_hits(ray, pending, proposed["primitive_ids"].numpy(), scene.triangles, scene.member, hit)
         pending, onward, behind_m = pending[missed], onward[missed], proposed["t_hit"].numpy()[missed] + RESTART_M
         onward[:, :3] += behind_m[:, None] * onward[:, 3:]
     return Hits(*(array.reshape(*shape, *array.shape[1:]) for array in hit))
 
 
 @njit(cache=True)
-def _resolve_hits(
-    rays, pending, proposed, member_of, corner, plane, begin, touching, range_m, member, normal, triangle
-):  # fmt: skip
+def resolve_hits(rays, pending, proposed, triangles, member_of, hit):
     """Fill in the `Hits` of ``rays (N, 6)`` with indices ``pending (L,)``. ``proposed (L,)``: the triangle proposed for
-    each, or an index beyond the last for no hit. Returns the indices into ``pending`` of the rays that miss."""
+    each, or an index beyond the last for no hit. ``member_of``: of the `RayScene`. Returns the indices into ``pending``
+    of the rays that miss."""
+    corner, plane, begin, touching = triangles
+    range_m, member, normal, triangle = hit
     ray = np.empty(6)
     missed, count = np.empty(len(pending), np.int64), 0
     for m in range(len(pending)):
@@ -201,59 +138,29 @@ def _resolve_hits(
             continue
         for k in range(6):
             ray[k] = rays[i, k]
-        distance = _distance(ray, corner[t], plane[t])
+        distance = ray_distance(ray, corner[t], plane[t])
         x, y, z = ray[0] + distance * ray[3], ray[1] + distance * ray[4], ray[2] + distance * ray[5]
         found, s, t_is_checked = np.int64(-1), begin[t], False
         while s < begin[t + 1] and found < 0:
             u = touching[s]
             if u < t and not t_is_checked:
                 t_is_checked = True
-                if _contains(corner, plane, t, x, y, z):
+                if contains(corner, plane, t, x, y, z):
                     break
             height = plane[u, 0] * x + plane[u, 1] * y + plane[u, 2] * z - plane[u, 3]
-            if abs(height) < TOUCH_M and _contains(corner, plane, u, x, y, z):
+            if abs(height) < TOUCH_M and contains(corner, plane, u, x, y, z):
                 found = u
             s += 1
-        if found < 0 and _contains(corner, plane, t, x, y, z):
+        if found < 0 and contains(corner, plane, t, x, y, z):
             found = t
         if found < 0:
             missed[count] = m
             count += 1
             continue
         if found != t:
-            distance = _distance(ray, corner[found], plane[found])
+            distance = ray_distance(ray, corner[found], plane[found])
         range_m[i] = max(math.floor(distance * STEPS_PER_M + 0.5) / STEPS_PER_M, 0.0)
         member[i], triangle[i] = member_of[found], found
         for k in range(3):
             normal[i, k] = plane[found, k]
     return missed[:count]
-
-
-@njit(cache=True)
-def _distance(ray, corner, plane):
-    """Distance along a ``ray (6,)`` to a plane, clamped to the range of the triangle's corners, for grazing rays."""
-    nearest, farthest = np.inf, -np.inf
-    for k in range(3):
-        along = 0.0
-        for i in range(3):
-            along += (corner[k, i] - ray[i]) * ray[3 + i]
-        nearest, farthest = min(nearest, along), max(farthest, along)
-    slope = plane[0] * ray[3] + plane[1] * ray[4] + plane[2] * ray[5]
-    if slope == 0.0:
-        return nearest
-    return min(max(-_signed_distance(plane, ray) / slope, nearest), farthest)
-
-
-@njit(cache=True)
-def _contains(corner, plane, t, x, y, z):
-    """Whether a point in the plane of triangle ``t`` is inside it, or outside by at most `TOUCH_M`. The corners run
-    anticlockwise about the normal."""
-    for k in range(3):
-        n = (k + 1) % 3
-        ax, ay, az = corner[t, k, 0], corner[t, k, 1], corner[t, k, 2]
-        ex, ey, ez = corner[t, n, 0] - ax, corner[t, n, 1] - ay, corner[t, n, 2] - az
-        px, py, pz = x - ax, y - ay, z - az
-        left = (ey * pz - ez * py) * plane[t, 0] + (ez * px - ex * pz) * plane[t, 1] + (ex * py - ey * px) * plane[t, 2]
-        if left < 0.0 and left * left > TOUCH_M * TOUCH_M * (ex * ex + ey * ey + ez * ez):
-            return False
-    return True

@@ -111,7 +111,7 @@ class TofCamera:
 @dataclass(frozen=True)
 class View:
     """Returns of one scan in the world frame: ``points (N, 3)`` as measured, ``surface (N, 3)``, their true positions,
-    and ``member (N,)``, the member that each lies on, or `PLATE`. ``across (3,)``: horizontal unit vector to the
+    and ``member (N,)``, the member that each lies on, or `ON_PLATE`. ``across (3,)``: horizontal unit vector to the
     right."""
 
     points: Array

@@ -17,14 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array, Floats, IntArray
 from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.members import GROUND
-from steelnb.simulation.raycasting import Scene, cast_bundle, rays
-
-Floats = NDArray[np.float32]
+from steelnb.simulation.raycasting import RayScene, cast_bundle, rays
 
 _MAGIC = np.array([8, 1, 6, 3, 5, 7, 4, 9, 2])
 MOMENTS = (_MAGIC - 5) / 9
@@ -108,7 +105,7 @@ class Exposure(NamedTuple):
 
 
 def expose(
-    scene: Scene, settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator
+    scene: RayScene, settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator
 ) -> Exposure:
     """One exposure, without noise, from the poses ``T_world_sensor (9, 4, 4)`` at its nine moments (`MOMENTS`).
 

@@ -10,13 +10,13 @@ from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.tower import Kind
 from steelnb.simulation.member_list import leg_half_width, listed_members
-from steelnb.simulation.members import PLATE, Member, make_member, mesh_members, unit
+from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
 
 
 @dataclass(frozen=True)
 class Tower:
     """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)`` metres,
-    ``triangles (T, 3)`` and the member of each, ``triangle_member (T,)``, `PLATE` for a plate."""
+    ``triangles (T, 3)`` and the member of each, ``triangle_member (T,)``, `ON_PLATE` for a plate."""
 
     joints: Array
     members: tuple[Member, ...]
@@ -33,7 +33,7 @@ class Tower:
     @property
     def plates(self) -> Array:
         """Triangles of the plates, ``(P, 3, 3)`` metres, world frame."""
-        return self.vertices[self.triangles[self.triangle_member == PLATE]]
+        return self.vertices[self.triangles[self.triangle_member == ON_PLATE]]
 
 
 def build_tower(settings: TowerSettings | None = None) -> Tower:
@@ -51,7 +51,7 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
     vertices, triangles, owner = mesh_members(joints, members)
     triangles = np.concatenate([triangles, len(vertices) + np.arange(3 * len(plates)).reshape(-1, 3)])
     vertices = np.concatenate([vertices, plates.reshape(-1, 3)])
-    owner = np.concatenate([owner, np.full(len(plates), PLATE)])
+    owner = np.concatenate([owner, np.full(len(plates), ON_PLATE)])
     return Tower(joints, tuple(members), vertices, triangles, owner, settings)
 
 

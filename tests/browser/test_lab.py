@@ -15,7 +15,7 @@ import psutil
 import pytest
 from playwright.sync_api import Browser, Page
 
-from workflow.task_notebooks import OWN
+from workflow.run_notebooks import OWN
 
 ROOT = Path(__file__).parents[2]
 FOR_PAGE_MS = 60_000

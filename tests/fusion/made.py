@@ -85,9 +85,10 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: flo
     ends = np.array([*posts, ((2, -1.5, 0.8), (2, 1.5, 0.8)), ((2.2, -1.5, -0.7), (2.2, 1.5, 0.3))])
     segments = Segments(ends[:, 0], ends[:, 1], np.full(6, 100), np.full(6, 0.02))
     across = shapes.frames(segments.direction)
-    bars = Bars(segments, across, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6), thickness)
-    bars.turn[list(tubes)] = np.nan
-    corner = shapes.outlines(bars.turn, bars.flange, thickness)
+    kind = np.full(6, shapes.ANGLE)
+    bars = Bars(segments, across, kind, rng.uniform(-3, 3, 6), rng.uniform(0.06, 0.12, 6), thickness)
+    bars.kind[list(tubes)], bars.turn[list(tubes)] = shapes.TUBE, np.nan
+    corner = shapes.outlines(bars.kind, bars.turn, bars.flange, thickness)
     T = np.tile(np.eye(4), (scans, 1, 1))
     T[:, 1, 3], T[:, 2, 3] = np.linspace(-1, 1, scans), 0.2 * np.sin(np.arange(scans) / 6)
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(0.3 * np.sin(np.arange(scans) / 9), [0, 0, 1])).as_matrix()
@@ -102,7 +103,7 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: flo
                 beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
                 # from far enough all lines of sight across the bar are parallel; close by, aim again
                 for _ in range(20):
-                    front, *_ = shapes.front_face(corner[b], cosine, sine, beside)
+                    front, *_ = shapes.front_face(bars.kind[b], corner[b], cosine, sine, beside)
                     point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
                     view = across[b] @ (pose[:3, 3] - point)
                     before, (cosine, sine) = (cosine, sine), view / np.linalg.norm(view)

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import moved_poses
 from steelnb.core.types import GRAVITY, Imu, Trajectory
-from steelnb.fusion.adjustment import drift_factors, imu_factors, smooth
-from steelnb.fusion.adjustment.drift_factors import moved_poses
+from steelnb.fusion import smooth
+from steelnb.fusion.adjustment import drift_factors, imu_factors
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, ImuSettings
 from steelnb.simulation import measured_imu

@@ -1,26 +1,12 @@
 """The ridge filter against its definition, voxel by voxel."""
 
-import math
-
 import numpy as np
 
 from steelnb.fusion.ridges import ridge_points
 from steelnb.points import VoxelMap
+from tests import naive
 
 VOXEL, RADIUS, SHARE, CONTRACT = 0.05, 0.17, 0.3, 0.09
-
-
-def defined(mean: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The slow twin: all voxels beside all others."""
-    cube = np.floor(mean / VOXEL).astype(int)
-    apart = np.linalg.norm(cube[:, None] - cube[None], axis=2) * VOXEL
-    most = np.where(apart <= RADIUS + 1e-9, weight, 0.0).max(axis=1)
-    stay = (weight > 0) & (most * SHARE <= weight)
-    reach = int((CONTRACT + math.sqrt(3) * VOXEL) / VOXEL) * VOXEL
-    assert reach > CONTRACT
-    near = (np.linalg.norm(mean[:, None] - mean[None], axis=2) <= CONTRACT) & stay
-    share = (near * weight)[stay]
-    return share @ mean / share.sum(axis=1, keepdims=True)
 
 
 def haze(seed: int) -> VoxelMap:
@@ -35,7 +21,9 @@ def test_ridges_are_those_of_the_definition() -> None:
     voxels = haze(1)
     found = ridge_points(voxels, RADIUS, SHARE, CONTRACT)
     assert 50 < len(found) < 0.8 * len(voxels)
-    np.testing.assert_allclose(found, defined(voxels.means(), voxels.weights()), atol=1e-12)
+    np.testing.assert_allclose(
+        found, naive.ridge_points(voxels.means(), voxels.weights(), VOXEL, RADIUS, SHARE, CONTRACT), atol=1e-12
+    )
 
 
 def test_what_is_left_out_counts_for_nothing() -> None:
@@ -43,5 +31,6 @@ def test_what_is_left_out_counts_for_nothing() -> None:
     mean, weight = voxels.means(), voxels.weights()
     out = mean[:, 0] > 0
     found = ridge_points(voxels, RADIUS, SHARE, CONTRACT, out)
-    np.testing.assert_allclose(found, defined(mean, np.where(out, 0.0, weight)), atol=1e-12)
+    expected = naive.ridge_points(mean, np.where(out, 0.0, weight), VOXEL, RADIUS, SHARE, CONTRACT)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_array_equal(voxels.weights(), weight)

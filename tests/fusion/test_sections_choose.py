@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import reconstruct
+from steelnb.fusion.bar_fitting import BarFitter
 from steelnb.fusion.candidates import find_bars
-from steelnb.fusion.reconstruct import MappedScans
+from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.sections import choose, fit, shapes
+from steelnb.fusion.sections.histogram import VIEWS
 from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
@@ -80,8 +82,8 @@ def test_angle_sections_beside_a_tube_are_not_round(side):
 
 def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
     """Cells of a tube off its assumed axis, from the directions of an arc, with noise in depth of 4 mm."""
-    view = rng.integers(0, max(1, round(arc_rad / 2 / np.pi * shapes.VIEWS)), n)
-    angle = (view + 0.5) * 2 * np.pi / shapes.VIEWS - np.pi
+    view = rng.integers(0, max(1, round(arc_rad / 2 / np.pi * VIEWS)), n)
+    angle = (view + 0.5) * 2 * np.pi / VIEWS - np.pi
     beside, along = radius_m * rng.uniform(-0.98, 0.98, n), rng.uniform(-0.5, 0.5, n)
     depth = np.sqrt(radius_m**2 - beside**2) + 0.004 * rng.standard_normal(n)
     towards, left = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
@@ -92,7 +94,7 @@ def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
 def test_a_step_is_that_of_its_slow_twin():
     rng = np.random.default_rng(4)
     cells, place, normal = seen_arc(rng, 0.05, 3.0), np.array([0.02, -0.01, 0.003, 0.001, 0.04]), np.empty((5, 6))
-    corner = shapes.outlines(np.array([np.nan]), 2 * place[4:])[0]
+    corner = shapes.outlines(np.array([shapes.TUBE]), np.array([np.nan]), 2 * place[4:])[0]
     cost = fit.section_step(cells, np.empty((0, 6)), corner, place, normal)
     expected, matrix, vector = naive.circle_step(cells, place)
     assert cost == pytest.approx(expected)
@@ -122,8 +124,8 @@ def seen_plate(rng, turn_rad: float, thickness_m: float, n: int = 600) -> np.nda
     """Cells of a plate 0.25 m wide whose front looks towards ``turn_rad``, a third of them on its back."""
     is_back = np.arange(n) % 3 == 0
     angle = turn_rad + rng.uniform(-1.0, 1.0, n) + math.pi * is_back
-    view = np.floor((angle + math.pi) % (2 * math.pi) / (2 * math.pi) * shapes.VIEWS)
-    angle = (view + 0.5) * 2 * math.pi / shapes.VIEWS - math.pi
+    view = np.floor((angle + math.pi) % (2 * math.pi) / (2 * math.pi) * VIEWS)
+    angle = (view + 0.5) * 2 * math.pi / VIEWS - math.pi
     normal, left = np.array([np.cos(turn_rad), np.sin(turn_rad)]), np.array([-np.sin(turn_rad), np.cos(turn_rad)])
     along, beside, depth = rng.uniform(-0.5, 0.5, n), rng.uniform(-0.125, 0.125, n), 0.003 * rng.standard_normal(n)
     place = np.outer(depth - thickness_m * is_back + 0.02 * along + 0.03, normal) + np.outer(beside, left)
@@ -152,12 +154,12 @@ def test_points_across_a_line_are_no_plate_that_it_lies_in(noise_m):
 
 def test_the_face_of_a_plate_is_seen_from_its_front_alone():
     turn = 0.7
-    corner = shapes.outlines(np.array([turn]), np.array([np.inf]))[0]
+    corner = shapes.outlines(np.array([shapes.PLATE]), np.array([turn]), np.array([np.nan]))[0]
     normal, left = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
     u, v = 0.1 * left + 0.01 * normal  # a centimetre before the face
     for side in (1, -1):
         p, q = 3.0 * side * normal + 0.5 * left
-        residual, *_ = shapes.face_distance(u, v, 0.5, p, q, 0.0, corner, 1.0)
+        residual, *_ = shapes.face_distance(u, v, 0.5, p, q, 0.0, shapes.PLATE, corner, 1.0)
         expected = 0.01 * math.hypot(3.0, 0.5) / 3.0 if side == 1 else math.nan  # along the line of sight
         assert residual == pytest.approx(expected, nan_ok=True)
 
@@ -166,8 +168,8 @@ def test_the_face_of_a_plate_is_seen_from_its_front_alone():
 def test_a_deck_is_told_from_bars(turn_rad):
     settings, flight = StructureSettings(floor_m=0.1), around(decked_tower(), 160, 0.01, 11, turn_rad)
     T = flight.prior.T_world_drone
-    fitted = MappedScans.mapped(flight.scans, T, settings).find_and_fit(2)
-    bars, is_plate = fitted.bars, np.isinf(fitted.bars.flange)
+    fitted = BarFitter(MappedScans.mapped(flight.scans, T, settings)).find_and_fit(2)
+    bars, is_plate = fitted.bars, fitted.bars.kind == shapes.PLATE
     height = deck_distance(bars.segments)
     assert is_plate.any()
     assert (is_plate == np.isfinite(height)).all()

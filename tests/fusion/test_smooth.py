@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, Segments, Trajectory
-from steelnb.fusion.adjustment import point_factors, problem, smooth, solver, uncertainty
-from steelnb.fusion.adjustment.problem import Bars
+from steelnb.fusion import smooth
+from steelnb.fusion.adjustment import point_factors, problem, solver, uncertainty
 from steelnb.fusion.sections.shapes import THICKNESS
 from steelnb.metrics import score_trajectory
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 from steelnb.settings import ExperimentSettings
 from tests.fusion.made import made_up
 
@@ -100,8 +100,8 @@ def test_a_made_up_flight_comes_back_to_the_truth():
     prior = T.copy()
     prior[1:, :3, 3] += np.cumsum(rng.normal(scale=0.001, size=(len(T) - 1, 3)), axis=0)
     shifted = bars.segments.start + rng.normal(scale=0.004, size=(6, 3)), bars.segments.end
-    wrong = Bars(Segments(*shifted, bars.segments.count, bars.segments.radius), bars.across, bars.turn + 0.02,
-                        bars.flange + 0.002)  # fmt: skip
+    segments = Segments(*shifted, bars.segments.count, bars.segments.radius)
+    wrong = replace(bars, segments=segments, turn=bars.turn + 0.02, flange=bars.flange + 0.002)
     state = problem.start(prior, prior, wrong)
     for _ in range(8):
         state = solver.improve(state, point_factors.linearised(state, observed), prior, stamp_s)
@@ -128,5 +128,5 @@ def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     state = problem.start(T, T, bars)
     for _ in range(3):
         state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
-    sigma_m = np.maximum(SIGMA_M, SIGMA_SHARE * np.linalg.norm(observed.point, axis=1))
+    sigma_m = range_sigma_m(np.linalg.norm(observed.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

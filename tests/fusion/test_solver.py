@@ -1,14 +1,16 @@
 """Normal equations of poses and bars against numerical derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import UPRIGHT_DOF, moved_poses
 from steelnb.fusion.adjustment import drift_factors, point_factors, problem
-from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF
 from steelnb.fusion.adjustment.point_factors import FACE_DOF
-from steelnb.fusion.adjustment.problem import BAR_DOF, Bars
+from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
 from tests.fusion.made import made_up
 
@@ -16,13 +18,13 @@ from tests.fusion.made import made_up
 def residuals_of(state, observed, p):
     """Residuals of the points of pair p, and their standard deviations, directly from the definition."""
     T, bars, b = state.T_world_sensor[observed.pair_scan[p]], state.bars, observed.pair_bar[p]
-    corner, direction = bars.faces()[4][b], bars.segments.direction[b]
+    corner, direction = bars.faces()[5][b], bars.segments.direction[b]
     found = []
     for s in observed.point[observed.first[p] : observed.first[p + 1]].astype(np.float64):
         point = T[:3, :3] @ s + T[:3, 3]
         frame = np.vstack([bars.across[b], direction])
         at, towards = frame @ (point - bars.segments.start[b]), frame @ (T[:3, 3] - point)
-        found.append(shapes.face_distance(*at, *towards, corner, bars.segments.length[b])[:2])
+        found.append(shapes.face_distance(*at, *towards, bars.kind[b], corner, bars.segments.length[b])[:2])
     return np.array(found).T
 
 
@@ -32,7 +34,7 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     T_world = np.eye(4)  # roll and pitch, and a face seen aslant
     T_world[:3, :3], T_world[:3, 3] = Rotation.from_rotvec([0.05, -0.08, 0.0]).as_matrix(), [0.3, -0.2, 0.5]
     T = T_world @ T
-    bars = Bars(bars.segments.transformed(T_world), bars.across @ T_world[:3, :3].T, bars.turn, bars.flange)
+    bars = replace(bars, segments=bars.segments.transformed(T_world), across=bars.across @ T_world[:3, :3].T)
     state = problem.start(T, T, bars, tilt_sigma_rad)
     eq = point_factors.linearised(state, observed)
     step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
@@ -69,7 +71,7 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
     stamp_s = 0.2 * np.arange(n)
 
     def vector(step):
-        T_moved = drift_factors.moved_poses(T, step.reshape(n, 6))
+        T_moved = moved_poses(T, step.reshape(n, 6))
         return drift_factors.prior_equations(T_moved, prior, stamp_s, sigma)[2].ravel()
 
     matrix, beside, _ = drift_factors.prior_equations(T, prior, stamp_s, sigma)

@@ -1,13 +1,16 @@
 """Covariances of smoothing: against a dense inverse, against many runs, and with an undetermined direction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import yaw_of
 from steelnb.fusion.adjustment import drift_factors, point_factors, problem, solver, uncertainty
-from steelnb.fusion.adjustment.problem import BAR_DOF, Bars
+from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
 from tests.fusion.made import bars_of, made_up
 
@@ -83,7 +86,7 @@ def test_many_runs_scatter_as_they_say():
         pose = marginals(state, observed, prior, NONE)[0]
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
-        error[:, 0] = drift_factors.yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
+        error[:, 0] = yaw_of(T[1:, :3, :3] @ state.T_world_sensor[1:, :3, :3].transpose(0, 2, 1))
         squared.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pose[1:]), error).mean() / 4)
         scaled.append(error[20] / np.sqrt(np.diag(pose[21])))
     assert 0.8 < np.mean(squared) < 1.25
@@ -94,7 +97,8 @@ def wall_of_posts():
     """Only four posts, all seen at one height: the prior alone determines z."""
     T, bars, observed = made_up(1, 0.004)
     posts = np.arange(len(bars.flange)) < 4
-    return T, Bars(bars.segments, bars.across, bars.turn, np.where(posts, bars.flange, np.nan)), observed
+    kind, flange = np.where(posts, bars.kind, shapes.UNKNOWN), np.where(posts, bars.flange, np.nan)
+    return T, replace(bars, kind=kind, flange=flange), observed
 
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():

@@ -3,11 +3,11 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.hough.alternatives import refine
-from steelnb.hough.alternatives.methods import METHODS, find_bars
+from steelnb.hough.alternatives.methods import FINDERS, find_bars_by
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
 OPTIONS = {"gmm": {"components": [2, 3, 6], "sample": 900}}
-EXACT = [name for name in METHODS if name != "ransac-planes"]
+EXACT = [name for name in FINDERS if name != "ransac-planes"]
 
 
 def cloud(bars=BARS, points=300, noise_m=0.01, clutter=0, seed=0):
@@ -25,7 +25,7 @@ def ends(bars):
 
 @pytest.mark.parametrize("method", EXACT)
 def test_separate_bars_and_their_ends_are_found(method):
-    found = find_bars(method, cloud(), dx=0.05, **OPTIONS.get(method, {}))
+    found = find_bars_by(method, cloud(), dx=0.05, **OPTIONS.get(method, {}))
     assert len(found) == 3
     np.testing.assert_allclose(ends(np.stack([found.start, found.end], axis=1)), ends(BARS), atol=0.03)
     assert (found.count >= 290).all()
@@ -34,30 +34,30 @@ def test_separate_bars_and_their_ends_are_found(method):
 
 @pytest.mark.parametrize("method", ["hough", "ransac-lines"])
 def test_clutter_makes_no_bar(method):
-    found = find_bars(method, cloud(clutter=150), dx=0.05)
+    found = find_bars_by(method, cloud(clutter=150), dx=0.05)
     assert len(found) == 3
-    assert len(find_bars(method, np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
+    assert len(find_bars_by(method, np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
 
 
 def test_planes_give_one_bar_for_many_in_a_plane():
     points = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
-    assert len(find_bars("hough", points, dx=0.05)) == 4
-    assert len(find_bars("ransac-planes", points, dx=0.05)) <= 1
-    assert len(find_bars("ransac-planes", cloud(BARS[:1]), dx=0.05)) == 1
+    assert len(find_bars_by("hough", points, dx=0.05)) == 4
+    assert len(find_bars_by("ransac-planes", points, dx=0.05)) <= 1
+    assert len(find_bars_by("ransac-planes", cloud(BARS[:1]), dx=0.05)) == 1
 
 
 def test_dbscan_takes_touching_bars_for_one_cluster():
     cross = np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float)
     points = cloud(cross, points=1500)
-    assert len(find_bars("hough", points, dx=0.05)) == len(find_bars("ransac-lines", points, dx=0.05)) == 2
-    assert len(find_bars("dbscan", points, dx=0.05)) == 0
+    assert len(find_bars_by("hough", points, dx=0.05)) == len(find_bars_by("ransac-lines", points, dx=0.05)) == 2
+    assert len(find_bars_by("dbscan", points, dx=0.05)) == 0
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", FINDERS)
 def test_a_seed_gives_the_same_bars(method):
     points = cloud(clutter=100)
     before = points.copy()
-    once, again = (find_bars(method, points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
+    once, again = (find_bars_by(method, points, seed=3, **OPTIONS.get(method, {})) for _ in range(2))
     for name in ("start", "end", "count", "radius"):
         np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
     np.testing.assert_array_equal(points, before)
@@ -75,18 +75,18 @@ def test_a_seed_gives_the_same_bars(method):
 )
 def test_invalid_input_is_named_in_the_error(points, options, message):
     with pytest.raises(InputError, match=message):
-        find_bars("hough", points, **options)
+        find_bars_by("hough", points, **options)
 
 
 def test_gmm_selects_the_number_of_components():
     points = cloud(noise_m=0.02)
-    picked = find_bars("gmm", points, components=[3, 40], sample=900)
-    np.testing.assert_array_equal(picked.start, find_bars("gmm", points, components=[3], sample=900).start)
+    picked = find_bars_by("gmm", points, components=[3, 40], sample=900)
+    np.testing.assert_array_equal(picked.start, find_bars_by("gmm", points, components=[3], sample=900).start)
 
 
 @pytest.mark.parametrize("method", EXACT)
 def test_short_bars_and_bars_of_few_points_are_dropped(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
-    assert len(find_bars(method, cloud(), points_min=400, **options)) == 0
+    assert len(find_bars_by(method, cloud(), points_min=400, **options)) == 0
     monkeypatch.setattr(refine, "LENGTH_MIN_M", 1.45)
-    assert len(find_bars(method, cloud(), **options)) == 2
+    assert len(find_bars_by(method, cloud(), **options)) == 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from steelnb.hough.whole_structure.cubes import Cubes, sort_into_cubes, walk
+from steelnb.hough.whole_structure.cubes import Cubes, Line, sort_into_cubes, walk
 
 JIT = not config.DISABLE_JIT
 AHEAD = np.array([1.0, 2.0, -2.0]) / 3
@@ -13,7 +13,7 @@ AHEAD = np.array([1.0, 2.0, -2.0]) / 3
 def points_on_walk(cubes: Cubes, at: np.ndarray, along: np.ndarray, begin: float, end: float) -> np.ndarray:
     """Indices of the points that a walk visits, once per visit."""
     visited, near = np.zeros(len(cubes.first), np.int64), np.empty(2 * len(cubes.px), np.int64)
-    return cubes.order[near[: walk(cubes, *at, *along, begin, end, visited, near)]]
+    return cubes.order[near[: walk(cubes, Line(*at, *along, begin, end), visited, near)]]
 
 
 def distances(points: np.ndarray, at: np.ndarray, along: np.ndarray, begin: float, end: float) -> np.ndarray:

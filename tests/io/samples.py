@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE, TF, typestore
+from steelnb.io.bag_reader import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE_STAMPED, TF, typestore
 from steelnb.io.bag_writer import Messages
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
@@ -61,8 +61,8 @@ class Bagged:
         for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
             message = self.make.odometry(ns(stamp), T)
             message.child_frame_id = child
-            if kind == POSE:
-                message = self.make.make(POSE, message.header, message.pose.pose)
+            if kind == POSE_STAMPED:
+                message = self.make.make(POSE_STAMPED, message.header, message.pose.pose)
             self.rows.append((topic, kind, float(stamp), message))
         return self
 

@@ -5,7 +5,7 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.io import read_flight, write_tum
-from steelnb.io.bag_reader import ODOMETRY, POSE, T_OPTICAL_SENSOR
+from steelnb.io.bag_reader import ODOMETRY, POSE_STAMPED, T_OPTICAL_SENSOR
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses
 
 MOUNT, SHIFT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3)), T_of((1, 2, 3))
@@ -16,7 +16,7 @@ def bag(request, tmp_path):
     return Bagged(tmp_path / request.param)
 
 
-@pytest.mark.parametrize("kind", [ODOMETRY, POSE])
+@pytest.mark.parametrize("kind", [ODOMETRY, POSE_STAMPED])
 def test_scans_and_poses_are_found_by_type(bag, kind):
     flight = read_flight(bag.clouds().odometry(kind=kind).write())
     np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS)

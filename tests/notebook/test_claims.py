@@ -15,7 +15,7 @@ from steelnb.notebook.claims import (
     OPEN,
     USUAL,
     Claim,
-    cells_of,
+    claim_cells,
     judge,
     read_claims,
     verdict_table,
@@ -136,7 +136,7 @@ def test_failed_runs_and_missing_numbers_are_left_out():
     assert found.n_seeds == 29  # seed 4 still has its zigzag
     assert found.verdict == HOLDS
     with pytest.raises(InputError, match="fewer than two seeds"):
-        cells_of(claim(), table[table["seed"] == 0])
+        claim_cells(claim(), table[table["seed"] == 0])
 
 
 def test_a_walk_is_read_off_the_curve_at_three_minutes():
@@ -148,7 +148,7 @@ def test_a_walk_is_read_off_the_curve_at_three_minutes():
     assert judged(level, table).cells["estimate"].to_numpy() == pytest.approx([1.8 + 1.5] * 4)
     table["curve_time_s"] = [time / 2] * len(table)
     with pytest.raises(InputError, match="fewer than two"):
-        cells_of(level, table)
+        claim_cells(level, table)
 
 
 def test_a_flight_that_converged_wrongly_counts_once_for_its_seed():
@@ -187,9 +187,9 @@ def test_bad_claims_are_one_line(changes, words):
 def test_claims_of_runs_or_numbers_that_are_not_there_are_one_line(tmp_path):
     table = runs(lambda t, n, method, z: 0.0, seeds=3)
     with pytest.raises(InputError, match="no runs with method = 'three'"):
-        cells_of(claim(a={"method": "three"}), table)
+        claim_cells(claim(a={"method": "three"}), table)
     with pytest.raises(InputError, match="metric = 'mass_kg'"):
-        cells_of(claim(metric="mass_kg"), table)
+        claim_cells(claim(metric="mass_kg"), table)
     with pytest.raises(InputError, match="expected a file of claims"):
         read_claims(tmp_path / "claims.toml")
     (tmp_path / "claims.toml").write_text("[a]\nsection = 3")

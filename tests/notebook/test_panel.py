@@ -23,7 +23,7 @@ def make_panel(**other: object) -> Panel:
 
 
 @pytest.fixture(scope="module")
-def view() -> panel.View:
+def view() -> panel.ShownFlight:
     return make_panel().show()
 
 
@@ -50,13 +50,13 @@ def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> N
         make_panel(noise=noise, level=level)
 
 
-def test_a_flight_is_the_experiment_of_the_same_settings(view: panel.View) -> None:
+def test_a_flight_is_the_experiment_of_the_same_settings(view: panel.ShownFlight) -> None:
     same = experiment.run(view.result.settings)
     assert same.metrics == view.result.metrics
     assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
 
 
-def test_the_cloud_lies_on_the_steel_and_is_light(view: panel.View) -> None:
+def test_the_cloud_lies_on_the_steel_and_is_light(view: panel.ShownFlight) -> None:
     assert 1000 < len(view.cloud) <= panel.POINTS_MAX
     lowest = view.cloud[:, 2].min() + view.result.metrics["error_max_m"]
     assert lowest >= view.result.settings.odometry.preprocess.floor_m
@@ -131,7 +131,7 @@ def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypa
     assert not [data for _, data in shown if PLOTLY_TYPE in data]
 
 
-def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: panel.View) -> None:
+def test_without_a_truth_the_scene_has_the_distance_to_the_recorded_poses(view: panel.ShownFlight) -> None:
     paths = {**view.paths, "true": None}
     figure = scene3d.figure_scene(paths)
     assert {trace.name for trace in figure.data} == {"drifting", "corrected"}

@@ -40,8 +40,6 @@ DEFAULTS = {
         ({"overrides": {3: 1}}, ["overrides.3"]),
         ({"results_dir": "x"}, ["results_dir"]),
         ({"noise": ["random-walk", "random-walk:-1"]}, ["random_walk_m = -1.0"]),
-        ({"trajectory": "spiral"}, ["trajectory = 'spiral'"]),
-        ({"overrides": {"tof.rate_hz": 0}}, ["rate_hz = 0"]),
         ({"overrides": {"tof.rate": 1}}, ["rate = 1: unknown setting"]),
     ],
 )

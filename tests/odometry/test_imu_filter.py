@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import exp_about, information_at
 from steelnb.core.types import Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
+from steelnb.fusion.adjustment.imu_factors import BIAS, POSE
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.imu_filter import BIAS, POSE, InertialPrediction, information_at
+from steelnb.odometry.imu_filter import InertialPrediction
 from steelnb.odometry.prediction import RegisteredPose
 from steelnb.points import VoxelMap
-from steelnb.registration.solver import exp_about
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
 from tests.fusion.test_imu_factors import EVERY, SHEET, swaying

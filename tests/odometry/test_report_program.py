@@ -176,7 +176,7 @@ def paired():
     rng = np.random.default_rng(4)
     source, covariance = corner(400, seed=3), regularised(neighbour_covariances(corner(400, seed=3)))
     moved = source @ pose(turn=(0.02, -0.01, 0.03))[:3, :3].T + [0.03, 0.01, -0.02] + rng.normal(0, 0.005, source.shape)
-    return source.astype(np.float32), moved.astype(np.float32), pcl_bfgs.metrics(covariance, covariance, np.eye(3))
+    return source.astype(np.float32), moved.astype(np.float32), pcl_bfgs.pair_metrics(covariance, covariance, np.eye(3))
 
 
 @pytest.mark.kernels

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment, fusion
-from steelnb.fusion.adjustment.drift_factors import TILT_S, tilt_of
+from steelnb.core.geometry import tilt_of
+from steelnb.fusion.adjustment.drift_factors import TILT_S
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct, methods
 from steelnb.odometry.drift_filter import DriftPrediction

@@ -63,6 +63,6 @@ def test_nearest_k_equals_brute_force(points, seed, k, limit):
 def test_within_finds_all_points_in_a_ball(points, seed, radius):
     tree, found = kdtree.build_kdtree(points), np.empty((3, len(points) + 1))
     for query in (np.random.default_rng(seed).uniform(-2, 2, 3), points[0]):
-        count = kdtree.within(tree, *query, radius**2, *found, np.empty(64, np.int64), np.empty((64, 4)))
+        count = kdtree.within_radius(tree, *query, radius**2, *found, np.empty(64, np.int64), np.empty((64, 4)))
         inside = ((points - query) ** 2).sum(axis=1) <= radius**2
         assert sorted(map(tuple, found[:, :count].T)) == sorted(map(tuple, points[inside]))

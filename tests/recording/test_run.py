@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
-from steelnb.recording.run import FILES, TIMES, at_scans, run_recording
+from steelnb.recording.evaluate import TIMES, at_scans
+from steelnb.recording.run import FILES, run_recording
 from steelnb.recording.settings import recording_settings
 from steelnb.settings import ExperimentSettings
 

@@ -14,8 +14,9 @@ from steelnb.settings import FlightSettings, TofSettings
 from steelnb.settings.report_plots import ReportPlot
 from steelnb.simulation import build_tower, fly, scan_flight
 from steelnb.simulation.paths import pose_on_path
-from steelnb.simulation.raycasting import _distance, _resolve_hits, cast_bundle, cast_rays, make_scene, rays
+from steelnb.simulation.raycasting import Hits, cast_bundle, cast_rays, make_scene, rays, resolve_hits
 from steelnb.simulation.tof import RANGE_MIN_M, add_noise, measured_ranges, noise_free, reported_rays
+from steelnb.simulation.triangles import ray_distance
 
 TOWER = build_tower()
 SCENE = make_scene(TOWER)
@@ -49,6 +50,15 @@ def test_scans_do_not_depend_on_the_last_digits_of_embree_s_distances(ulps):
     assert np.isfinite(exact).sum() > 1000
 
 
+def no_hits(count):
+    return Hits(
+        np.empty(count, np.float32),
+        np.empty(count, np.int64),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.int64),
+    )
+
+
 def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_proposes():
     """A roof whose ridge the rays hit, and a plate that lies in one of its sides."""
     roof = np.array([(0, -1, 1), (0, 1, 1), (1, 1, 2), (1, -1, 2), (2, 1, 1), (2, -1, 1)], dtype=float)
@@ -61,8 +71,8 @@ def test_a_ray_on_the_edge_of_two_faces_hits_the_same_one_whichever_embree_propo
     down[0, :3], down[1, :3] = (1, 0.3, 5), (0.5, 0.1, 5)  # on the ridge; on the plate and the roof below it
     found = []
     for named in [(1, 1), (2, 4)]:
-        hits = np.empty(2, np.float32), np.empty(2, np.int64), np.empty((2, 3), np.float32), np.empty(2, np.int64)
-        missed = _resolve_hits(down, np.arange(2), np.array(named, np.uint32), *scene[1:], *hits)
+        hits = no_hits(2)
+        missed = resolve_hits(down, np.arange(2), np.array(named, np.uint32), scene.triangles, scene.member, hits)
         assert not len(missed)
         found.append(hits)
     for one, other in zip(*found, strict=True):
@@ -79,8 +89,11 @@ def test_a_ray_that_misses_a_proposed_triangle_continues_behind_it():
     along = np.zeros((4, 6), np.float32)
     along[:, 3] = 1
     along[:, 1:3] = [(0.5, 4.5), (1 + 5e-6, 4.5), (1 + 1.5e-5, 4.5), (1.5, 4.5)]
-    hits = np.empty(4, np.float32), np.empty(4, np.int64), np.empty((4, 3), np.float32), np.empty(4, np.int64)
-    assert _resolve_hits(along, np.arange(4), np.zeros(4, np.uint32), *scene[1:], *hits).tolist() == [2, 3]
+    hits = no_hits(4)
+    assert resolve_hits(along, np.arange(4), np.zeros(4, np.uint32), scene.triangles, scene.member, hits).tolist() == [
+        2,
+        3,
+    ]
     np.testing.assert_array_equal(cast_bundle(scene, along).range_m, [2, 2, 4, 4])
 
 
@@ -88,7 +101,7 @@ def test_a_ray_that_grazes_a_plane_ends_on_the_triangle():
     corner = np.array([(1, -1, 0), (2, -1, 0), (1, 1, 0)], dtype=float)
     for fall in (0.0, 1e-30, -1e-9):
         ray = np.array([0, 0, 1e-7, 1, 0, fall])
-        assert 1 <= _distance(ray, corner, np.array([0, 0, 1.0, 0])) <= 2
+        assert 1 <= ray_distance(ray, corner, np.array([0, 0, 1.0, 0])) <= 2
 
 
 def distance_to_axes(points):

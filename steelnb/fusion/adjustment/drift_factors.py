@@ -1,7 +1,6 @@
-"""Poses as variables of an adjustment (`fusion.problem`), and the factors of the drifting prior on them.
+"""Poses as variables of an adjustment (`fusion.adjustment.problem`), and the factors of the drifting prior on them.
 
-The step of a pose is a rotation vector in the world frame, radians, about the pose's own position, then a translation,
-metres: six numbers in the order of a twist. With four degrees of freedom it is the last four: yaw, x, y, z.
+The step of a pose is that of `core.geometry`, in the world frame, with six numbers or the last four.
 
 The prior drifts in position and yaw as a random walk. Its roll and pitch are exact by default. With a standard
 deviation ``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, like those of an attitude filter.
@@ -10,12 +9,10 @@ deviation ``tilt_sigma_rad``, their errors are a first-order Gauss-Markov proces
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, pose_step, tilt_of, yaw_of
 from steelnb.core.types import Array
 
-UPRIGHT_DOF, POSE_DOF = 4, 6
-"""Degrees of freedom of a pose with the prior's roll and pitch (yaw, x, y, z), and of a free pose."""
 DRIFT_SIGMA = np.array([0.002, 0.01, 0.01, 0.01])
 """Standard deviation of the drift of yaw, x, y and z in `DRIFT_PERIOD_S`, radians and metres."""
 DRIFT_PERIOD_S = 0.2
@@ -49,32 +46,6 @@ def drift_variance(passed_s: Array | float) -> Array:
 def tilt_decay(passed_s: Array | float) -> Array:
     """The factor ``(…)`` by which errors of the prior's roll and pitch decay in the times ``passed_s (…)``."""
     return np.exp(-np.asarray(passed_s) / TILT_S)
-
-
-def moved_poses(T: Array, step: Array) -> Array:
-    """Poses ``(K, 4, 4)`` after steps ``(K, D)``, D = 4 or 6."""
-    result, rotation = T.copy(), np.zeros((len(T), 3))
-    rotation[:, 6 - step.shape[1] :] = step[:, :-3]
-    result[:, :3, 3] += step[:, -3:]
-    result[:, :3, :3] = Rotation.from_rotvec(rotation).as_matrix() @ T[:, :3, :3]
-    return result
-
-
-def pose_step(T_from: Array, T_to: Array, size: int = UPRIGHT_DOF) -> Array:
-    """The step ``(size,)`` between two poses: the inverse of `moved_poses` to first order in its angles."""
-    rotation = T_to[:3, :3] @ T_from[:3, :3].T
-    return np.concatenate([tilt_of(rotation), yaw_of(rotation)[None], T_to[:3, 3] - T_from[:3, 3]])[-size:]
-
-
-def yaw_of(rotation: Array) -> Array:
-    """The yaw ``(…)``, radians, of the rotation about z nearest to each rotation ``(…, 3, 3)``."""
-    first, second = rotation[..., 0, :], rotation[..., 1, :]
-    return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
-
-
-def tilt_of(rotation: Array) -> Array:
-    """The rotations about x and y ``(…, 2)``, radians, of rotations ``(…, 3, 3)`` with a small tilt and any yaw."""
-    return np.stack([rotation[..., 2, 1], -rotation[..., 2, 0]], axis=-1)
 
 
 def chain_equations(

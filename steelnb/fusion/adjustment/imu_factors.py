@@ -1,4 +1,4 @@
-"""Inertial factors of an adjustment (`fusion.problem`): velocities and IMU biases as states beside the poses.
+"""Inertial factors of an adjustment (`adjustment.problem`): velocities and IMU biases as states beside the poses.
 
 The readings between two scans are preintegrated: the result does not depend on the pose and velocity before them. They
 determine the vertical and the scale, which bars and a drifting prior do not. Source: Forster, Carlone, Dellaert,
@@ -16,12 +16,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import POSE_DOF, moved_poses
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
-from steelnb.fusion.adjustment.drift_factors import POSE_DOF, ChainEquations, chain_equations, moved_poses
+from steelnb.fusion.adjustment.drift_factors import ChainEquations, chain_equations
 from steelnb.settings import ImuSettings
 
 STATE_DOF = 15
-"""Degrees of freedom of a state: pose (6), velocity (3), biases of gyroscope (3) and accelerometer (3)."""
+ROTATION, POSITION, VELOCITY, GYRO, FORCE = (slice(k, k + 3) for k in range(0, STATE_DOF, 3))
+POSE, BIAS = slice(0, POSE_DOF), slice(9, STATE_DOF)
+"""The order of a state, here and in `odometry.imu_filter`: rotation (rad), position (m) and velocity (m/s) in the world
+frame, biases of the gyroscope (rad/s) and the accelerometer (m/s²) in the drone frame."""
+INTEGRATED = np.r_[ROTATION, VELOCITY, POSITION]
+"""The order in which readings are integrated, as in the source: that of `Inertial.errors` and their covariances."""
 NO_STEP = np.zeros(STATE_DOF)
 VELOCITY_SIGMA_M_S = 100.0
 """Prior standard deviation of each velocity, so large that it has no effect."""
@@ -128,7 +134,7 @@ def _jacobian(errors: Callable[[Array], Array]) -> Array:
 
 def integration_covariances(noise: ImuSettings, gap_s: Array) -> Array:
     """Covariances ``(K, 9, 9)`` of rotation, velocity and position after the times ``gap_s (K,)`` due to white noise.
-    The effect of rotation errors on velocity and position is neglected."""
+    Their order is `INTEGRATED`. The effect of rotation errors on velocity and position is neglected."""
     gyro, force = (max(each, SIGMA_MIN) ** 2 for each in (noise.gyro_noise, noise.accelerometer_noise))
     one, gap_s = np.eye(3), gap_s[:, None, None]
     by_gyro, spread, none = gyro * gap_s * one, force * gap_s**2 / 2 * one, 0 * gap_s * one

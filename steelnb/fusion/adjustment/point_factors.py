@@ -1,6 +1,6 @@
-"""Factors of the points of an adjustment (`fusion.problem`), as normal equations.
+"""Factors of the points of an adjustment (`adjustment.problem`), as normal equations.
 
-The residual of a point is its distance to the front face of its bar (`fusion.sections`). It depends on the pose of its
+The residual of a point is its distance to the front face of its bar (`sections.shapes`). It depends on the pose of its
 scan, on position, direction, rotation and flange of the bar, and on the thickness that all bars share.
 """
 
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array, IntArray
 from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
@@ -49,10 +50,8 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     """The normal equations of all points. Moving a pose has the same effect as moving its bars the opposite way, so the
     blocks of poses follow from those of bars, pair by pair."""
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
-    start, direction, length, across, corner = bars.faces()
-    shares, rhs, residuals = _gathered(
-        *observations, T, start, direction, length, across, corner, bars.flange, bars.thickness, problem.sigma_ratio
-    )  # fmt: skip
+    faces = start, direction, length, across, *_ = bars.faces()
+    shares, rhs, residuals = _gathered(*observations, T, *faces, bars.flange, bars.thickness, problem.sigma_ratio)
     size, sensor = pose_size(problem.tilt_sigma_rad), T[scan, :3, 3] - start[bar]
     by_pose = _bar_motion(sensor, direction[bar], length[bar], across[bar], size)
     cross, vector = by_pose @ shares, (by_pose @ rhs[:, :, None])[:, :, 0]
@@ -126,14 +125,14 @@ def _add_rows(result, group, values):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _gathered(  # type: ignore[no-untyped-def]
-    point, first, pair_scan, pair_bar, T, start, direction, length, across, corner, flange, thickness, ratio
+    point, first, pair_scan, pair_bar, T, start, direction, length, across, kind, corner, flange, thickness, ratio
 ):  # fmt: skip
     """Normal equations of the bar of each pair, ``(P, 7, 7)`` and ``(P, 7)``, and the histogram of residuals."""
     shares, rhs = np.zeros((len(pair_bar), FACE_DOF, FACE_DOF)), np.zeros((len(pair_bar), FACE_DOF))
     residuals, total, jacobian = np.zeros(MEDIAN_BINS), np.empty((FACE_DOF, FACE_DOF + 1)), np.empty(FACE_DOF + 1)
     for pair in range(len(pair_bar)):
         b, pose = pair_bar[pair], T[pair_scan[pair]]
-        if flange[b] != flange[b]:
+        if kind[b] == shapes.UNKNOWN:
             continue
         # A point s in the sensor frame is o + r s in the frame of the bar.
         x, y, z = pose[0, 3] - start[b, 0], pose[1, 3] - start[b, 1], pose[2, 3] - start[b, 2]
@@ -146,19 +145,20 @@ def _gathered(  # type: ignore[no-untyped-def]
             sx, sy, sz = point[i, 0], point[i, 1], point[i, 2]
             u, v, t = r00 * sx + r01 * sy + r02 * sz, r10 * sx + r11 * sy + r12 * sz, r20 * sx + r21 * sy + r22 * sz
             residual, sigma, distance, cosine, sine, beside, front, rise, edge = shapes.face_distance(
-                ou + u, ov + v, ot + t, -u, -v, -t, corner[b], length[b]
+                ou + u, ov + v, ot + t, -u, -v, -t, kind[b], corner[b], length[b]
             )
             if residual != residual:
                 continue
             sigma *= ratio
             residuals[min(MEDIAN_BINS - 1, int(abs(residual) / sigma * (MEDIAN_BINS / MEDIAN_MAX)))] += 1.0
             bound = (ROBUST_SIGMAS * sigma + ROBUST_M) ** 2
-            weight = (bound / (bound + residual * residual)) ** 2 / (sigma * sigma)
+            weight = weighted_geman_mcclure(residual * residual, bound, 1.0)[0] / (sigma * sigma)
             # Derivatives at the face: at the measured point, its noise would enter squared and not average out.
             gu, gv, tau = cosine + rise * sine, sine - rise * cosine, ot + t + residual / distance * t - 0.5 * length[b]
             jacobian[0], jacobian[1], jacobian[2], jacobian[3] = -gu, -gv, -gu * tau, -gv * tau
-            jacobian[4], jacobian[5] = beside + rise * front, (beside * rise - front) / flange[b]
-            growth = shapes.face_growth(edge, flange[b], thickness)
+            jacobian[4] = beside + rise * front
+            jacobian[5] = 0.0 if kind[b] == shapes.PLATE else (beside * rise - front) / flange[b]
+            growth = shapes.face_growth(kind[b], edge, flange[b], thickness)
             jacobian[BAR_DOF], jacobian[FACE_DOF] = -growth * math.sqrt(1.0 + rise * rise), -residual
             for n in range(FACE_DOF):  # bounds known at compile time: three times as fast
                 weighted = weight * jacobian[n]

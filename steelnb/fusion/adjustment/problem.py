@@ -1,7 +1,7 @@
 """The least-squares problem of an adjustment: one maximum a posteriori estimate of all poses and all bars of a flight,
 including their sections (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
 
-The factors (`fusion.factors`, `fusion.poses`, `fusion.inertial`):
+The factors (`point_factors`, `drift_factors`, `imu_factors`):
 
 - the distance of each point to the front face of its bar along the line of sight, with the range noise as its standard
   deviation and robust weights;
@@ -13,8 +13,8 @@ The unknowns are position and yaw of each pose, and position, direction, rotatio
 are unknowns, too, if those of the prior have a standard deviation; with an IMU, so are velocities and biases.
 
 If the thickness is wrong by 1 mm, a horizontal bar seems to move by as much between a view from below and one from
-above, and an adjustment moves the poses instead. So the thickness is estimated, too (`factors.common_thickness`).
-`fusion.solver` takes the steps.
+above, and an adjustment moves the poses instead. So the thickness is estimated, too (`point_factors.common_thickness`).
+`adjustment.solver` takes the steps.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import Array, Segments
-from steelnb.fusion.adjustment.drift_factors import moved_poses, pose_size, yaw_of
+from steelnb.core.geometry import moved_poses, yaw_of
+from steelnb.core.types import Array, IntArray, Segments
+from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.sections import shapes
 
@@ -39,12 +40,13 @@ FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
 
 @dataclass(frozen=True)
 class Bars:
-    """B bars with their sections, angles, tubes or plates (`fusion.sections`): ``segments`` along their centroids, with
-    frames ``across (B, 2, 3)``, ``turn (B,)`` in radians and ``flange (B,)`` in metres. A bar whose flange is NaN has
-    no known section, and no factors. ``thickness`` of all angle sections: share of the flange."""
+    """B bars with their sections: ``segments`` along their centroids, with frames ``across (B, 2, 3)``; ``kind (B,)``,
+    ``turn (B,)``, radians, and ``flange (B,)``, metres, of each section (`sections.shapes`). A bar of unknown kind has
+    no factors. ``thickness`` of all angle sections: share of the flange."""
 
     segments: Segments
     across: Array
+    kind: IntArray
     turn: Array
     flange: Array
     thickness: float = shapes.THICKNESS
@@ -52,26 +54,24 @@ class Bars:
     @property
     def has_section(self) -> NDArray[np.bool_]:
         """Mask ``(B,)`` of the bars with a known section."""
-        return ~np.isnan(self.flange)
+        return self.kind != shapes.UNKNOWN
 
     @property
     def is_bar(self) -> NDArray[np.bool_]:
         """Mask ``(B,)`` of the bars with a known section that are not plates."""
-        return np.isfinite(self.flange)
+        return (self.kind == shapes.ANGLE) | (self.kind == shapes.TUBE)
 
-    @property
-    def width_m(self) -> Array:
-        """Flange or diameter ``(B,)``, NaN for a plate or without a section."""
-        return np.where(self.is_bar, self.flange, np.nan)
-
-    def faces(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Start, direction, length, frame and outline of each bar, the arguments of `sections.face_distance`."""
-        s = self.segments
-        return s.start, s.direction, s.length, self.across, shapes.outlines(self.turn, self.flange, self.thickness)
+    def faces(self) -> tuple[Array, Array, Array, Array, IntArray, Array]:
+        """Start, direction, length, frame, kind and outline of each bar, the arguments of `shapes.face_distance`."""
+        s, corner = self.segments, shapes.outlines(self.kind, self.turn, self.flange, self.thickness)
+        return s.start, s.direction, s.length, self.across, self.kind, corner
 
     def take(self, mask: NDArray[np.bool_] | NDArray[np.int64]) -> "Bars":
         """The bars selected by a mask or an index."""
-        return Bars(self.segments.take(mask), self.across[mask], self.turn[mask], self.flange[mask], self.thickness)
+        return replace(
+            self, segments=self.segments.take(mask), across=self.across[mask], kind=self.kind[mask],
+            turn=self.turn[mask], flange=self.flange[mask],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ def start(
     yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
     T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
-    moved = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
-    fitted = np.column_stack([bars.turn, bars.width_m])
+    corrected = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
+    fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.rotated(R)
-    return Problem(T_correction @ T_world_sensor, moved, 1.0, fitted, tilt_sigma_rad, inertial)
+    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:
@@ -126,5 +126,5 @@ def _moved_bars(bars: Bars, step: Array) -> Bars:
     first = bars.across[:, 0] - (bars.across[:, 0] * segments.direction).sum(axis=1)[:, None] * segments.direction
     first /= np.linalg.norm(first, axis=1)[:, None]
     across = np.stack([first, np.cross(segments.direction, first)], axis=1)
-    flange = np.where(bars.is_bar, np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M), bars.flange)
-    return Bars(segments, across, bars.turn + step[:, 4], flange)
+    flange = np.clip(bars.flange + step[:, 5], FLANGE_MIN_M, FLANGE_MAX_M)  # NaN stays
+    return replace(bars, segments=segments, across=across, turn=bars.turn + step[:, 4], flange=flange)

@@ -11,9 +11,10 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.adjustment import uncertainty
+from steelnb.fusion.adjustment.adjust import Stages, adjust
 from steelnb.fusion.adjustment.drift_factors import TILT_SIGMA_RAD
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu
-from steelnb.fusion.reconstruct import MappedScans, Stages
+from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.settings import ImuSettings, StructureSettings
 
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
@@ -30,7 +31,7 @@ def smooth(
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
 ) -> Estimate:
-    """The estimate of a flight with all its poses and bars adjusted together (`fusion.solver`).
+    """The estimate of a flight with all its poses and bars adjusted together (`adjustment.solver`).
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ def smooth(
     estimate : the corrected poses.
     settings : of the bars, as for `reconstruct`.
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
-    imu : errors from the IMU's data sheet; if given, its readings are factors (`fusion.inertial`).
+    imu : errors from the IMU's data sheet; if given, its readings are factors (`imu_factors`).
 
     Returns
     -------
@@ -58,9 +59,10 @@ def smooth(
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     for fits, stages in ROUNDS:
         try:
-            scans = MappedScans.mapped(flight.scans, T, settings, every=3, before=before)
-            state, equations = scans.adjusted(
-                prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad, inertial=inertial,
+            scans = MappedScans.mapped(flight.scans, T, settings, every=3)
+            state, equations = adjust(
+                scans, prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad,
+                inertial=inertial, before=before,
             )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the problem of an adjustment (`fusion.problem`): normal equations and steps.
+"""Gauss-Newton on the problem of an adjustment (`adjustment.problem`): normal equations and steps.
 
 The poses form a chain, so their matrix is block tridiagonal. They are eliminated first, and the bars are solved for by
 the Schur complement.
@@ -24,8 +24,8 @@ arithmetic with denormal numbers is slow."""
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
     """One Gauss-Newton step of all poses and bars.
 
-    ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the sensor at
-    ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
+    ``equations``: those of this state (`point_factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the
+    sensor at ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
     """
     (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)
     chain = Chain.factored(matrix, beside)
@@ -49,8 +49,8 @@ def normal_equations(
     """
     T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs[:, :BAR_DOF].copy()
     bars = block_diag(*(equations.block[:, :BAR_DOF, :BAR_DOF] + np.diag(BAR_SIGMA**-2.0)))
-    from_fitted = np.column_stack([problem.bars.turn, problem.bars.width_m]) - problem.fitted
-    rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN without a section
+    from_fitted = np.column_stack([problem.bars.turn, problem.bars.flange]) - problem.fitted
+    rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN if a section has none
     chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
     matrix, beside, vector = chain.matrix + equations.matrix, chain.beside, chain.vector + equations.vector
     between = np.zeros((*vector.shape, *rhs.shape))

@@ -1,4 +1,4 @@
-"""Covariances of the poses and bars of a smoothed flight, from the equations of `fusion.solver`.
+"""Covariances of the poses and bars of a smoothed flight, from the equations of `adjustment.solver`.
 
 Only the diagonal blocks of the inverse are needed. Those of the chain of poses follow from its factor. The bars add
 A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. This is exact.
@@ -12,8 +12,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF, pose_size
+from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.point_factors import PointEquations, summed
 from steelnb.fusion.adjustment.problem import BAR_DOF, Problem
 from steelnb.fusion.adjustment.solver import Chain, normal_equations
@@ -38,8 +39,8 @@ HOLD = 1e-6
 def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array]:
     """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
-    Returns those of the steps of the sensor's poses ``(K, D, D)`` (`fusion.poses`), zero for the first, which is fixed;
-    and of the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and
+    Returns those of the steps of the sensor's poses ``(K, D, D)`` (`drift_factors`), zero for the fixed first one; and
+    of the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and
     flange. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
 
     Raises `InputError` with the free direction if a pose is not constrained.

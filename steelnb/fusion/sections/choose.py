@@ -1,6 +1,6 @@
 """The section of each bar: an angle, a round tube or a plate, whichever explains the depths of its points.
 
-An angle section is fitted to depths and to the edges of its outline (`fusion.section_fit`). Its two flanges can follow
+An angle section is fitted to depths and to the edges of its outline (`sections.fit`). Its two flanges can follow
 an arc, and explain the depths of a plate about as well as a plane does. So the shapes are compared by depths alone, to
 which the angle section is fitted again. A tube, or a plate seen from few directions, must explain them clearly better.
 
@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from steelnb.core.types import Array
+from steelnb.core.types import Array, IntArray
 from steelnb.fusion.sections.fit import ROUND_DOF, fit_section, profiles, robust, section_step, settle
-from steelnb.fusion.sections.shapes import THICKNESS, cells_of, edges_of, merged_cells, outline
+from steelnb.fusion.sections.histogram import cells_of, edges_of, merged_cells
+from steelnb.fusion.sections.shapes import ANGLE, PLATE, THICKNESS, TUBE, UNKNOWN, angle_outline
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""
@@ -44,13 +45,14 @@ PLANE_STEPS = 8
 
 
 class Sections(NamedTuple):
-    """Sections fitted to B bars (`fusion.sections`), NaN for a bar with too few points.
+    """Sections fitted to B bars; ``kind (B,)`` of each (`sections.shapes`), unknown with too few points.
 
     ``centre (B, 2)``: position of the axis across the bar, in the middle of its length, metres; ``slope (B, 2)``,
-    metres per metre; ``flange (B,)``, metres; ``turn (B,)``, radians; ``spread (B,)`` and ``tilt (B,)``: standard
-    deviations of the position of the axis, metres, and of its direction, radians.
+    metres per metre; ``flange (B,)``, metres, and ``turn (B,)``, radians, NaN if the kind has none; ``spread (B,)`` and
+    ``tilt (B,)``: standard deviations of the position of the axis, metres, and of its direction, radians.
     """
 
+    kind: IntArray
     centre: Array
     slope: Array
     flange: Array
@@ -69,7 +71,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
     """
     n = len(length)
     none = np.full((3, n), np.nan)
-    fitted = Sections(np.zeros((n, 2)), np.zeros((n, 2)), none[0], np.zeros(n), none[1], none[2])
+    fitted = Sections(np.full(n, UNKNOWN), np.zeros((n, 2)), np.zeros((n, 2)), none[0], np.zeros(n), none[1], none[2])
     profile = profiles(thickness)
     state, normal, cost = np.empty((n, ROUND_DOF)), np.empty((n, ROUND_DOF, ROUND_DOF + 1)), np.empty(n)
     likelihood, is_round = np.full(n, -np.inf), np.zeros(n, np.bool_)
@@ -80,6 +82,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
         fitted.flange[b], fitted.turn[b], fitted.spread[b], fitted.tilt[b], _ = fit_section(
             cells, merged, rows, profile, fitted.centre[b], fitted.slope[b]
         )
+        fitted.kind[b] = ANGLE
         angle = angle_cost(cells, fitted, b, thickness)
         if _make_plate(fitted, b, cells, merged, angle, profile):
             continue
@@ -112,7 +115,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
 def angle_cost(cells, fitted, b, thickness):  # type: ignore[no-untyped-def]
     """Cost of the depths for the angle section of bar b as fitted to depths and edges."""
     corner, state = np.empty((6, 2)), np.empty(4)
-    outline(fitted.turn[b], fitted.flange[b], thickness, corner)
+    angle_outline(fitted.turn[b], fitted.flange[b], thickness, corner)
     state[:2], state[2:] = fitted.centre[b], fitted.slope[b]
     return section_step(cells, np.empty((0, 6)), corner, state, np.empty((4, 5)))
 
@@ -127,7 +130,7 @@ def least_angle_cost(cells, merged, profile):  # type: ignore[no-untyped-def]
 def _make_plate(fitted, b, cells, merged, angle, profile):  # type: ignore[no-untyped-def]
     """Replace the section of bar b by a plane if its points are those of a plate; returns whether they are.
 
-    ``angle``: its `angle_cost`. The flange of a plate is infinite, and its turn is the direction of its normal.
+    ``angle``: its `angle_cost`.
     """
     cost, width, middle, normal = fit_planes(cells)
     bound = PLATE_SHARE_MAX if np.unique(cells[:, 6]).size >= VIEWS_MIN else FEW_VIEWS_SHARE_MAX
@@ -138,7 +141,7 @@ def _make_plate(fitted, b, cells, merged, angle, profile):  # type: ignore[no-un
     across = normal[:2] / (normal[0] ** 2 + normal[1] ** 2)
     fitted.slope[b] = -normal[2] * across
     fitted.centre[b] = middle[:2] - middle[2] * fitted.slope[b]
-    fitted.flange[b], fitted.turn[b] = np.inf, math.atan2(normal[1], normal[0])
+    fitted.kind[b], fitted.flange[b], fitted.turn[b] = PLATE, np.nan, math.atan2(normal[1], normal[0])
     return True
 
 
@@ -178,11 +181,11 @@ def fit_planes(cells):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _make_round(fitted, b, cells, cost, state, normal):  # type: ignore[no-untyped-def]
-    """Replace the section of bar b by a circle at ``state (5,)``. The flange is its diameter, the turn NaN."""
+    """Replace the section of bar b by a circle at ``state (5,)``."""
     total = cells[:, 2].sum()
     inverse = np.linalg.inv(normal[:, :ROUND_DOF] + 1e-6 * total * np.eye(ROUND_DOF)) * cost / len(cells)
     fitted.centre[b], fitted.slope[b] = state[:2], state[2:4]
-    fitted.flange[b], fitted.turn[b] = 2.0 * state[4], np.nan
+    fitted.kind[b], fitted.flange[b], fitted.turn[b] = TUBE, 2.0 * state[4], np.nan
     fitted.spread[b] = math.sqrt(inverse[0, 0] + inverse[1, 1])
     fitted.tilt[b] = math.sqrt(inverse[2, 2] + inverse[3, 3])
 
@@ -194,7 +197,7 @@ def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
     Fills ``state (5,)`` (u, v, their slopes, radius) and the normal equations ``(5, 6)`` at that state.
     """
     total, low, start = cells[:, 2].sum(), np.inf, np.zeros(ROUND_DOF)
-    no_edges, corner = np.empty((0, 6)), np.full((6, 2), np.nan)
+    no_edges, corner = np.empty((0, 6)), np.zeros((6, 2))
     u = (merged[:, 0] * merged[:, 2]).sum() / merged[:, 2].sum()
     v = (merged[:, 1] * merged[:, 2]).sum() / merged[:, 2].sum()
     for k in range(len(RADII_M)):

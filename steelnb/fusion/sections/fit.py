@@ -1,7 +1,7 @@
 """Least-squares fit of an equal-leg angle section to the points of a bar: flange, rotation, position and slope of its
 axis, the line through the centroids of its sections.
 
-The width of the outline and the depth of the near faces are fitted together, to the histograms of `fusion.sections`.
+The width of the outline and the depth of the near faces are fitted together, to the histograms of `sections.histogram`.
 A grid search over flanges and rotations, which looks faces up in a table, is followed by Gauss-Newton.
 """
 
@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array
-from steelnb.fusion.sections import shapes
-from steelnb.fusion.sections.shapes import VIEWS, front_face, outline
+from steelnb.fusion.sections.histogram import VIEWS, direction_of
+from steelnb.fusion.sections.shapes import ANGLE, TUBE, angle_outline, front_face, nearest_edge
 
 TURNS = VIEWS
 """Number of rotations in the search. A section rotated by one step looks the same from the next direction."""
@@ -45,23 +46,23 @@ class Profiles(NamedTuple):
 def profiles(thickness):  # type: ignore[no-untyped-def]
     """The `Profiles` of angle sections of a ``thickness``."""
     corner = np.empty((6, 2))
-    outline(0.0, 1.0, thickness, corner)
+    angle_outline(0.0, 1.0, thickness, corner)
     face, side = np.empty((VIEWS, PROFILE, 2)), np.empty((VIEWS, 2))
     for view in range(VIEWS):
-        cosine, sine = shapes.direction_of(view)
+        cosine, sine = direction_of(view)
         beside = -sine * corner[:, 0] + cosine * corner[:, 1]
         side[view, 0], side[view, 1] = beside.min(), beside.max()
         for k in range(PROFILE):
             at = side[view, 0] + (k + 0.5) / PROFILE * (side[view, 1] - side[view, 0])
-            face[view, k, 0], face[view, k, 1], _ = front_face(corner, cosine, sine, at)
+            face[view, k, 0], face[view, k, 1], _ = front_face(ANGLE, corner, cosine, sine, at)
     return Profiles(thickness, face, side)
 
 
 @njit(cache=True)
 def robust(residual, weight):  # type: ignore[no-untyped-def]
     """Cost and weight of a residual, or of an array of them, under Geman-McClure with the scale `DEPTH_SCALE_M`."""
-    square, bound = residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M
-    return weight * bound * square / (bound + square), weight * (bound / (bound + square)) ** 2
+    weight, loss = weighted_geman_mcclure(residual * residual, DEPTH_SCALE_M * DEPTH_SCALE_M, weight)
+    return loss, weight
 
 
 @njit(cache=True)
@@ -121,25 +122,25 @@ def section_step(cells, rows, corner, state, normal):  # type: ignore[no-untyped
     Fills the normal equations ``(D, D + 1)``.
     """
     normal[:, :] = 0.0
-    cost, is_round = 0.0, len(state) == ROUND_DOF
+    cost, kind = 0.0, TUBE if len(state) == ROUND_DOF else ANGLE
     jacobian = np.zeros(len(state))
     for k in range(len(cells)):
         cosine, sine, along = cells[k, 3], cells[k, 4], cells[k, 5]
         u, v = cells[k, 0] - state[0] - along * state[2], cells[k, 1] - state[1] - along * state[3]
         beside, depth = -sine * u + cosine * v, cosine * u + sine * v
-        front, rise, _ = front_face(corner, cosine, sine, beside)
+        front, rise, _ = front_face(kind, corner, cosine, sine, beside)
         weight = cells[k, 2]
         if front > -1e8:
             residual = depth - front
             ju, jv = -cosine - rise * sine, -sine + rise * cosine
             weight /= 1.0 + rise * rise
-            if is_round:
+            if kind == TUBE:
                 jacobian[4] = -state[4] / front
         else:  # beside the section
-            edge = shapes.nearest_edge(corner, cosine, sine, beside)
+            edge = nearest_edge(kind, corner, cosine, sine, beside)
             residual = beside - edge
             ju, jv = sine, -cosine
-            if is_round:
+            if kind == TUBE:
                 jacobian[4] = -math.copysign(1.0, edge)
         jacobian[0], jacobian[1], jacobian[2], jacobian[3] = ju, jv, ju * along, jv * along
         cost += _add_residual(normal, jacobian, residual, weight)
@@ -188,7 +189,7 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
     """Fit an angle section to the `cells_of` and `edges_of` a bar, after a search that uses its `merged_cells` and the
     `Profiles`, whose thickness it has.
 
-    Returns flange, turn, spread and tilt (`section_choice.Sections`), and the least cost; fills ``centre (2,)`` and
+    Returns flange, turn, spread and tilt (`choose.Sections`), and the least cost; fills ``centre (2,)`` and
     ``slope (2,)``.
     """
     corner, normal = np.empty((6, 2)), np.empty((4, 5))
@@ -213,7 +214,7 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
             for j in range(-1, 2):
                 if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
-                outline(turn0 + j * size, flange0 * (1.0 + i * size), profile.thickness, corner)
+                angle_outline(turn0 + j * size, flange0 * (1.0 + i * size), profile.thickness, corner)
                 state[:] = settled
                 cost = settle(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
                 if cost < low:
@@ -227,7 +228,7 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
     centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
     slope[0], slope[1] = settled[2], settled[3]
     # Standard deviation of the direction, from the actual residuals.
-    outline(turn, flange, profile.thickness, corner)
+    angle_outline(turn, flange, profile.thickness, corner)
     cost = section_step(cells, rows, corner, settled, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))

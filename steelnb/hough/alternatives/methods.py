@@ -29,10 +29,10 @@ FAILURES = 3
 """RANSAC stops after this many lines in a row with too few points."""
 
 
-def find_bars(
+def find_bars_by(
     method: str, points: Array, seed: int = 0, dx: float | None = None, points_min: int = POINTS_MIN, **options: Any
 ) -> Segments:
-    """Find bars by a method of `METHODS`; the refinement is the same for all methods.
+    """Find bars by a method of `FINDERS`; the refinement is the same for all methods.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def find_bars(
         raise InputError(f"dx = {dx}: expected a positive length in metres")
     if points_min < 2:
         raise InputError(f"points_min = {points_min}: expected at least 2")
-    return refine(points, METHODS[method](points, seed, dx, points_min, **options), dx, points_min)
+    return refine(points, FINDERS[method](points, seed, dx, points_min, **options), dx, points_min)
 
 
 def _hough(points: Array, seed: int, dx: float, points_min: int) -> Segments:
@@ -138,7 +138,7 @@ def _gmm(
     return bars_of_groups(points, label, points_min)
 
 
-METHODS: dict[str, Callable[..., Segments]] = {
+FINDERS: dict[str, Callable[..., Segments]] = {
     "ransac-planes": _ransac_planes,
     "ransac-lines": _ransac_lines,
     "dbscan": _dbscan,

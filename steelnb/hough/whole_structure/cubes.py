@@ -33,6 +33,20 @@ class Cubes(NamedTuple):
     slot: IntArray
 
 
+class Line(NamedTuple):
+    """The line a + t u, metres, with the unit direction u, from t = ``low`` to t = ``high``. Kernels hold it in
+    registers."""
+
+    ax: float
+    ay: float
+    az: float
+    ux: float
+    uy: float
+    uz: float
+    low: float
+    high: float
+
+
 def sort_into_cubes(points: Array, distance: float) -> Cubes:
     """Sort finite points ``(N, 3)`` for searches (`walk`) within ``distance`` of a line, both in metres."""
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
@@ -47,13 +61,14 @@ def sort_into_cubes(points: Array, distance: float) -> Cubes:
 
 
 @njit(cache=True)
-def walk(cubes, ax, ay, az, ux, uy, uz, begin, end, visited, near):
-    """Write the indices of the points near a line to ``near``, once each; returns their number.
+def walk(cubes, line, visited, near):
+    """Write the indices of the points near a `Line` to ``near``, once each; returns their number.
 
-    The line is a + t u with t from ``begin`` to ``end``. All points within the distance of `sort_into_cubes` are
-    written, and some that are farther away. ``visited (C + 1,)`` starts with zeros. It holds the number of the last
-    walk through each cube and, as its last entry, the number of walks.
+    All points within the distance of `sort_into_cubes` are written, and some that are farther away. ``visited
+    (C + 1,)`` starts with zeros. It holds the number of the last walk through each cube and, as its last entry, the
+    number of walks.
     """
+    ax, ay, az, ux, uy, uz, begin, end = line
     # Clip the line to the bounding box, so that the time does not depend on its length.
     a, u = (ax, ay, az), (ux, uy, uz)
     for c in range(3):

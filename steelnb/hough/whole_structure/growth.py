@@ -1,27 +1,61 @@
 """Growth of a proposed segment through the free points of a whole cloud."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from steelnb.core.types import Array, IntArray
 from steelnb.hough.segments_kernels import span
 from steelnb.hough.transform import fit_line
-from steelnb.hough.whole_structure.cubes import walk
+from steelnb.hough.whole_structure.cubes import Line, walk
 
 FITS_MAX = 8
 """Maximum number of fits of a growing segment."""
 
 
-@njit(cache=True)
-def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run):
-    """Write the indices of a run of free points within ``radius`` of a line to ``run``; returns their number.
-
-    A run has no gap above ``gap`` along the line. If there are several, the one that overlaps most with the interval
-    from ``low`` to ``high`` is taken. The search extends a few gaps past that interval, and farther if the run does.
+class Buffers(NamedTuple):
+    """What the searches among N points in C cubes write to. ``free (N,)``: points that belong to no segment yet;
+    ``visited (C + 1,)`` and ``near (N,)``: of `walk`; ``along (N,)``: coordinates along a line; ``run (N,)``: indices.
     """
+
+    free: NDArray[np.bool_]
+    visited: IntArray
+    near: IntArray
+    along: Array
+    run: IntArray
+
+
+@njit(cache=True)
+def make_buffers(cubes):
+    """`Buffers` for searches in some cubes, with all points free."""
+    n = len(cubes.px)
+    visited = np.zeros(len(cubes.first), np.int64)
+    return Buffers(np.ones(n, np.bool_), visited, np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64))
+
+
+@njit(cache=True)
+def fit_run(cubes, run):
+    """Fit a line to points: the scatter along and across it, and the `Line` from the first point to the last."""
+    along, across, ax, ay, az, ux, uy, uz = fit_line(cubes.px, cubes.py, cubes.pz, run, len(run))
+    low, high = span(cubes.px, cubes.py, cubes.pz, run, ax, ay, az, ux, uy, uz)
+    return along, across, Line(ax, ay, az, ux, uy, uz, low, high)
+
+
+@njit(cache=True)
+def run_along(cubes, line, radius, gap, buffers):
+    """Write the indices of a run of free points within ``radius`` of a line to ``buffers.run``; returns their number.
+
+    A run has no gap above ``gap`` along the line. If there are several, the one that overlaps most with the line's
+    interval is taken. The search extends a few gaps past that interval, and farther if the run does.
+    """
+    ax, ay, az, ux, uy, uz, low, high = line
+    free, visited, near, along, run = buffers
     beyond = 4.0 * gap
     while True:
         n = 0
-        for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low - beyond, high + beyond, visited, near)):
+        for c in range(walk(cubes, Line(ax, ay, az, ux, uy, uz, low - beyond, high + beyond), visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
             t = x * ux + y * uy + z * uz
@@ -48,31 +82,32 @@ def run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visit
 
 
 @njit(cache=True)
-def grow(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, min_votes, visited, near, along, run):
+def grow(cubes, line, radius, gap, min_votes, buffers):
     """Alternate between `run_along` a line and a fit to the run, until the run stops growing.
 
-    Returns (number of points, line, low, high). It stops early when a run has fewer than ``min_votes`` points.
+    Returns (number of points, line). It stops early when a run has fewer than ``min_votes`` points.
     """
     m = 0
     for _ in range(FITS_MAX):
         before = m
-        m = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, gap, visited, near, along, run)
+        m = run_along(cubes, line, radius, gap, buffers)
         if m < min_votes or m == before:
             break
-        _, _, ax, ay, az, ux, uy, uz = fit_line(cubes.px, cubes.py, cubes.pz, run, m)
-        low, high = span(cubes.px, cubes.py, cubes.pz, run[:m], ax, ay, az, ux, uy, uz)
-    return m, ax, ay, az, ux, uy, uz, low, high
+        _, _, line = fit_run(cubes, buffers.run[:m])
+    return m, line
 
 
 @njit(cache=True)
-def trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, ring_weight, visited, near):
+def trim(cubes, line, radius, ring_weight, buffers):
     """Trim a grown segment, which may have outgrown its bar, to the interval with the best score.
 
-    Returns (low, high, score). A free point scores 1 within ``radius``, and −``ring_weight`` from there to twice
-    ``radius``. Scores are summed over slices of length ``radius``; the best interval is Kadane's maximum-sum interval.
+    Returns (line, score). A free point scores 1 within ``radius``, and −``ring_weight`` from there to twice ``radius``.
+    Scores are summed over slices of length ``radius``; the best interval is Kadane's maximum-sum interval.
     """
+    ax, ay, az, ux, uy, uz, low, high = line
+    free, visited, near, _, _ = buffers
     slices = np.zeros(int((high - low) / radius) + 1)
-    for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
+    for c in range(walk(cubes, line, visited, near)):
         i = near[c]
         x, y, z = cubes.px[i] - ax, cubes.py[i] - ay, cubes.pz[i] - az
         t = x * ux + y * uy + z * uz
@@ -87,4 +122,4 @@ def trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, radius, ring_weight, vi
         total += slices[k]
         if total > best_score:
             best_score, first, last = total, begin, k + 1
-    return low + first * radius, min(high, low + last * radius), best_score
+    return Line(ax, ay, az, ux, uy, uz, low + first * radius, min(high, low + last * radius)), best_score

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from steelnb.core.types import Array, Segments
 from steelnb.hough.segments import GAP, detect_segments
-from steelnb.hough.segments_kernels import span
-from steelnb.hough.transform import fit_line
-from steelnb.hough.whole_structure.cubes import sort_into_cubes, walk
-from steelnb.hough.whole_structure.growth import grow, run_along, trim
+from steelnb.hough.whole_structure.cubes import Line, sort_into_cubes, walk
+from steelnb.hough.whole_structure.growth import fit_run, grow, make_buffers, run_along, trim
 
 BLOCK = 12.0
 """Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by up to dx/2."""
@@ -104,7 +102,7 @@ def _mark(cubes, start, direction, length, distance):
     visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
         (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-        for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
+        for c in range(walk(cubes, Line(sx, sy, sz, ux, uy, uz, 0.0, length[k]), visited, near)):
             i = near[c]
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
@@ -130,7 +128,7 @@ def _pairs(cubes, start, direction, length, dx):
             pair = np.empty(first[-1], np.int32)
         for k in range(len(length)):
             (sx, sy, sz), (ux, uy, uz) = start[k], direction[k]
-            for c in range(walk(cubes, sx, sy, sz, ux, uy, uz, 0.0, length[k], visited, near)):
+            for c in range(walk(cubes, Line(sx, sy, sz, ux, uy, uz, 0.0, length[k]), visited, near)):
                 i = near[c]
                 x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
                 t = x * ux + y * uy + z * uz
@@ -152,9 +150,7 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
     score = np.zeros(len(length))
     for k in range(len(pair)):
         score[pair[k] >> 1] += weight[pair[k] & 1]
-    free = np.ones(len(px), dtype=np.bool_)
-    near, along, run = np.empty(len(px), np.int64), np.empty(len(px)), np.empty(len(px), np.int64)
-    visited = np.zeros(len(cubes.first), np.int64)
+    buffers = make_buffers(cubes)
     ends, count, radius = np.zeros((len(length), 6)), np.zeros(len(length), np.int64), np.zeros(len(length))
     found = 0
     while len(score) > 0:
@@ -163,23 +159,23 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
             break
         score[best] = -np.inf
         (ax, ay, az), (ux, uy, uz) = start[best], direction[best]
-        size, ax, ay, az, ux, uy, uz, low, high = grow(
-            cubes, free, ax, ay, az, ux, uy, uz, 0.0, length[best], dx, GAP * dx, min_votes, visited, near, along, run
-        )
+        proposed = Line(ax, ay, az, ux, uy, uz, 0.0, length[best])
+        size, line = grow(cubes, proposed, dx, GAP * dx, min_votes, buffers)
         if size < min_votes:
             continue
-        low, high, best_score = trim(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, RING_WEIGHT, visited, near)
-        size = run_along(cubes, free, ax, ay, az, ux, uy, uz, low, high, dx, GAP * dx, visited, near, along, run)
+        line, best_score = trim(cubes, line, dx, RING_WEIGHT, buffers)
+        run = buffers.run[: run_along(cubes, line, dx, GAP * dx, buffers)]
+        ax, ay, az, ux, uy, uz, low, high = line
         kept = 0
-        for k in range(size):
-            t = (px[run[k]] - ax) * ux + (py[run[k]] - ay) * uy + (pz[run[k]] - az) * uz
+        for i in run:
+            t = (px[i] - ax) * ux + (py[i] - ay) * uy + (pz[i] - az) * uz
             if low <= t <= high:
-                run[kept] = run[k]
+                run[kept] = i
                 kept += 1
         if best_score < min_votes or kept < min_votes:
             continue
-        spread_along, spread_across, ax, ay, az, ux, uy, uz = fit_line(px, py, pz, run, kept)
-        low, high = span(px, py, pz, run[:kept], ax, ay, az, ux, uy, uz)
+        spread_along, spread_across, line = fit_run(cubes, run[:kept])
+        ax, ay, az, ux, uy, uz, low, high = line
         long_enough = high - low >= length_min * dx and kept * dx >= high - low
         if not long_enough or spread_along < PCA_RATIO * (spread_along + spread_across):
             continue
@@ -187,12 +183,13 @@ def _select(cubes, start, direction, length, dx, min_votes, length_min, pair, fi
         ends[found, 3], ends[found, 4], ends[found, 5] = ax + high * ux, ay + high * uy, az + high * uz
         count[found], radius[found] = kept, math.sqrt(spread_across / kept)
         found += 1
-        for c in range(walk(cubes, ax, ay, az, ux, uy, uz, low, high, visited, near)):
-            i = near[c]
+        for c in range(walk(cubes, line, buffers.visited, buffers.near)):
+            i = buffers.near[c]
             x, y, z = px[i] - ax, py[i] - ay, pz[i] - az
             t = x * ux + y * uy + z * uz
-            if free[i] and low <= t <= high and x * x + y * y + z * z - t * t <= (EXCLUDE_DX * dx) ** 2:
-                free[i] = False
+            inside = low <= t <= high and x * x + y * y + z * z - t * t <= (EXCLUDE_DX * dx) ** 2
+            if buffers.free[i] and inside:
+                buffers.free[i] = False
                 for k in range(first_pair[i], first_pair[i + 1]):
                     score[pair[k] >> 1] -= weight[pair[k] & 1]
     return ends[:found], count[:found], radius[:found]

@@ -4,15 +4,16 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Imu, Scan, Trajectory
+from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.adjustment.problem import Problem
 from steelnb.fusion.candidates import VOXEL_M
-from steelnb.fusion.reconstruct import MappedScans, insert_scan
+from steelnb.fusion.mapped_scans import MappedScans, insert_scan
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 
 FITS, STAGES = 2, ((1, 2),)
-"""Number of times that bars are fitted before an adjustment, and its stages (`reconstruct.Stages`)."""
+"""Number of times that bars are fitted before an adjustment, and its stages (`adjust.Stages`)."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
 of an adjustment."""
@@ -49,10 +50,10 @@ class Keyframes:
             self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
 
     def adjust(self) -> Problem | None:
-        """Find bars, and adjust bars and poses together (`MappedScans.adjusted`); None if there are too few bars."""
+        """Find bars, and adjust bars and poses together (`adjust`); None if there are too few bars."""
         if not len(self.voxels):
             return None
-        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings, self._before)
+        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
         stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
         if self.readings:
             imu, noise, mount = self.readings
@@ -60,9 +61,9 @@ class Keyframes:
                 imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
             )
         try:
-            state, _ = mapped.adjusted(
-                self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN, tilt_sigma_rad=self.tilt_sigma_rad,
-                inertial=inertial,
+            state, _ = adjust(
+                mapped, self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN,
+                tilt_sigma_rad=self.tilt_sigma_rad, inertial=inertial, before=self._before,
             )  # fmt: skip
         except InputError:
             return None

@@ -14,23 +14,21 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from steelnb.core.geometry import UPRIGHT_DOF, information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments
 from steelnb.fusion.adjustment.drift_factors import (
     DRIFT_PERIOD_S,
     DRIFT_SIGMA,
     TILT_SIGMA_RAD,
-    UPRIGHT_DOF,
     drift_variance,
-    moved_poses,
     pose_size,
-    pose_step,
 )
 from steelnb.fusion.adjustment.problem import Problem
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces.keyframes import Keyframes
-from steelnb.odometry.faces.scan_to_bars import POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.odometry.imu_filter import InertialPrediction, information_at
+from steelnb.odometry.faces.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
+from steelnb.odometry.imu_filter import InertialPrediction
 from steelnb.odometry.prediction import RegisteredPose
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 
@@ -127,7 +125,7 @@ class FaceOdometry(BaseOdometry):
         self.faces.predict(scan.stamp_s)
         s, T_sensor = self.settings.preprocess, self.prediction.pose(prior, scan.stamp_s) @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
-        if len(points) < POINTS_MIN:
+        if len(points) < SCAN_POINTS_MIN:
             return None
         known, size = None, len(self._lag)
         if self.inertial:

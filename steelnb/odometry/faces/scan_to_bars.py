@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import UPRIGHT_DOF, moved_poses, pose_step, transform_points
 from steelnb.core.types import Array, IntArray, Scan
 from steelnb.fusion.adjustment import drift_factors
-from steelnb.fusion.adjustment.drift_factors import UPRIGHT_DOF, moved_poses, pose_step
 from steelnb.fusion.adjustment.point_factors import FACE_DOF, linearised, noise_ratio
 from steelnb.fusion.adjustment.problem import Bars, Problem
 from steelnb.fusion.candidates import VOXEL_M
@@ -26,7 +26,7 @@ MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
 """A step below this, radians and metres, ends the iteration."""
-MATCHED_BARS_MIN, BAR_POINTS_MIN, POINTS_MIN = 4, 10, 100
+MATCHED_BARS_MIN, BAR_POINTS_MIN, SCAN_POINTS_MIN = 4, 10, 100
 """Minimum number of bars, points per bar, and points per scan; below them a registration is rejected."""
 SHARE_MIN = 0.5
 """Minimum share of the points near bars that lie on front faces, both for each bar and for the scan. Points far from
@@ -113,7 +113,7 @@ class Locator:
         The bars are marginalised with their standard deviations. However many points lie on a bar, they determine the
         pose no better than the bar itself is known.
         """
-        bar = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3])
+        bar = self._voxels.bar_of(transform_points(T_world_sensor, points))
         observations = Observations.gathered([(0, points[bar >= 0], bar[bar >= 0])])
         bars, n = self.bars.take(observations.pair_bar), len(observations.pair_bar)
         observations = observations._replace(pair_bar=np.arange(n))
@@ -133,7 +133,7 @@ class Locator:
     def _matched(self, points: Array, T_world_sensor: Array) -> tuple[IntArray, IntArray]:
         """Number of ``points (N, 3)``, sensor frame, that belong to each bar, and number of these within `MATCH_SIGMAS`
         standard deviations of its front face, both ``(B,)``."""
-        bar, n = self._voxels.bar_of(points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]), len(self.bars.turn)
+        bar, n = self._voxels.bar_of(transform_points(T_world_sensor, points)), len(self.bars.turn)
         residual, sigma, *_ = face_residuals(points, bar, T_world_sensor, *self.bars.faces())
         on = np.abs(residual) < MATCH_SIGMAS * self.ratio * sigma  # false for NaN
         return np.bincount(bar[bar >= 0], minlength=n), np.bincount(bar[on], minlength=n)

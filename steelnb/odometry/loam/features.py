@@ -29,7 +29,7 @@ RING_MAX_RAD = 1e-2
 """Largest spread in elevation of one laser. Wider groups are split into lines of 5 × `RING_GAP_RAD`."""
 
 
-class Features(NamedTuple):
+class LoamFeatures(NamedTuple):
     """``point (N, 3)`` in the sensor frame, metres; ``plane (N,)``, 1 for a planar point and 0 for an edge point;
     ``rank (N,)``, its place among the features of its kind in its subregion, 0 for the sharpest or flattest."""
 
@@ -38,7 +38,7 @@ class Features(NamedTuple):
     rank: IntArray
 
 
-def loam_features(image: Array, edges: int = 20, planes: int = 40) -> Features:
+def loam_features(image: Array, edges: int = 20, planes: int = 40) -> LoamFeatures:
     """LOAM's features of an organised scan ``(H, W, 3)``, sensor frame, metres, NaN for no return.
 
     The smoothness of point i is c = ‖Σ (X_i − X_j)‖ / (|S| ‖X_i‖) over its neighbours j in the scan line (equation 1);
@@ -50,7 +50,7 @@ def loam_features(image: Array, edges: int = 20, planes: int = 40) -> Features:
     point = np.empty((image.shape[0] * REGIONS * (edges + planes), 3))
     plane, rank = np.empty(len(point), np.int64), np.empty(len(point), np.int64)
     count = _loam_features(np.ascontiguousarray(image, dtype=np.float64), edges, planes, point, plane, rank)
-    return Features(point[:count], plane[:count], rank[:count])
+    return LoamFeatures(point[:count], plane[:count], rank[:count])
 
 
 def scan_lines(points: Array) -> Array:

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.clouds import JUMP_MAX_VOXELS, CloudOdometry
-from steelnb.odometry.loam.features import Features, loam_features, scan_lines
+from steelnb.odometry.loam.features import LoamFeatures, loam_features, scan_lines
 from steelnb.odometry.loam.target import FeatureTarget
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.registration import AnyTarget, RegistrationResult, align
@@ -38,7 +39,7 @@ class LoamOdometry(CloudOdometry):
         self.options = replace(self.options, iterations_max=ITERATIONS_MAX)
         self.planes = VoxelMap(self.settings.map_voxel_m)  # `map` holds the edges
         none = np.zeros(0, dtype=np.int64)
-        self._features = Features(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
+        self._features = LoamFeatures(np.zeros((0, 3)), none, none)  # of this scan, drone frame, before downsampling
         self._plane: IntArray = none  # kinds of the points that `preprocessed` returned
         self._last = self._features.point, none  # points and kinds of the last scan's features, world frame
 
@@ -46,10 +47,10 @@ class LoamOdometry(CloudOdometry):
         """Features ``(N, 3)`` of a scan in the drone frame, edges before planes, downsampled and without the floor."""
         image, s = scan.points if scan.points.ndim == 3 else scan_lines(scan.points), self.settings
         found = loam_features(image)
-        point = found.point @ self.T_drone_sensor[:3, :3].T + self.T_drone_sensor[:3, 3]
+        point = transform_points(self.T_drone_sensor, found.point)
         inside = (np.abs(point) <= s.preprocess.crop_m).all(axis=1)
         inside &= point @ T_world_drone[2, :3] + T_world_drone[2, 3] >= s.preprocess.floor_m
-        self._features = own = Features(point[inside], found.plane[inside], found.rank[inside])
+        self._features = own = LoamFeatures(point[inside], found.plane[inside], found.rank[inside])
         kinds = [voxel_grid(own.point[own.plane == kind], s.preprocess.voxel_leaf_m) for kind in (0, 1)]
         self._plane = np.repeat([0, 1], [len(points) for points in kinds])
         return np.concatenate(kinds)
@@ -81,10 +82,10 @@ class LoamOdometry(CloudOdometry):
 
     def insert(self, points: Array, T_world_drone: Array) -> None:
         """Add preprocessed points ``(N, 3)``, drone frame, to the maps at a known pose."""
-        world = points @ T_world_drone[:3, :3].T + T_world_drone[:3, 3]
+        world = transform_points(T_world_drone, points)
         self.map.insert(world[self._plane == 0])
         self.planes.insert(world[self._plane == 1])
-        self._last = self._features.point @ T_world_drone[:3, :3].T + T_world_drone[:3, 3], self._features.plane
+        self._last = transform_points(T_world_drone, self._features.point), self._features.plane
 
     @property
     def mapped(self) -> bool:

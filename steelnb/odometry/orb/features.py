@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.images import GreyImage, project
 from steelnb.core.types import Array, IntArray
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 
 SCALE, LEVELS = 1.2, 3
 """Scale factor and number of levels of the image pyramid."""
@@ -144,7 +144,7 @@ class DepthImage:
             by_u = (s * (suw * svv - svw * suv) - sw * m1 + sv * (su * svw - suw * sv)) / determinant
             by_v = (s * (suu * svw - suv * suw) - su * (su * svw - suw * sv) + sw * m2) / determinant
             expected = value[at] + by_u[at] * du + by_v[at] * dv
-            sigma = np.maximum(SIGMA_M, SIGMA_SHARE / value)[at]
+            sigma = range_sigma_m(1.0 / value)[at]
             rough = ~(expected > 0) | (np.abs(depth - 1.0 / expected) > SMOOTH * sigma)
             is_flat = np.hypot(by_u, by_v) * self.radius_px < FLAT * value
             quadrants = np.bincount(4 * at + (du > 0) + 2 * (dv > 0), minlength=4 * len(pixel)).reshape(-1, 4)
@@ -170,7 +170,7 @@ def match(
     against the second best. Each feature matches at most one landmark.
     """
     m, n = _pairs(expected, pixel, search_px)
-    apart = np.abs(depth[n] - expected_depth[m]) > 5 * np.maximum(SIGMA_M, SIGMA_SHARE * depth[n])  # False if unknown
+    apart = np.abs(depth[n] - expected_depth[m]) > 5 * range_sigma_m(depth[n])  # False if unknown
     similar = (np.abs(octave[n] - expected_octave[m]) <= 1) & ~apart
     m, n = m[similar], n[similar]
     bits = np.bitwise_count(descriptor[n] ^ reference[m]).sum(axis=1, dtype=np.int64)

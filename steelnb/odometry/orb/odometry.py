@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.images import CameraImages, GreyImage, unproject
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
@@ -171,7 +172,7 @@ class OrbOdometry(BaseOdometry):
         """Positions ``(N, 3)`` of features in the world frame, NaN without a depth."""
         T_world_camera = T_world_drone @ self.images.T_drone_camera
         points = features.depth[:, None] * unproject(features.pixel, self.images.K)
-        return points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        return transform_points(T_world_camera, points)
 
     def _is_keyframe(self, T_world_drone: Array) -> bool:
         T_last = self.T_keyframe

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import exp_about
+from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array
 from steelnb.odometry.orb.features import SCALE, Features
-from steelnb.points.ranges import SIGMA_M, SIGMA_SHARE
+from steelnb.points.ranges import range_sigma_m
 from steelnb.registration import Term
-from steelnb.registration.solver import exp_about
 
 ITERATIONS_MAX = 15
 ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4
@@ -54,7 +55,7 @@ def solve_pose(
         for term in terms:
             H_term, b_term, _ = term(T, centre)
             H, b = H + H_term, b + b_term
-        error, J, weight = linearise(landmark, features, K, T @ T_drone_camera, centre, scale)
+        error, J, weight = linearised_reprojections(landmark, features, K, T @ T_drone_camera, centre, scale)
         weighted = weight[:, None, None] * J
         H = np.vstack([H[None], (weighted[..., None] * J[:, :, None]).reshape(-1, 6, 6)]).sum(axis=0)
         b = np.vstack([b, (weighted * error[..., None]).reshape(-1, 6)]).sum(axis=0)
@@ -68,7 +69,7 @@ def solve_pose(
     return Solved(T, weight, H, centre) if np.isfinite(T).all() else None
 
 
-def linearise(
+def linearised_reprojections(
     landmark: Array, features: Features, K: Array, T_world_camera: Array, centre: Array, scale: float
 ) -> tuple[Array, Array, Array]:
     """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` with respect to a twist (ω, v) of
@@ -83,10 +84,10 @@ def linearise(
         f = K[k, k] / (x * sigma_px)
         error[:, k] = (K[k, 2] - features.pixel[:, k]) / sigma_px - f * point[:, k + 1]
         gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
-    sigma = np.maximum(SIGMA_M, SIGMA_SHARE * depth) / depth**2
+    sigma = range_sigma_m(depth) / depth**2
     error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
     error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
-    weight = np.where(np.isnan(x), 0.0, 1.0 / (1.0 + (error**2).sum(axis=1) / scale**2) ** 2)
+    weight = np.where(np.isnan(x), 0.0, geman_mcclure((error**2).sum(axis=1), scale)[0])
     # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
     by_shift = -(gradient[:, :, None] * R).sum(axis=3)
     by_turn = np.cross((landmark - centre)[:, None], by_shift)

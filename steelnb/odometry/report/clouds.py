@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
@@ -84,7 +85,7 @@ class ReportCloudOdometry(BaseOdometry):
         reason = reason if result.converged else "too few pairs"
         watch.lap("register")
         if not reason:
-            aligned = points @ result.T_target_source[:3, :3].T + result.T_target_source[:3, 3]
+            aligned = transform_points(result.T_target_source, points)
             self.map.insert(np.concatenate([self.first, aligned]) if not len(self.map) else aligned)
             from_left = "order" in self.switched
             self.correction = step @ self.correction if from_left else self.correction @ step
@@ -98,7 +99,7 @@ class ReportCloudOdometry(BaseOdometry):
         if "thinning" in self.switched:
             points = voxel_grid(points, self.settings.preprocess.voxel_leaf_m)
         T_world_sensor = self.correction @ T_world_drone_prior @ self.T_drone_sensor
-        world = points @ T_world_sensor[:3, :3].T + T_world_sensor[:3, 3]
+        world = transform_points(T_world_sensor, points)
         return world[world[:, 2] >= self.settings.preprocess.floor_m] if "floor" in self.switched else world
 
     def registered(self, points: Array) -> Aligned:

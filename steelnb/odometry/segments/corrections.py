@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, Segments
 from steelnb.fusion import SegmentMap, associate
 from steelnb.odometry.drift_filter import PRIOR_SIGMA
@@ -57,7 +58,7 @@ def least_squares(observed: Segments, known: SegmentMap, robust_scale_m: float, 
 
     def equations(state: Array) -> tuple[Array, Array, int]:
         across, direction, count = _pairs(shifted(observed, state, position), known)
-        robust = 1.0 / (1.0 + (across**2).sum(axis=1) / robust_scale_m**2) ** 2
+        robust, _ = geman_mcclure((across**2).sum(axis=1), robust_scale_m)
         weight = robust * count / (count.sum() / max(len(count), 1))
         projector = np.eye(3) - direction[:, :, None] * direction[:, None, :]
         return (weight[:, None, None] * projector).sum(axis=0), (weight[:, None] * across).sum(axis=0), len(across)

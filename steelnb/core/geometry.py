@@ -1,0 +1,92 @@
+"""Algebra of rigid motions: the one home of rotation steps, twists and changes of frame.
+
+A twist ξ = (ω, v) is a rotation vector, radians, and a translation, metres, both in the axes of the target frame:
+rotate by ω about a centre, then translate by v. The step of a pose is a twist about the pose's own position. With four
+degrees of freedom it is the last four numbers: yaw, x, y, z. Source: Solà, Deray, Atchuthan, "A micro Lie theory for
+state estimation in robotics" (arXiv 1812.01537, 2018).
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.core.types import Array
+
+UPRIGHT_DOF, POSE_DOF = 4, 6
+"""Degrees of freedom of a pose whose roll and pitch are known (yaw, x, y, z), and of a free pose."""
+
+
+def transform_points(T_target_source: Array, points: Array) -> Array:
+    """Points ``(N, 3)`` of the source frame, in the target frame."""
+    return np.asarray(points @ T_target_source[:3, :3].T + T_target_source[:3, 3])
+
+
+def inverse_poses(T: Array) -> Array:
+    """Inverses of transforms ``(N, 4, 4)``."""
+    result = np.tile(np.eye(4), (len(T), 1, 1))
+    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, 3:] = -result[:, :3, :3] @ T[:, :3, 3:]
+    return result
+
+
+def exp_about(centre: Array, xi: Array) -> Array:
+    """Rigid motion ``(4, 4)`` of a twist ``(ω, v)``: rotate by ω about ``centre (3,)``, then translate by v."""
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec(xi[:3]).as_matrix()
+    motion[:3, 3] = centre - motion[:3, :3] @ centre + xi[3:]
+    return motion
+
+
+def moved_poses(T: Array, step: Array) -> Array:
+    """Poses ``(K, 4, 4)`` after steps ``(K, D)``, D = 4 or 6."""
+    result, rotation = T.copy(), np.zeros((len(T), 3))
+    rotation[:, 6 - step.shape[1] :] = step[:, :-3]
+    result[:, :3, 3] += step[:, -3:]
+    result[:, :3, :3] = Rotation.from_rotvec(rotation).as_matrix() @ T[:, :3, :3]
+    return result
+
+
+def pose_step(T_from: Array, T_to: Array, size: int = UPRIGHT_DOF) -> Array:
+    """The step ``(size,)`` between two poses: the inverse of `moved_poses` to first order in its angles."""
+    rotation = T_to[:3, :3] @ T_from[:3, :3].T
+    return np.concatenate([tilt_of(rotation), yaw_of(rotation)[None], T_to[:3, 3] - T_from[:3, 3]])[-size:]
+
+
+def pose_difference(T_from: Array, T_to: Array) -> Array:
+    """The step ``(6,)`` between two poses: the inverse of `moved_poses`, at any angle."""
+    return np.append(rotation_between(T_from[:3, :3], T_to[:3, :3]), T_to[:3, 3] - T_from[:3, 3])
+
+
+def rotation_between(R_from: Array, R_to: Array) -> Array:
+    """Rotation vector ``(3,)``, radians, in the target frame of both rotations ``(3, 3)``, that takes one to the
+    other."""
+    return np.asarray(Rotation.from_matrix(R_to @ R_from.T, assume_valid=True).as_rotvec())
+
+
+def yaw_of(rotation: Array) -> Array:
+    """The yaw ``(…)``, radians, of the rotation about z nearest to each rotation ``(…, 3, 3)``."""
+    first, second = rotation[..., 0, :], rotation[..., 1, :]
+    return np.arctan2(second[..., 0] - first[..., 1], first[..., 0] + second[..., 1])
+
+
+def tilt_of(rotation: Array) -> Array:
+    """The rotations about x and y ``(…, 2)``, radians, of rotations ``(…, 3, 3)``: a small tilt, then any yaw."""
+    return np.stack([rotation[..., 2, 1], -rotation[..., 2, 0]], axis=-1)
+
+
+def cross_matrix(v: Array) -> Array:
+    """The matrix ``(3, 3)`` of the product ``v × …``."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def twist_jacobian(arm: Array) -> Array:
+    """Derivative ``(6, 6)`` of the rotation and shift of a point at ``arm (3,)`` from the centre of a twist."""
+    by_twist = np.eye(6)
+    by_twist[3:, :3] = -cross_matrix(arm)
+    return by_twist
+
+
+def information_at(information: Array, arm: Array) -> Array:
+    """Convert information ``(6, 6)`` about the rotation and the shift of one point to that of another point, which is
+    offset from it by ``arm (3,)``."""
+    by_twist = twist_jacobian(-arm)
+    return np.asarray(by_twist.T @ information @ by_twist)

@@ -1,0 +1,53 @@
+"""What `steelnb run` tells the user: lines on what was read, on what came out, and warnings."""
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from steelnb.core.types import Flight
+from steelnb.fusion.structure import Structure
+
+ERRORS = {"ate_rmse_m": "rms", "error_mean_m": "mean", "error_max_m": "largest", "error_final_m": "last"}
+WARNINGS = {
+    "used": "no scan corrected a pose: the corrected poses are the recorded ones",
+    "map_points": "the map has no points: compare range, floor, voxels and mount above with those of your sensor",
+}
+"""Warnings about a run that ended without an error but is useless. The key is the number that is zero then."""
+
+
+def opened_lines(flight: Flight) -> tuple[str, ...]:
+    """Lines of text on what was read from a recording: topics, mount, scans, and what was skipped."""
+    x, y, z = flight.T_drone_sensor[:3, 3]
+    yaw, pitch, roll = Rotation.from_matrix(flight.T_drone_sensor[:3, :3]).as_euler("ZYX", degrees=True)
+    topics = ", ".join(f"{part} {flight.facts[part]}" for part in ("scans", "poses", "imu") if part in flight.facts)
+    skipped = "; ".join(f"{number} {reason}" for reason, number in sorted(flight.skipped.items()))
+    stamp_s = flight.prior.stamp_s
+    return (
+        f"read      {flight.name}: {topics}",
+        f"mount     at x {x:.3f}, y {y:.3f}, z {z:.3f} m, roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f}° "
+        f"({flight.facts['mount']})",
+        f"scans     {len(stamp_s)} with a pose over {np.ptp(stamp_s):.1f} s"
+        + (f", {1 / np.median(np.diff(stamp_s)):.4g} a second" if len(stamp_s) > 1 else ""),
+        *([f"skipped   {skipped}"] if skipped else []),
+    )
+
+
+def result_lines(numbers: dict[str, float], labels: dict[str, str], structure: Structure) -> list[str]:
+    """Lines of text. ``labels``: prefix of the names of numbers → label of the path."""
+    unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
+    lines = [f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
+    if numbers["prior_followed"]:
+        where = "of a wall or of flat ground: along it the prior was followed"
+        lines.append(f"weak      {numbers['prior_followed']} scans {where}")
+    lines.append(
+        "time      {frame_median_ms:.1f} ms a scan (median; 95 %: {frame_p95_ms:.1f}, 99 %: {frame_p99_ms:.1f}, "
+        "most {frame_max_ms:.1f}), ".format_map(numbers)
+        + f"{100 * numbers['on_time_share']:.1f} % on time"
+    )
+    if "prior_ate_rmse_m" in numbers:
+        errors = {label: [numbers[f"{part}_{name}"] for name in ERRORS] for part, label in labels.items()}
+        table = pd.DataFrame(errors, index=list(ERRORS.values())).T.to_string(float_format="{:.3f}".format)
+        lines += [f"{'error (m)' if k == 0 else '':9} {line}" for k, line in enumerate(table.splitlines())]
+    lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
+    found = f"{len(structure)} bars, {len(structure.joint)} joints"
+    return [*lines, f"structure {found if len(structure) else f'empty: {structure.reason}'}"]
