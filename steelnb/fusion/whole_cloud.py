@@ -17,7 +17,7 @@ from steelnb.fusion.candidates import (
     merge_pieces,
     split_bends,
 )
-from steelnb.fusion.joints import REACH_M
+from steelnb.fusion.joints import REACH_M, find_joints
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.alternatives.refine import nearest_bar
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
@@ -66,8 +66,8 @@ def bars_of_cloud(
 
     Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
     of their weight remain: range noise spreads the rest. `Surfaces` of these are left out. Lines through what remains
-    are split at bends and merged (`fusion.candidates`). A bar stands free (`freedom_of`), and if it is short, its ends
-    meet other bars.
+    are split at bends, extended to their joints and merged (`fusion.candidates`, `fusion.joints`). A bar stands free
+    (`freedom_of`), and if it is short, its ends meet other bars.
 
     ``tube_m``: radius of the tube that holds a bar's points; all lengths of `fusion.candidates` grow with it.
     ``min_votes``: minimum number of ridge voxels of a bar.
@@ -85,6 +85,9 @@ def bars_of_cloud(
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * scale * LENGTH_MIN_M:
         bars = segment_structure(free, tube_m, min_votes, LENGTH_MIN_M / TUBE_M, GRIDS)
         bars = merge_pieces(split_bends(free, bars), rise_m=RISE_M)
+        # Points at a joint belong to one of its bars, so the others have gaps there.
+        width_m = widths_of(points[label < 0], bars, tube_m)
+        bars = merge_pieces(find_joints(bars, width_m)[2], width_m, RISE_M)
     width_m = widths_of(points[label < 0], bars, tube_m)
     freedom = freedom_of(ridge, bars, width_m, tube_m)
     sure = (freedom >= FREE_MIN) & (is_held(bars, scale * REACH_M, tube_m) | (bars.length >= scale * SURE_M))

@@ -19,7 +19,7 @@ DISC = 3.5
 COVERED_MIN = 0.7
 """Minimum share of the disc that is covered. Bars that meet at a joint of a lattice cover less than half of it."""
 NEAR, ASIDE_MAX = 1.2, 0.3
-"""Maximum distance, in cells, of the points of a surface from it, and maximum share of those around that are farther."""
+"""Maximum distance, in cells, of points of a surface from it, and maximum share of those around that are farther."""
 BAND = 1.5
 """Points within this many cells of a surface belong to it; range noise spreads them."""
 TURN_MAX_RAD = math.radians(15)
@@ -31,8 +31,8 @@ LEVEL_RAD = math.radians(30)
 
 @dataclass(frozen=True)
 class Surface:
-    """A connected surface: mean of its cells ``centre (3,)``, metres, unit ``normal (3,)``, its area in this
-    plane ``area_m2``, root mean square distance of its cells from their plane ``rms_m``, and its number of ``points`` in the cloud."""
+    """A connected surface: mean of its cells ``centre (3,)``, metres, unit ``normal (3,)`` of its plane, its area in
+    that plane, root mean square distance ``rms_m`` of its cells from it, and its number of ``points`` in the cloud."""
 
     centre: Array
     normal: Array

@@ -22,6 +22,8 @@ from steelnb.points.surfaces import Surface
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 SURFACES_SHOWN = 5
+FLAT_M = 0.1
+"""Maximum root mean square distance of a flat surface from its plane."""
 UNEXPLAINED_MAX = 0.5
 """A larger share than this of the points on no surface and no bar is warned of."""
 
@@ -118,9 +120,10 @@ def default_tube(points: Array, apart_m: float) -> float:
 
 
 def _name(surface: Surface) -> str:
-    if surface.is_level:
+    kind = "curved" if surface.rms_m > FLAT_M else "level" if surface.is_level else "upright"
+    if kind == "level":
         return f"level at {surface.centre[2]:.1f} m"
-    return f"wall at ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
+    return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
 
 
 def _warnings(found: CloudBars, explained: float) -> tuple[str, ...]:
