@@ -187,16 +187,19 @@ def segment(
         typer.Option(help="Radius in metres of the tube that holds a bar's points. Default: from the point spacing."),
     ] = None,
     min_votes: Annotated[int | None, typer.Option(help="Minimum number of filtered points of a bar.")] = None,
+    scene: Annotated[
+        bool, typer.Option("--scene", metavar=NO_VALUE, help="Write an interactive scene, segments.html, too.")
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Find the straight bars in a point cloud."""
+    """Find the bars of a structure in a point cloud. Ground, walls and other surfaces are left out."""
     with progress() as (on_stage, _):
         from steelnb.recording.segment_cloud import segment_file
 
         target = output or Path(f"{cloud.stem}_segments")
         check_folder(target, force)
         on_stage(f"finding bars in {cloud.name}")
-        result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes)
+        result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene)
     print("\n".join(result.summary))
     warn(*result.warnings)
 

@@ -16,15 +16,20 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write_segments(segments: Segments, path: Path | str, sigma_m: Array | None = None) -> None:
+def write_segments(
+    segments: Segments, path: Path | str, sigma_m: Array | None = None, more: Mapping[str, Array] | None = None
+) -> None:
     """Write one CSV row per segment, metres, rounded to 0.1 mm.
 
-    ``sigma_m (M, 2)``, the standard deviations across the axis at start and end, add two columns in millimetres.
+    ``sigma_m (M, 2)``, the standard deviations across the axis at start and end, add two columns in millimetres;
+    ``more``: further columns ``(M,)`` by name.
     """
     rows = np.column_stack([segments.start, segments.end, segments.length, segments.count, segments.radius])
     table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"count": int})
     if sigma_m is not None:
         table[["sigma_start_mm", "sigma_end_mm"]] = (1e3 * sigma_m).round(2)
+    for name, values in (more or {}).items():
+        table[name] = values
     table.to_csv(path, index=False, float_format="%.4f", lineterminator="\n")
 
 

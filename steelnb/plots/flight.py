@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
 
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
@@ -20,6 +22,9 @@ from steelnb.plots import (
 from steelnb.plots.style import style
 
 POINTS_MAX = 60_000
+VIEWS = (0, 2, 1), (1, 2, 0), (0, 1, 2)
+"""Axes to the right, up, and towards the viewer, of each view."""
+VIEW_NAMES = "from the front", "from the side", "from above"
 
 
 @style()
@@ -59,19 +64,33 @@ def figure_flight(
 
 
 @style()
-def figure_bars(points: Array, segments: Segments, title: str) -> Figure:
-    """Draw bars over points ``(N, 3)``, metres, seen along y, along x and in perspective."""
-    cloud, ends = thinned(points, POINTS_MAX), end_points(segments)
-    figure = Figure(figsize=(11, 6.5))
-    *sides, space = figure.subplots(1, 3)
-    for panel, axis, name in zip(sides, (0, 1), ("from the front", "from the side"), strict=True):
-        panel.plot(*cloud[:, [axis, 2]].T, "o", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
-        draw_lines(panel, ends[..., [axis, 2]], color=COLOURS["bars found"], lw=1.1)
-        panel.set(title=name, xlabel=f"{'xy'[axis]} (m)", ylabel="z (m)")
+def figure_bars(
+    points: Array, segments: Segments, title: str, surface: NDArray[np.bool_] | None = None, sure: Array | None = None
+) -> Figure:
+    """Draw bars over points ``(N, 3)``, metres: from the front, from the side, from above and in perspective.
+
+    ``surface (N,)``: whether a point lies on a surface; they have another colour. ``sure (M,)``: how sure each bar
+    is, 0 to 1; unsure ones are pale. A bar behind another one is drawn first.
+    """
+    surface = np.zeros(len(points), dtype=bool) if surface is None else surface
+    kept = [thinned(points[where], POINTS_MAX // 2) for where in (surface, ~surface)]
+    kinds = [(cloud, name) for cloud, name in zip(kept, ("surface", "points"), strict=True) if len(cloud)]
+    ends, cloud = end_points(segments), points[~surface] if len(segments) else points
+    alpha = np.full(len(segments), 1.0) if sure is None else np.clip(sure, 0.25, 1.0)
+    figure = Figure(figsize=(13, 6.5))
+    *views, space = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.1))
+    for panel, (right, up, depth), name in zip(views, VIEWS, VIEW_NAMES, strict=True):
+        for some, kind in kinds:
+            panel.plot(*some[:, [right, up]].T, "o", ms=0.8, mew=0, color=COLOURS[kind], rasterized=True)
+        order = np.argsort(ends[:, :, depth].mean(axis=1) * (1 if depth != 1 else -1), kind="stable")
+        colours = [(*to_rgb(COLOURS["bars found"]), float(a)) for a in alpha[order]]
+        draw_lines(panel, ends[order][..., [right, up]], color=colours or None, lw=1.3)
+        panel.set(title=name, xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
         panel.set_aspect("equal", adjustable="datalim")
         panel.autoscale_view()
-    space.plot(*project_perspective(cloud, points).T, "o", ms=1.0, mew=0, color=COLOURS["points"], rasterized=True)
-    draw_bars(space, ends, points, color=COLOURS["bars found"], lw=1.1)
-    frame_perspective(space, points)
+    shown = thinned(cloud, POINTS_MAX // 2)
+    space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
+    draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
+    frame_perspective(space, cloud)
     figure.suptitle(title, fontsize=12)
     return figure

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb import plots
 from steelnb.core.types import Array, Segments, Trajectory
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
 
 HEIGHT_PX = 560
+CLOUD_POINTS = 100_000
+"""Maximum number of points of a kind in the scene of a cloud."""
 PLOTLY_TYPE = "application/vnd.plotly.v1+json"
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
 """Widths of the paths. A good correction covers the true path, so one is thin and the other wide to show both."""
@@ -72,6 +75,24 @@ def figure_scene(
     where = "truth" if "true" in known else "recorded poses"
     beside = {"rangemode": "tozero", "side": "right"}  # on the left its title would lie over a narrow scene
     figure.update_yaxes(title_text=f"distance to the {where} (m)", **beside)
+    return figure
+
+
+def figure_cloud(points: Array, bars: Segments, surface: NDArray[np.bool_]) -> "PlotlyFigure":
+    """An interactive scene of a cloud ``(N, 3)``, metres, its bars, and the points on surfaces ``(N,)`` in another
+    colour. A click in the legend hides a kind."""
+    from plotly.graph_objects import Figure as PlotlyFigure
+    from plotly.graph_objects import Scatter3d
+
+    figure = PlotlyFigure()
+    for where, name, key in ((surface, "surfaces", "surface"), (~surface, "other points", "points")):
+        marker = {"size": 1, "color": COLOURS[key], "opacity": 0.6}
+        shown = plots.thinned(points[where], CLOUD_POINTS)
+        figure.add_trace(Scatter3d(**_columns(shown), mode="markers", name=name, marker=marker))
+    line = {"color": COLOURS["bars found"], "width": 6}
+    figure.add_trace(Scatter3d(**_columns(_apart(plots.end_points(bars))), mode="lines", name="bars", line=line))
+    axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
+    figure.update_layout(template="plotly_white", scene={**axes, "aspectmode": "data"}, margin=dict.fromkeys("lrtb", 0))
     return figure
 
 

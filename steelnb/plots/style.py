@@ -59,7 +59,8 @@ COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHOD_LOOKS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
     "draws": BLUE, "draw": INDIGO, "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY,
-    "points": "#c8c8c8", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY, "refused": "#dddddd",
+    "points": "#c8c8c8", "surface": "#E8D5B5", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY,
+    "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in (METHOD_LOOKS | DETECTORS).items()} | {

@@ -1,6 +1,5 @@
 """`steelnb segment CLOUD`: point cloud of a structure → its bars, as a table, a picture and a summary."""
 
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,24 +8,42 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
-from steelnb.core.types import Segments
-from steelnb.hough.lines import default_dx, spacing
-from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
+from steelnb.core.types import Array, Segments
+from steelnb.fusion.candidates import TUBE_M
+from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud
+from steelnb.hough.lines import DX_PER_SPACING, spacing
+from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.plots.flight import figure_bars
-from steelnb.points import voxel_grid
+from steelnb.plots.scene3d import figure_cloud
+from steelnb.points.surfaces import Surface
+
+TUBES_MIN = 40
+"""Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
+SURFACES_SHOWN = 5
+FLAT_M = 0.1
+"""Maximum root mean square distance of a flat surface from its plane."""
+UNEXPLAINED_MAX = 0.5
+"""A larger share than this of the points on no surface and no bar is warned of."""
 
 
 @dataclass(frozen=True)
 class SegmentReport:
-    """``segments`` in the coordinates of the file, the longest first; ``explained``: share of the file's distinct
-    points that lie within ``dx_m`` of a segment; ``summary`` and ``warnings``: lines of text."""
+    """``segments`` in the coordinates of the file, the longest first, with their ``freedom (B,)`` and ``width_m (B,)``
+    (`CloudBars`).
+
+    Shares of the file's distinct points: ``explained``, within a tube of a bar, of those that lie on no surface;
+    ``on_surfaces``. ``dx_m``: radius of the tube; ``summary`` and ``warnings``: lines of text.
+    """
 
     segments: Segments
+    freedom: Array
+    width_m: Array
     voxel_m: float
     dx_m: float
     explained: float
+    on_surfaces: float
     summary: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -38,12 +55,15 @@ def segment_file(
     voxel_m: float | None = None,
     dx_m: float | None = None,
     min_votes: int | None = None,
+    scene: bool = False,
 ) -> SegmentReport:
-    """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``.
+    """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``;
+    with ``scene``, also the interactive ``segments.html``.
 
-    ``dx_m`` is the radius of the tube that holds a bar's points (default: `default_dx`), ``voxel_m`` the edge of the
-    voxel filter (default: dx/√3, so that a voxel's diagonal is dx, as in the report). ``min_votes`` is the minimum
-    number of filtered points of a bar, and the minimum by which the points in its tube exceed those around it.
+    Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.whole_cloud`). ``dx_m`` is the radius
+    of the tube that holds a bar's points (default: 6 cm, or 1.2 times the spacing of the points if that is more),
+    ``voxel_m`` the edge of the voxel filter (default: two thirds of dx). ``min_votes`` is the minimum number of voxels
+    of a bar, and the minimum by which those in its tube exceed those around it.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
@@ -55,28 +75,68 @@ def segment_file(
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
-        dx = dx_m or max(default_dx(cloud.points), math.sqrt(3) * (voxel_m or 0.0))
-        voxel = voxel_m or dx / math.sqrt(3)
-        points = voxel_grid(cloud.points, voxel)
-        found = segment_structure(points, dx, min_votes)
-        found = found.take(np.argsort(-found.length, kind="stable"))
-        explained = float(within(cloud.points, found, dx).mean())
-        segments = found.moved(cloud.origin)
-        write_segments(segments, folder / "segments.csv")
-        share = f"{100 * explained:.0f} % of the points lie within {dx:.2g} m of a bar"
-        figure = figure_bars(cloud.points, found, f"{path.name}: {len(found)} bars; {share}")
-        figure.savefig(folder / "segments.png", dpi=150)
+        apart_m = spacing(cloud.points)
+        dx = dx_m or max(default_tube(cloud.points, apart_m), 1.5 * (voxel_m or 0.0))
+        found = bars_of_cloud(cloud.points, dx, voxel_m, min_votes)
+        found = found.take(np.argsort(-found.bars.length, kind="stable"))
+        bars, off = found.bars, found.surface < 0
+        explained = float(within(cloud.points[off], bars, dx).mean()) if off.any() else 0.0
+        segments = bars.moved(cloud.origin)
+        columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
+        write_segments(segments, folder / "segments.csv", more=columns)
+        title = f"{path.name}: {len(bars)} bars, {bars.length.sum():.1f} m"
+        figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
+        if scene:
+            figure_cloud(cloud.points, bars, ~off).write_html(folder / "segments.html", include_plotlyjs=True)
+    voxel = voxel_m or dx / 1.5
+    on_surfaces = float(1 - off.mean())
+    named = [
+        f"surface   {_name(surface)}, {surface.area_m2:.0f} m²: {surface.points} points left out"
+        for surface in found.surfaces
+    ]
+    bar_share = explained * (1 - on_surfaces)
     summary = (
         f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
-        f"dropped), {spacing(cloud.points):.3g} m apart",
-        f"settings  voxel {voxel:.3g} m ({len(points)} points after it), dx {dx:.3g} m",
-        f"found     {len(found)} bars, {found.length.sum():.1f} m in all, the longest "
-        f"{found.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
-        f"explained {share}",
-        f"written   {output}/: segments.csv, segments.png",
+        f"dropped), {apart_m:.3g} m apart",
+        f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one",
+        *named[:SURFACES_SHOWN],
+        *([f"surface   and {len(named) - SURFACES_SHOWN} more"] if len(named) > SURFACES_SHOWN else []),
+        f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
+        f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
+        f"points    {100 * bar_share:.0f} % on bars, {100 * on_surfaces:.0f} % on surfaces, "
+        f"{100 * (1 - bar_share - on_surfaces):.0f} % on neither",
+        f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
     )
-    left = f"voxels of {voxel:.3g} m leave {len(points)} of {len(cloud)} points, and a bar needs {min_votes}"
-    return SegmentReport(segments, voxel, dx, explained, summary, () if len(found) else (f"no bar found: {left}",))
+    return SegmentReport(
+        segments, found.freedom, found.width_m, voxel, dx, explained, on_surfaces, summary, _warnings(found, explained)
+    )
+
+
+def default_tube(points: Array, apart_m: float) -> float:
+    """Default radius of the tube of a bar, metres: that of a steel member with its noise, more for points that are far
+    apart, and less in a small cloud."""
+    diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return min(max(TUBE_M, DX_PER_SPACING * apart_m), max(diagonal_m / TUBES_MIN, 1e-3 * diagonal_m))
+
+
+def _name(surface: Surface) -> str:
+    kind = "curved" if surface.rms_m > FLAT_M else "level" if surface.is_level else "upright"
+    if kind == "level":
+        return f"level at {surface.centre[2]:.1f} m"
+    return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
+
+
+def _warnings(found: CloudBars, explained: float) -> tuple[str, ...]:
+    off = int((found.surface < 0).sum())
+    if not len(found.bars):
+        why = "all points lie on surfaces" if off < 0.05 * len(found.surface) else "the rest does not lie along lines"
+        return (f"no bar found: {why}",)
+    if explained < 1 - UNEXPLAINED_MAX:
+        return (
+            f"bars explain {100 * explained:.0f} % of the {off} points that lie on no surface: is this a structure of"
+            " bars, and is the tube as wide as one of them (--dx)?",
+        )
+    return ()
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:

@@ -1,0 +1,63 @@
+"""Bars of merged clouds: one for one member, none in surfaces."""
+
+import numpy as np
+import pytest
+
+from steelnb.core.types import Segments
+from steelnb.fusion.whole_cloud import bars_of_cloud, freedom_of, widths_of
+from steelnb.metrics.segments import match_members
+from tests.lattice import lattice, scanned
+from tests.points.test_surfaces import sheet
+
+TOWER = lattice(8, 4, 2, 3)
+
+
+def sheets() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(5)
+    slope = sheet(8.0, 8.0, per_m2=1500)
+    slope[:, 2] += 0.4 * slope[:, 0]
+    direction = rng.normal(size=(40_000, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    corner = np.concatenate([sheet(4.0, 4.0, per_m2=1500)[:, order] for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0])])
+    return {
+        "ground": sheet(8.0, 8.0, per_m2=1500),
+        "slope": slope,
+        "corner": corner,
+        "sphere": 2.0 * direction,
+        "ball": 2.0 * direction * rng.uniform(0, 1, (len(direction), 1)) ** (1 / 3),
+    }
+
+
+@pytest.mark.parametrize("name", list(sheets()))
+def test_surfaces_have_no_bars_and_scattered_points_few(name):
+    assert len(bars_of_cloud(sheets()[name]).bars) <= (3 if name == "ball" else 0)
+
+
+@pytest.mark.parametrize("beside", ["nothing", "ground", "wall"])
+def test_each_member_is_one_bar_with_ground_or_a_wall_beside(beside):
+    points = scanned(TOWER, 1500, 0.08, 0.005)
+    if beside == "ground":
+        points = np.concatenate([points, sheet(10.0, 10.0) - [5.0, 5.0, 0.0]])
+    if beside == "wall":
+        points = np.concatenate([points, sheet(10.0, 8.0)[:, [0, 2, 1]] + [-5.0, 3.0, 0.0]])
+    found = bars_of_cloud(points)
+    match = match_members(found.bars, TOWER)
+    assert match.right.mean() >= 0.95
+    assert len(np.unique(match.member[match.right])) >= 0.9 * len(TOWER)
+    assert match.right.sum() - len(np.unique(match.member[match.right])) <= 1
+    assert np.median(match.offset_m[match.right]) < 0.015
+    assert len(found.surfaces) == (beside != "nothing")
+    assert found.freedom[match.right].min() > 0.6
+    assert (found.surface >= 0).sum() == sum(surface.points for surface in found.surfaces)
+
+
+def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
+    rng = np.random.default_rng(6)
+    along = rng.uniform(0, 3, 3000)
+    bar = np.column_stack([along, rng.uniform(-0.05, 0.05, (3000, 2))])
+    axis = Segments(np.zeros((1, 3)), np.array([[3.0, 0.0, 0.0]]), np.array([3000]), np.array([0.04]))
+    width_m = widths_of(bar, axis, 0.06)
+    assert 0.08 < width_m[0] < 0.14
+    assert freedom_of(bar, axis, width_m, 0.06)[0] > 0.95
+    wall = sheet(3.0, 2.0) - [0.0, 1.0, 0.0]
+    assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m, 0.06)[0] < 0.5
