@@ -17,11 +17,14 @@ from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.plots.flight import figure_bars
 from steelnb.plots.scene3d import figure_cloud
+from steelnb.points import voxel_grid
 from steelnb.points.surfaces import Surface
 
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 SURFACES_SHOWN = 5
+VOXELS_FEW = 10
+"""Fewer voxels than this many bars would need are too few."""
 FLAT_M = 0.1
 """Maximum root mean square distance of a flat surface from its plane."""
 UNEXPLAINED_MAX = 0.5
@@ -108,7 +111,15 @@ def segment_file(
         f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
     )
     return SegmentReport(
-        segments, found.freedom, found.width_m, voxel, dx, explained, on_surfaces, summary, _warnings(found, explained)
+        segments,
+        found.freedom,
+        found.width_m,
+        voxel,
+        dx,
+        explained,
+        on_surfaces,
+        summary,
+        _warnings(found, explained, cloud.points, voxel, min_votes),
     )
 
 
@@ -126,10 +137,15 @@ def _name(surface: Surface) -> str:
     return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
 
 
-def _warnings(found: CloudBars, explained: float) -> tuple[str, ...]:
+def _warnings(found: CloudBars, explained: float, points: Array, voxel_m: float, min_votes: int) -> tuple[str, ...]:
     off = int((found.surface < 0).sum())
     if not len(found.bars):
-        why = "all points lie on surfaces" if off < 0.05 * len(found.surface) else "the rest does not lie along lines"
+        left = len(voxel_grid(points, voxel_m))
+        why = "the points on no surface do not lie along lines"
+        if off < 0.05 * len(points):
+            why = "all points lie on surfaces"
+        elif left < VOXELS_FEW * min_votes:
+            why = f"voxels of {voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
         return (f"no bar found: {why}",)
     if explained < 1 - UNEXPLAINED_MAX:
         return (
