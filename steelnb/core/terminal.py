@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 
 def warn(*messages: str) -> None:
+    """Print warnings to stderr, one line each."""
     for message in messages:
         print("steelnb: warning:", message, file=sys.stderr)
 

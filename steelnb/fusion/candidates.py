@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
@@ -22,6 +23,8 @@ LENGTH_MIN_M = 0.3
 """Minimum length of a bar."""
 STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
 """The same for struts, short bars between two others. ``STRUT_HIDE_M``: minimum distance of their points from bars."""
+STRUT_STEP_M = 0.03
+"""Steps in which the ends of a strut are extended."""
 GRIDS = 4
 """Number of grids of blocks in which bars are proposed. On flights, eight grids find no more bars than four."""
 IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
@@ -49,12 +52,17 @@ def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) ->
     points = voxel_grid(ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M), TUBE_M / math.sqrt(3))
     if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
         return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
-    bars = split_bends(points, segment_structure(points, TUBE_M, MIN_VOTES, LENGTH_MIN_M / TUBE_M, grids))
-    bars = merge_pieces(bars, rise_m=rise_m)
+    bars = bars_on_ridges(points, TUBE_M, MIN_VOTES, grids, rise_m)
     if not len(bars):
         return bars, f"none of {len(points)} points on ridges lie along a line"
     struts = find_struts(voxels, bars, STRUT_HIDE_M, grids)
     return merge_pieces(Segments.joined((bars, struts)), rise_m=rise_m), ""
+
+
+def bars_on_ridges(points: Array, tube_m: float, min_votes: int, grids: int, rise_m: float) -> Segments:
+    """Lines in tubes of radius ``tube_m`` through points on ridges ``(N, 3)``, metres, split at bends and merged."""
+    bars = segment_structure(points, tube_m, min_votes, LENGTH_MIN_M / TUBE_M, grids)
+    return merge_pieces(split_bends(points, bars), rise_m=rise_m)
 
 
 def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
@@ -66,11 +74,16 @@ def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GR
     if len(points) < MIN_VOTES:
         return Segments.empty()
     struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    # Both ends must come near a bar when extended by at most the reach of a joint.
-    extension = np.arange(0, REACH_M + 1e-9, 0.03)[:, None, None] * struts.direction
-    extended = np.stack([struts.start - extension, struts.end + extension])
-    near = within(extended.reshape(-1, 3), bars, TUBE_M).reshape(extended.shape[:3])
-    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
+    return struts.take(is_held(struts, bars, REACH_M, STRUT_STEP_M, TUBE_M))
+
+
+def is_held(bars: Segments, others: Segments, reach_m: float, step_m: float, near_m: float) -> NDArray[np.bool_]:
+    """Whether both ends of each bar come within ``near_m`` of one of the ``others`` when they are extended by up to
+    ``reach_m`` in steps of ``step_m``: ``(B,)``."""
+    extension = np.arange(0, reach_m + 1e-9, step_m)[:, None, None] * bars.direction
+    extended = np.stack([bars.start - extension, bars.end + extension])
+    near = within(extended.reshape(-1, 3), others, near_m).reshape(extended.shape[:3])
+    return np.asarray(near.any(axis=1).all(axis=0))
 
 
 def split_bends(points: Array, bars: Segments) -> Segments:

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array
 from steelnb.points import VoxelMap
-from steelnb.points.voxel_kernels import find, hash_table, pack
+from steelnb.points.voxel_kernels import find, hash_table, offsets_within
 
 
 def ridge_points(
@@ -24,20 +24,10 @@ def ridge_points(
     if hidden is not None:
         weight[hidden] = 0.0
     table = hash_table(key, len(key))
-    is_ridge = _ridge(key, weight, _around(radius_m, voxel_m), share_min, *table)
+    is_ridge = _ridge(key, weight, offsets_within(radius_m, voxel_m), share_min, *table)
     remaining = np.where(is_ridge, weight, 0.0)
-    around = _around(contract_m + math.sqrt(3) * voxel_m, voxel_m)
+    around = offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m)
     return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
-
-
-def _around(radius_m: float, voxel_m: float) -> IntArray:
-    """Offsets ``(K,)`` of the keys (`pack`) of the voxels whose centres lie within a radius, nearest first."""
-    reach = int(radius_m / voxel_m)
-    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    distance = np.linalg.norm(steps, axis=1)
-    order = np.argsort(distance, kind="stable")
-    steps = steps[order][distance[order] * voxel_m <= radius_m + 1e-9]
-    return np.asarray(pack(*steps.T) - pack(0, 0, 0))
 
 
 @njit(cache=True, nogil=True)

@@ -1,9 +1,10 @@
-"""The bars of a merged cloud, without scans and poses: surfaces are left out, lines on ridges of the rest are bars."""
+"""The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import (
@@ -14,13 +15,14 @@ from steelnb.fusion.candidates import (
     RIDGE_SHARE,
     TUBE_M,
     VOXEL_M,
+    bars_on_ridges,
+    is_held,
     merge_pieces,
-    split_bends,
 )
 from steelnb.fusion.joints import REACH_M, find_joints
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.alternatives.refine import nearest_bar
-from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
+from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.surfaces import Surface, Surfaces
 
@@ -35,16 +37,16 @@ SLICE_M, REACH = 0.1, 3.0
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
 HALF_WIDTH_SHARE = 0.9
-"""Share of a bar's points within half of its width of its axis."""
+"""Share of a bar's points that lie within half its width of its axis."""
 
 
 @dataclass(frozen=True)
 class CloudBars:
-    """The bars of a cloud, strongest first, and what is none.
+    """The bars of a cloud, strongest first, and the surfaces that were left out.
 
-    ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1; ``width_m (B,)``; ``surfaces``, largest
-    first; ``surface (N,)``: number of the surface of each point of the cloud, or −1; ``tube_m``: radius of the tube in
-    which bars were sought: thinner members look alike.
+    ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
+    ``surfaces``, largest first; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
+    ``voxel_m``: edge of the voxels in which the points were accumulated.
     """
 
     bars: Segments
@@ -52,7 +54,7 @@ class CloudBars:
     width_m: Array
     surfaces: list[Surface]
     surface: IntArray
-    tube_m: float
+    voxel_m: float
 
     def take(self, index: IntArray) -> "CloudBars":
         """The same with some bars, in this order."""
@@ -69,7 +71,8 @@ def bars_of_cloud(
     are split at bends, extended to their joints and merged (`fusion.candidates`, `fusion.joints`). A bar stands free
     (`freedom_of`), and if it is short, its ends meet other bars.
 
-    ``tube_m``: radius of the tube that holds a bar's points; all lengths of `fusion.candidates` grow with it.
+    ``tube_m``: radius of the tube that holds a bar's points. The lengths of the search grow with it; those of bends,
+    joints and merging are fixed.
     ``min_votes``: minimum number of ridge voxels of a bar.
     """
     scale = tube_m / TUBE_M
@@ -81,22 +84,22 @@ def bars_of_cloud(
     surfaces = Surfaces.found_in(ridge, max(CELL * scale * VOXEL_M, CELL_VOXELS * voxel_m))
     free = ridge[surfaces.label_of(ridge) < 0]
     label = surfaces.label_of(points)
-    bars = Segments.empty()
+    off, bars = points[label < 0], Segments.empty()
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * scale * LENGTH_MIN_M:
-        bars = segment_structure(free, tube_m, min_votes, LENGTH_MIN_M / TUBE_M, GRIDS)
-        bars = merge_pieces(split_bends(free, bars), rise_m=RISE_M)
+        bars = bars_on_ridges(free, tube_m, min_votes, GRIDS, RISE_M)
         # Points at a joint belong to one of its bars, so the others have gaps there.
-        width_m = widths_of(points[label < 0], bars, tube_m)
+        width_m = widths_of(off, bars, tube_m)
         bars = merge_pieces(find_joints(bars, width_m)[2], width_m, RISE_M)
-    width_m = widths_of(points[label < 0], bars, tube_m)
+    width_m = widths_of(off, bars, tube_m)
     freedom = freedom_of(ridge, bars, width_m, tube_m)
-    sure = (freedom >= FREE_MIN) & (is_held(bars, scale * REACH_M, tube_m) | (bars.length >= scale * SURE_M))
-    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, tube_m)
+    long = bars.length >= scale * SURE_M
+    sure = (freedom >= FREE_MIN) & (long | _held_by_others(bars, scale * REACH_M, tube_m))
+    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m)
 
 
 def widths_of(points: Array, bars: Segments, tube_m: float) -> Array:
-    """Width ``(B,)`` of each bar, metres: twice the distance from the axis within which `HALF_WIDTH_SHARE` of the
-    points ``(N, 3)`` lie that are nearest to it, up to twice the tube."""
+    """Width ``(B,)`` of each bar, metres: twice the distance from its axis within which `HALF_WIDTH_SHARE` of its
+    points lie. These are the ``points (N, 3)`` that are nearest to its axis and within two tube radii of it."""
     nearest = nearest_bar(points, bars, 2 * tube_m, 0.0)
     width_m = np.full(len(bars), 2 * tube_m)
     order = np.argsort(nearest, kind="stable")
@@ -130,12 +133,10 @@ def freedom_of(points: Array, bars: Segments, width_m: Array, tube_m: float) -> 
     return freedom
 
 
-def is_held(bars: Segments, reach_m: float, tube_m: float) -> np.ndarray:
-    """Whether both ends of each bar come near another bar when they are extended by ``reach_m``: ``(B,)``."""
-    held = np.zeros((2, len(bars)), dtype=bool)
-    extension = np.arange(0.0, reach_m + 1e-9, 0.5 * tube_m)[:, None]
-    for bar in range(len(bars)):
-        others = bars.take(np.arange(len(bars)) != bar)
-        for side, (end, sign) in enumerate(((bars.start[bar], -1.0), (bars.end[bar], 1.0))):
-            held[side, bar] = within(end + sign * extension * bars.direction[bar], others, 1.5 * tube_m).any()
-    return np.asarray(held.all(axis=0))
+def _held_by_others(bars: Segments, reach_m: float, tube_m: float) -> NDArray[np.bool_]:
+    """`is_held` of each bar by all others ``(B,)``."""
+    number = np.arange(len(bars))
+    held = [
+        is_held(bars.take(number == k), bars.take(number != k), reach_m, 0.5 * tube_m, 1.5 * tube_m) for k in number
+    ]
+    return np.array(held, dtype=bool).reshape(len(bars))

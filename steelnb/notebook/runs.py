@@ -44,7 +44,8 @@ class Flights:
 
 
 Task = Callable[[ExperimentSettings, Flights, experiment.OnProgress | None], T]
-"""What is made of one run: settings, the flights, and who is told about the progress → a result or a row."""
+"""What is computed for one run: called with its settings, the flights and a callback for progress, it returns a result
+or a row."""
 
 
 def result_of(
@@ -61,13 +62,13 @@ def run_all(
     jobs: int | None = 1,
     timed: bool = False,
 ) -> list[Any]:
-    """What the ``task`` makes of each case, in order; by default its `experiment.Result`.
+    """Run the ``task`` for each case, and return what it returns, in order: by default, `experiment.Result`.
 
     Cases in one world share a flight, and their odometries the segments of its scans; if ``timed``, each finds its own,
     so that its time is its own. ``jobs``: number of worlds at once, -1 for one per core, None for that of
-    `joblib.parallel_config`. ``on_progress`` hears of each completed world and, with one job, of the progress within.
-    Raises `CollisionError`, and `InputError` without a case or a job, or if
-    a worker has other code or libraries than this process.
+    `joblib.parallel_config`. ``on_progress`` is called after each world and, with one job, also during it.
+    Raises `CollisionError`, and `InputError` without a case or a job, or if a worker has other code or libraries than
+    this process.
     """
     cases = list(cases)
     worlds: dict[object, list[int]] = {}

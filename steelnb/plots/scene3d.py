@@ -19,6 +19,7 @@ HEIGHT_PX = 560
 CLOUD_POINTS = 100_000
 """Maximum number of points of a kind in the scene of a cloud."""
 PLOTLY_TYPE = "application/vnd.plotly.v1+json"
+AXES = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
 WIDTHS = {"true": 3, "drifting": 4, "corrected": 8}
 """Widths of the paths. A good correction covers the true path, so one is thin and the other wide to show both."""
 
@@ -63,13 +64,12 @@ def figure_scene(
             look = {"name": name, "legendgroup": name, "line": {"color": colours[name], "width": 2}}
             time_s = reference.stamp_s - reference.stamp_s[0]
             figure.add_trace(Scatter(x=time_s, y=error_m, showlegend=False, **look), 1, 2)
-    axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
     figure.update_layout(
         template="plotly_white",
         height=HEIGHT_PX,
         margin={"l": 0, "r": 16, "t": 12, "b": 48},
         legend={"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"},
-        scene={**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.0, "y": -1.9, "z": 0.6}}},
+        scene={**AXES, "aspectmode": "data", "camera": {"eye": {"x": 1.0, "y": -1.9, "z": 0.6}}},
     )
     figure.update_xaxes(title_text="time (s)")
     where = "truth" if "true" in known else "recorded poses"
@@ -91,8 +91,7 @@ def figure_cloud(points: Array, bars: Segments, surface: NDArray[np.bool_]) -> "
         figure.add_trace(Scatter3d(**_columns(shown), mode="markers", name=name, marker=marker))
     line = {"color": COLOURS["bars found"], "width": 6}
     figure.add_trace(Scatter3d(**_columns(_apart(plots.end_points(bars))), mode="lines", name="bars", line=line))
-    axes = {f"{axis}axis": {"title": {"text": f"{axis} (m)"}, "showspikes": False} for axis in "xyz"}
-    figure.update_layout(template="plotly_white", scene={**axes, "aspectmode": "data"}, margin=dict.fromkeys("lrtb", 0))
+    figure.update_layout(template="plotly_white", scene={**AXES, "aspectmode": "data"}, margin=dict.fromkeys("lrtb", 0))
     return figure
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.types import Array, IntArray
 from steelnb.points.moments import eigen
-from steelnb.points.voxel_kernels import find, hash_table, pack
+from steelnb.points.voxel_kernels import find, hash_table, offsets_within
 from steelnb.points.voxel_map import VoxelMap
 
 DISC = 3.5
@@ -27,6 +27,7 @@ TURN_MAX_RAD = math.radians(15)
 CELLS_MIN = 80
 """Minimum number of cells of a surface."""
 LEVEL_RAD = math.radians(30)
+"""Maximum slope of a level surface."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Surface:
 
     @property
     def is_level(self) -> bool:
-        """Whether it is closer to horizontal than to vertical."""
+        """Whether it slopes by less than `LEVEL_RAD`."""
         return abs(float(self.normal[2])) > math.cos(LEVEL_RAD)
 
 
@@ -58,8 +59,8 @@ class Surfaces:
 
     @classmethod
     def found_in(cls, points: Array, cell_m: float) -> "Surfaces":
-        """The surfaces of a cloud ``(N, 3)``, metres, finite, whose points are at most a cell apart and noise of which
-        is below a cell.
+        """The surfaces of a finite cloud ``(N, 3)``, metres. Its points should be at most a cell apart, and their
+        noise less than a cell.
 
         A cell lies on a surface if the points around it cover `COVERED_MIN` of a disc of `DISC` cells, and few are
         farther from its plane. Cells with similar normals are connected; `CELLS_MIN` of them or more are a surface.
@@ -67,7 +68,8 @@ class Surfaces:
         voxels = VoxelMap(cell_m)
         voxels.insert(points)
         mean, key = voxels.means(), voxels.keys()
-        point, normal, inner = _local_planes(key, mean, cell_m, _ball(DISC), *hash_table(key, len(key)))
+        around = offsets_within(DISC * cell_m, cell_m)
+        point, normal, inner = _local_planes(key, mean, cell_m, around, *hash_table(key, len(key)))
         point, normal = point[inner], normal[inner]
         if not inner.any():
             return cls(cell_m, point, normal, np.zeros(0, dtype=np.int64))
@@ -109,14 +111,6 @@ class Surfaces:
             area_m2 = len(np.unique(seen, axis=0)) * self.cell_m**2
             found.append(Surface(centre, vector[:, 0], area_m2, math.sqrt(max(value[0], 0.0)), int(count[k])))
         return found
-
-
-def _ball(radius: float) -> IntArray:
-    """Offsets ``(K,)`` of the keys (`pack`) of the cells within a radius, in cells."""
-    reach = int(radius)
-    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    steps = steps[np.linalg.norm(steps, axis=1) <= radius]
-    return np.asarray(pack(*steps.T) - pack(0, 0, 0))
 
 
 @njit(cache=True)

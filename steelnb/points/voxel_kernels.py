@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from steelnb.core.types import IntArray
 from steelnb.points.moments import NO_MOMENTS, add_moments, add_point, covariance, store
 
 EMPTY = -1
@@ -32,6 +33,16 @@ def unpack(key):
     """Indices (i, j, k) of the voxel with a key."""
     mask = (np.int64(1) << (BITS + 1)) - 1
     return (key >> (2 * BITS + 2)) - REACH, ((key >> (BITS + 1)) & mask) - REACH, (key & mask) - REACH
+
+
+def offsets_within(radius_m: float, voxel_m: float) -> IntArray:
+    """Offsets ``(K,)`` of the keys (`pack`) of the voxels whose centres lie within a radius, nearest first."""
+    reach = int(radius_m / voxel_m)
+    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = np.linalg.norm(steps, axis=1)
+    order = np.argsort(distance, kind="stable")
+    steps = steps[order][distance[order] * voxel_m <= radius_m + 1e-9]
+    return np.asarray(pack(*steps.T) - pack(0, 0, 0))
 
 
 @njit(cache=True)

@@ -24,11 +24,11 @@ TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 SURFACES_SHOWN = 5
 VOXELS_FEW = 10
-"""Fewer voxels than this many bars would need are too few."""
+"""If voxels leave fewer points than this many bars need, the message blames the voxels."""
 FLAT_M = 0.1
 """Maximum root mean square distance of a flat surface from its plane."""
-UNEXPLAINED_MAX = 0.5
-"""A larger share than this of the points on no surface and no bar is warned of."""
+EXPLAINED_MIN = 0.5
+"""The user is warned if bars explain a smaller share than this of the points that lie on no surface."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def segment_file(
     with ``scene``, also the interactive ``segments.html``.
 
     Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.whole_cloud`). ``dx_m`` is the radius
-    of the tube that holds a bar's points (default: 6 cm, or 1.2 times the spacing of the points if that is more),
-    ``voxel_m`` the edge of the voxel filter (default: two thirds of dx). ``min_votes`` is the minimum number of voxels
-    of a bar, and the minimum by which those in its tube exceed those around it.
+    of the tube that holds a bar's points (default: `default_tube`), ``voxel_m`` the edge of the voxel filter (default:
+    two thirds of dx). ``min_votes`` is the minimum number of voxels of a bar, and the minimum by which those in its
+    tube exceed those around it.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
@@ -91,19 +91,14 @@ def segment_file(
         figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
         if scene:
             figure_cloud(cloud.points, bars, ~off).write_html(folder / "segments.html", include_plotlyjs=True)
-    voxel = voxel_m or dx / 1.5
+    voxel = found.voxel_m
     on_surfaces = float(1 - off.mean())
-    named = [
-        f"surface   {_name(surface)}, {surface.area_m2:.0f} m²: {surface.points} points left out"
-        for surface in found.surfaces
-    ]
     bar_share = explained * (1 - on_surfaces)
     summary = (
         f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
         f"dropped), {apart_m:.3g} m apart",
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one",
-        *named[:SURFACES_SHOWN],
-        *([f"surface   and {len(named) - SURFACES_SHOWN} more"] if len(named) > SURFACES_SHOWN else []),
+        *_surface_lines(found.surfaces),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
         f"points    {100 * bar_share:.0f} % on bars, {100 * on_surfaces:.0f} % on surfaces, "
@@ -114,20 +109,27 @@ def segment_file(
         segments,
         found.freedom,
         found.width_m,
-        voxel,
+        found.voxel_m,
         dx,
         explained,
         on_surfaces,
         summary,
-        _warnings(found, explained, cloud.points, voxel, min_votes),
+        _warnings(found, explained, cloud.points, min_votes),
     )
 
 
 def default_tube(points: Array, apart_m: float) -> float:
-    """Default radius of the tube of a bar, metres: that of a steel member with its noise, more for points that are far
-    apart, and less in a small cloud."""
+    """Default radius of the tube of a bar, metres: 6 cm, or 1.2 times the spacing ``apart_m`` of the points if that is
+    more; at most a fortieth of the cloud's diagonal."""
     diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return min(max(TUBE_M, DX_PER_SPACING * apart_m), max(diagonal_m / TUBES_MIN, 1e-3 * diagonal_m))
+    return min(max(TUBE_M, DX_PER_SPACING * apart_m), diagonal_m / TUBES_MIN)
+
+
+def _surface_lines(surfaces: list[Surface]) -> list[str]:
+    """One line for each of the largest surfaces, and one for how many more there are."""
+    lines = [f"surface   {_name(each)}, {each.area_m2:.0f} m²: {each.points} points left out" for each in surfaces]
+    more = len(lines) - SURFACES_SHOWN
+    return lines[:SURFACES_SHOWN] + ([f"surface   and {more} more"] if more > 0 else [])
 
 
 def _name(surface: Surface) -> str:
@@ -137,17 +139,17 @@ def _name(surface: Surface) -> str:
     return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
 
 
-def _warnings(found: CloudBars, explained: float, points: Array, voxel_m: float, min_votes: int) -> tuple[str, ...]:
+def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int) -> tuple[str, ...]:
     off = int((found.surface < 0).sum())
     if not len(found.bars):
-        left = len(voxel_grid(points, voxel_m))
+        left = len(voxel_grid(points, found.voxel_m))
         why = "the points on no surface do not lie along lines"
         if off < 0.05 * len(points):
             why = "all points lie on surfaces"
         elif left < VOXELS_FEW * min_votes:
-            why = f"voxels of {voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
+            why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
         return (f"no bar found: {why}",)
-    if explained < 1 - UNEXPLAINED_MAX:
+    if explained < EXPLAINED_MIN:
         return (
             f"bars explain {100 * explained:.0f} % of the {off} points that lie on no surface: is this a structure of"
             " bars, and is the tube as wide as one of them (--dx)?",

@@ -114,8 +114,10 @@ class ExperimentSettings(Settings):
         plot = ReportPlot.find(figure, trajectory, method, run)
         settings = cls.preset(
             plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor, seed,  # type: ignore[arg-type]
-            duration_s or plot.duration_s, {"tof.samples": plot.name, "flight.still_s": plot.still_s},
+            duration_s or plot.duration_s, {"tof.samples": plot.name},
         )  # fmt: skip
+        if plot.still_s is not None:
+            settings = settings.override({"flight.still_s": plot.still_s})
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
         return settings.override(overrides or {})

@@ -30,9 +30,9 @@ class ReportPlot:
     Samples ``first_sample``, ``first_sample + 1``, … of the plot's axis, ``samples`` of them, belong to this ``run``;
     one plot begins with an ``earlier`` run. If they are evenly spaced, sample ``first_sample + k`` was taken at the
     simulator's step ``first_step + k * steps_per_sample``, rounded; else `SAMPLES` has the steps. ``flight``: the
-    flight's preset, if its name is not the trajectory's. ``still_s``: seconds at rest before the flight.
-    ``broken_off_s``: first and last second of an unlogged run before, whose map and correction the program kept; empty
-    for none.
+    flight's preset, if its name is not the trajectory's. ``still_s``: seconds at rest before the
+    flight, if not those of the preset. ``broken_off_s``: first and last second of an unlogged run before, whose map and
+    correction the program kept; empty for none.
     """
 
     figure: str
@@ -44,7 +44,7 @@ class ReportPlot:
     first_sample: int = 0
     first_step: int = 0
     steps_per_sample: float = 0.0
-    still_s: float = 4.5
+    still_s: float | None = None
     broken_off_s: tuple[float, float] | tuple[()] = ()
 
     @property
